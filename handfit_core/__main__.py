@@ -1,0 +1,288 @@
+"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `model convert`, `model info`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import os
+import sys
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from handfit_core.camera import Intrinsics
+from handfit_core.detect.tracks import HAND_CHOICES
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.frame_range import FrameRange
+from handfit_core.hand_model.commands import add_model_commands
+from handfit_core.pipeline import Progress, ProgressCallback, capture
+from handfit_core.solvers import DEFAULT_SOLVER, solver_names
+from handfit_core.version import __version__
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code. User errors are one line on stderr."""
+    args = _parser().parse_args(argv)
+    output = _JsonOutput() if getattr(args, "progress", None) == "json" else _TextOutput()
+    args.reporter = output
+    log_handler = _LogHandler(output)
+    logging.getLogger("handfit").addHandler(log_handler)
+    try:
+        with contextlib.nullcontext() if args.debug else _native_noise_dropped():
+            return args.handler(args)
+    except HandfitError as error:
+        output.error(type(error).__name__, str(error))
+        if args.debug:
+            traceback.print_exc()
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        output.error("Interrupted", "stopped")
+        return EXIT_INTERRUPTED
+    except Exception as error:  # a defect of ours: still one line, unless --debug
+        output.error(type(error).__name__, f"unexpected error: {error} (run with --debug for details)")
+        if args.debug:
+            traceback.print_exc()
+        return EXIT_FAILED
+    finally:
+        logging.getLogger("handfit").removeHandler(log_handler)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m handfit_core",
+        description="Fit a rigged hand to photos, image sequences and videos.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    command = commands.add_parser("capture", help="find and fit the hands of one input, write a take")
+    command.set_defaults(handler=_capture)
+    command.add_argument(
+        "input",
+        nargs="+",
+        metavar="INPUT",
+        help="a photo, a folder or several photos of one sequence, a name.%%04d.png or glob pattern, a video",
+    )
+    command.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="OUT.npz", help="the take to write"
+    )
+    add_capture_options(command)
+    command.add_argument(
+        "--progress",
+        choices=("bar", "json", "none"),
+        default="bar",
+        help="how to show progress (default: bar)",
+    )
+
+    add_model_commands(commands)
+    for sub in _all_parsers(commands):
+        sub.add_argument(
+            "--debug", action="store_true", help="show tracebacks and the libraries' own messages"
+        )
+    return parser
+
+
+def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:
+    """The parsers that run something: leaves of the tree of commands."""
+    for sub in commands.choices.values():
+        nested = [a for a in sub._actions if isinstance(a, argparse._SubParsersAction)]
+        if nested:
+            yield from _all_parsers(nested[0])
+        else:
+            yield sub
+
+
+def add_capture_options(parser: argparse.ArgumentParser) -> None:
+    """The options that every way of capturing shares."""
+    parser.add_argument("--frames", metavar="A-B:S", help="source frames, as in 10-200:2 (default: all)")
+    parser.add_argument(
+        "--hands", choices=HAND_CHOICES, default="auto", help="which hands to keep (default: auto)"
+    )
+    parser.add_argument(
+        "--solver",
+        default=DEFAULT_SOLVER,
+        metavar="NAME",
+        help=f"one of {', '.join(solver_names())} (default: {DEFAULT_SOLVER})",
+    )
+    parser.add_argument(
+        "--model", metavar="PATH", help="a MANO file, or a folder with both sides (default: the open hand)"
+    )
+    parser.add_argument(
+        "--intrinsics",
+        metavar="FX,FY,CX,CY",
+        help="the camera in pixels (default: one with a 53 degree view)",
+    )
+    parser.add_argument("--threshold", type=float, default=0.5, help="detection threshold 0-1 (default: 0.5)")
+    parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
+
+
+def _capture(args: argparse.Namespace) -> int:
+    output: _Output = args.reporter
+    source = args.input[0] if len(args.input) == 1 else args.input
+    started = time.perf_counter()
+    take = capture(
+        source,
+        hands=args.hands,
+        model=args.model,
+        solver=args.solver,
+        progress=None if args.progress == "none" else output.progress,
+        frames=FrameRange.parse(args.frames) if args.frames else None,
+        intrinsics=parse_intrinsics(args.intrinsics) if args.intrinsics else None,
+        threshold=args.threshold,
+        landmark_model=args.landmark_model,
+    )
+    path = take.save(args.output)
+    hands = [
+        {
+            "side": track.side,
+            "frames": int(track.detected.sum()),
+            "mean_reprojection_error_px": float(track.reprojection_error[track.detected].mean()),
+        }
+        for track in take.hands
+    ]
+    output.done(
+        {
+            "output": str(path),
+            "frames": len(take.frame_numbers),
+            "seconds": round(time.perf_counter() - started, 3),
+            "hands": hands,
+        }
+    )
+    return 0
+
+
+def parse_intrinsics(text: str) -> Intrinsics:
+    """`FX,FY,CX,CY` in pixels. Raises OptionError."""
+    try:
+        fx, fy, cx, cy = (float(part) for part in text.split(","))
+    except ValueError:
+        raise OptionError(
+            f"'{text}' is not a camera; write FX,FY,CX,CY in pixels, as in 1200,1200,960,540"
+        ) from None
+    return Intrinsics(fx, fy, cx, cy)
+
+
+class _Output:
+    """Where progress, results, warnings and errors go."""
+
+    progress: ProgressCallback
+
+    def done(self, summary: dict[str, Any]) -> None:
+        raise NotImplementedError
+
+    def warning(self, message: str) -> None:
+        raise NotImplementedError
+
+    def error(self, kind: str, message: str) -> None:
+        raise NotImplementedError
+
+
+class _JsonOutput(_Output):
+    """One JSON object a line on stdout; docs/batch.md lists the events."""
+
+    def _write(self, **event: Any) -> None:
+        print(json.dumps(event), flush=True)
+
+    def progress(self, progress: Progress) -> None:
+        self._write(event="progress", stage=progress.stage, done=progress.done, total=progress.total)
+
+    def done(self, summary: dict[str, Any]) -> None:
+        self._write(event="done", **summary)
+
+    def warning(self, message: str) -> None:
+        self._write(event="warning", message=message)
+
+    def error(self, kind: str, message: str) -> None:
+        self._write(event="error", type=kind, message=message)
+
+
+class _TextOutput(_Output):
+    """A progress bar and sentences for people, on whatever sys.stderr is at the time."""
+
+    _WIDTH = 30
+    _EVERY = 0.1
+    _VERBS = {"detect": "finding hands", "fit": "fitting      "}  # noqa: RUF012
+
+    def __init__(self) -> None:
+        self._bar = sys.stderr.isatty()
+        self._last = 0.0
+        self._dirty = False
+
+    def progress(self, progress: Progress) -> None:
+        now = time.monotonic()
+        finished = progress.total > 0 and progress.done >= progress.total
+        if not self._bar or (now - self._last < self._EVERY and not finished):
+            return
+        self._last = now
+        filled = self._WIDTH * progress.done // max(progress.total, 1)
+        bar = "#" * filled + "." * (self._WIDTH - filled)
+        verb = self._VERBS[progress.stage]
+        print(f"\r{verb} [{bar}] {progress.done}/{progress.total}", end="", file=sys.stderr, flush=True)
+        self._dirty = True
+
+    def _line(self, text: str) -> None:
+        if self._dirty:
+            print(file=sys.stderr)
+            self._dirty = False
+        print(text, file=sys.stderr, flush=True)
+
+    def done(self, summary: dict[str, Any]) -> None:
+        hands = "; ".join(
+            f"{h['side']} hand in {h['frames']} of {summary['frames']} frames, "
+            f"{h['mean_reprojection_error_px']:.1f} px mean error"
+            for h in summary["hands"]
+        )
+        self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")
+
+    def warning(self, message: str) -> None:
+        self._line(f"warning: {message}")
+
+    def error(self, kind: str, message: str) -> None:  # noqa: ARG002 (people read the message)
+        self._line(f"error: {message}")
+
+
+class _LogHandler(logging.Handler):
+    """Sends the core's warnings to the output."""
+
+    def __init__(self, output: _Output) -> None:
+        super().__init__(logging.WARNING)
+        self._output = output
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._output.warning(record.getMessage())
+
+
+@contextlib.contextmanager
+def _native_noise_dropped() -> Iterator[None]:
+    """MediaPipe, TensorFlow Lite and FFmpeg write to file descriptor 2 whatever one asks of them.
+
+    Python's own stderr keeps working. A crash is still seen in the exit code.
+    """
+    try:
+        original = sys.stderr.fileno()
+    except (OSError, ValueError, AttributeError):  # captured or closed: nothing to divert
+        yield
+        return
+    sys.stderr.flush()
+    kept = os.dup(original)
+    with open(os.devnull, "w") as nowhere, os.fdopen(os.dup(kept), "w", buffering=1) as python_stderr:
+        os.dup2(nowhere.fileno(), original)
+        previous, sys.stderr = sys.stderr, python_stderr
+        try:
+            yield
+        finally:
+            python_stderr.flush()
+            sys.stderr = previous
+            os.dup2(kept, original)
+            os.close(kept)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""The pinhole camera: intrinsics and projection.
+
+Camera frame everywhere in the core: OpenCV's (x right, y down, z forward), metres. Pixels: the
+centre of the top-left pixel is (0.5, 0.5), so a picture spans (0, 0) to (width, height).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.errors import OptionError
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera without distortion; all values in pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        values = (self.fx, self.fy, self.cx, self.cy)
+        if not all(math.isfinite(v) for v in values) or self.fx <= 0 or self.fy <= 0:
+            raise OptionError(
+                f"camera intrinsics need positive, finite focal lengths in pixels; got fx={self.fx}, "
+                f"fy={self.fy}, cx={self.cx}, cy={self.cy}"
+            )
+
+    @classmethod
+    def assumed(cls, width: int, height: int) -> Intrinsics:
+        """A camera for pictures of which nothing is known: the longer side spans 53 degrees.
+
+        That is a 36 mm lens on full frame, between a phone's main camera (26 mm) and a portrait
+        lens (50 mm).
+        """
+        focal = float(max(width, height))
+        return cls(focal, focal, width / 2.0, height / 2.0)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) metres in the camera frame -> (..., 2) pixels. Points must have z > 0."""
+        points = np.asarray(points, dtype=np.float64)
+        focal = np.array([self.fx, self.fy])
+        return points[..., :2] / points[..., 2:3] * focal + np.array([self.cx, self.cy])
+
+    def rays(self, pixels: np.ndarray) -> np.ndarray:
+        """(..., 2) pixels -> (..., 3) directions in the camera frame, scaled to z = 1."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        xy = (pixels - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
+        return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)

@@ -1,0 +1,1 @@
+"""Finding hands in pictures. One detector per module."""

@@ -1,0 +1,121 @@
+"""MediaPipe's hand landmarker through its Tasks API."""
+
+from __future__ import annotations
+
+import os
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from handfit_core.detect.landmark_model import landmark_model_path
+from handfit_core.errors import LandmarkModelError, OptionError
+from handfit_core.keypoints import HandDetection
+from handfit_core.skeleton import Side
+
+MAX_SIDE = 1920
+"""Longer pictures are shrunk to this before detection: the networks see at most 224 pixels a side."""
+
+
+class MediaPipeHands:
+    """A hand detector. Use it as a context manager: MediaPipe must be closed by hand.
+
+    `video=True` follows hands from frame to frame, which is cheaper and steadier; frames must then
+    come in order, each with its time. One object serves a whole run.
+
+    Raises LandmarkModelError when the model file is missing or damaged, OptionError for thresholds
+    outside 0..1.
+    """
+
+    def __init__(
+        self,
+        *,
+        max_hands: int = 2,
+        video: bool = False,
+        threshold: float = 0.5,
+        landmark_model: str | os.PathLike[str] | None = None,
+    ) -> None:
+        if not 0.0 <= threshold <= 1.0:
+            raise OptionError(f"the detection threshold must lie between 0 and 1, not {threshold}")
+        path = landmark_model_path(landmark_model)
+        # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
+        os.environ.setdefault("GLOG_minloglevel", "2")
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+        import mediapipe as mp
+
+        vision = mp.tasks.vision
+        self._mp = mp
+        self._video = video
+        self._last_ms = -1
+        options = vision.HandLandmarkerOptions(
+            # The bytes and not the path: MediaPipe on Windows fails on paths that are not ASCII.
+            base_options=mp.tasks.BaseOptions(model_asset_buffer=path.read_bytes()),
+            running_mode=vision.RunningMode.VIDEO if video else vision.RunningMode.IMAGE,
+            num_hands=max_hands,
+            min_hand_detection_confidence=threshold,
+            min_hand_presence_confidence=threshold,
+            min_tracking_confidence=threshold,
+        )
+        try:
+            self._landmarker = vision.HandLandmarker.create_from_options(options)
+        except (RuntimeError, ValueError) as error:
+            raise LandmarkModelError(
+                f"{path}: MediaPipe cannot load this landmark model ({_first_line(error)}); assemble it "
+                "again with scripts/fetch_landmark_model.py --force"
+            ) from error
+
+    def __enter__(self) -> MediaPipeHands:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give MediaPipe's threads and memory back."""
+        self._landmarker.close()
+
+    def detect(self, rgb: np.ndarray, time: float = 0.0) -> tuple[HandDetection, ...]:
+        """Find hands in one picture (H, W, 3) uint8 RGB; `time` in seconds, for video only.
+
+        No hand is an empty tuple.
+        """
+        height, width = rgb.shape[:2]
+        image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=_shrunk(rgb))
+        if self._video:
+            # Times must rise strictly, in whole milliseconds.
+            self._last_ms = max(self._last_ms + 1, round(time * 1000))
+            result = self._landmarker.detect_for_video(image, self._last_ms)
+        else:
+            result = self._landmarker.detect(image)
+        return tuple(
+            _detection(handedness[0], image_points, world_points, width, height)
+            for handedness, image_points, world_points in zip(
+                result.handedness, result.hand_landmarks, result.hand_world_landmarks, strict=True
+            )
+        )
+
+
+def _shrunk(rgb: np.ndarray) -> np.ndarray:
+    longer = max(rgb.shape[:2])
+    if longer <= MAX_SIDE:
+        return np.ascontiguousarray(rgb)
+    import cv2
+
+    scale = MAX_SIDE / longer
+    return cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+def _detection(
+    category: Any, image_points: list[Any], world_points: list[Any], width: int, height: int
+) -> HandDetection:
+    side: Side = "left" if category.category_name == "Left" else "right"
+    # Normalised by the width (x and z) and the height (y).
+    keypoints = np.array([(p.x * width, p.y * height, p.z * width) for p in image_points])
+    world = np.array([(p.x, p.y, p.z) for p in world_points])
+    return HandDetection(side=side, score=float(category.score), keypoints=keypoints, world=world)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

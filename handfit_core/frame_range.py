@@ -1,0 +1,55 @@
+"""Frame ranges as artists write them: `10-200:2`."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from handfit_core.errors import OptionError
+
+_PATTERN = re.compile(
+    r"^\s*(?:(?P<first>\d+)?\s*(?P<dash>-)?\s*(?P<last>\d+)?)?\s*(?::\s*(?P<step>\d+))?\s*$"
+)
+
+
+@dataclass(frozen=True)
+class FrameRange:
+    """Source frame numbers `first` to `last`, both included, every `step`-th of them."""
+
+    first: int | None = None
+    last: int | None = None
+    step: int = 1
+
+    @classmethod
+    def parse(cls, text: str) -> FrameRange:
+        """`10-200:2`, `10-200`, `10-`, `-200`, `15`, `:2`. Raises OptionError."""
+        match = _PATTERN.match(text)
+        if not match or not text.strip():
+            raise OptionError(
+                f"'{text}' is not a frame range; write 10-200, 10-200:2 (every second), 10-, -200 or 15"
+            )
+        first, last, step = (int(v) if v else None for v in match.group("first", "last", "step"))
+        if match["dash"] is None and first is not None:
+            last = first
+        if step == 0 or (first is not None and last is not None and last < first):
+            raise OptionError(
+                f"'{text}' is an empty frame range; the first frame must not lie after the last"
+            )
+        return cls(first, last, step or 1)
+
+    def __contains__(self, number: int) -> bool:
+        if self.is_before(number) or self.is_past(number):
+            return False
+        return (number - (self.first or 1)) % self.step == 0
+
+    def is_before(self, number: int) -> bool:
+        """Whether frame `number` lies before the range."""
+        return self.first is not None and number < self.first
+
+    def is_past(self, number: int) -> bool:
+        """Whether frame `number` and all after it lie behind the range."""
+        return self.last is not None and number > self.last
+
+    def __str__(self) -> str:
+        first, last = ("" if v is None else str(v) for v in (self.first, self.last))
+        return f"{first}-{last}" + (f":{self.step}" if self.step > 1 else "")

@@ -1,0 +1,105 @@
+"""What hands can do: anatomical axes, angles and ranges of the 15 finger joints.
+
+Each joint has three axes in the flat pose, after manotorch (Yang et al. 2021): **twist** along the
+bone back towards the wrist, **spread** towards the back of the hand, and **bend** = twist x spread.
+A positive bend closes the hand. Angles are the intrinsic Euler angles XYZ about (twist, spread, bend)
+relative to the flat pose, in radians.
+
+The joint order is MANO's without the wrist: index, middle, little, ring, thumb, three each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.hand_model.data import HandModel
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
+
+NUM_ANGLES = 45
+
+
+def anatomical_axes(model: HandModel) -> np.ndarray:
+    """(15, 3, 3) rotations whose columns are each joint's (twist, spread, bend) axes, model frame.
+
+    Taken from the mean shape; shape moves them by a degree or two at most.
+    """
+    shaped = model.shaped()
+    axes = np.empty((15, 3, 3))
+    for finger, joints in FINGER_JOINTS.items():
+        points = [*shaped.joints[list(joints)], shaped.tips[FINGERS.index(finger)]]
+        for joint, here, beyond in zip(joints, points[:-1], points[1:], strict=True):
+            axes[joint - 1] = _frame(here - beyond, _towards_back(finger, model.side))
+    return axes
+
+
+def _towards_back(finger: str, side: Side) -> np.ndarray:
+    """Roughly away from the palm; the thumb is turned against the fingers."""
+    if finger != "thumb":
+        return np.array([0.0, 1.0, 0.0])
+    return np.array([1.0 if side == "right" else -1.0, 1.0, 1.0])
+
+
+def _frame(twist: np.ndarray, towards_back: np.ndarray) -> np.ndarray:
+    twist = twist / np.linalg.norm(twist)
+    spread = towards_back - twist * (twist @ towards_back)
+    spread /= np.linalg.norm(spread)
+    return np.stack([twist, spread, np.cross(twist, spread)], axis=-1)
+
+
+def anatomical_angles(rotmats: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """(..., 15, 3, 3) local joint rotations, (15, 3, 3) axes -> (..., 15, 3) twist, spread, bend."""
+    local = np.swapaxes(axes, -1, -2) @ rotmats @ axes
+    return np.stack(
+        [
+            np.arctan2(-local[..., 1, 2], local[..., 2, 2]),
+            np.arcsin(np.clip(local[..., 0, 2], -1.0, 1.0)),
+            np.arctan2(-local[..., 0, 1], local[..., 0, 0]),
+        ],
+        axis=-1,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Active range of motion in radians."""
+
+    lower: np.ndarray
+    """(15, 3) twist, spread, bend"""
+    upper: np.ndarray
+    """(15, 3)"""
+
+
+# Degrees, right hand. Bends: Bain et al. 2015, active range. The knuckles' spread of +-20 and the
+# thumb's totals (53 flexion, 42 abduction, 17 rotation) are laid about the rest pose; hinges get the
+# few degrees of play that real ones have too.
+_BENDS: dict[str, tuple[tuple[float, float], ...]] = {
+    "index": ((-13, 86), (-5, 102), (-5, 77)),
+    "middle": ((-18, 92), (-7, 100), (-6, 85)),
+    "ring": ((-20, 92), (-7, 104), (-5, 86)),
+    "little": ((-25, 90), (-7, 99), (-6, 89)),
+    "thumb": ((-20, 33), (-10, 55), (-15, 80)),
+}
+_KNUCKLE_TWIST_SPREAD = ((-5.0, 5.0), (-20.0, 20.0))
+_HINGE_TWIST_SPREAD = ((-3.0, 3.0), (-5.0, 5.0))
+_THUMB_ROOT_TWIST_SPREAD = ((-8.5, 8.5), (-21.0, 21.0))
+
+
+def joint_limits(side: Side) -> JointLimits:
+    """The range of every anatomical angle of one hand."""
+    limits = np.empty((15, 3, 2))
+    for finger, joints in FINGER_JOINTS.items():
+        for place, (joint, bend) in enumerate(zip(joints, _BENDS[finger], strict=True)):
+            if place > 0:
+                twist, spread = _HINGE_TWIST_SPREAD
+            elif finger == "thumb":
+                twist, spread = _THUMB_ROOT_TWIST_SPREAD
+            else:
+                twist, spread = _KNUCKLE_TWIST_SPREAD
+            limits[joint - 1] = (twist, spread, bend)
+    limits = np.radians(limits)
+    if side == "left":
+        # In a mirror image a bend keeps its sign about the mirrored axis, twist and spread change it.
+        limits[:, :2] = -limits[:, :2, ::-1]
+    return JointLimits(limits[..., 0], limits[..., 1])

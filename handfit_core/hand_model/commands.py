@@ -1,0 +1,90 @@
+"""The command line's `model` subcommand: convert MANO's files, and look into hand models."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from handfit_core.errors import OptionError
+
+if TYPE_CHECKING:
+    from handfit_core.hand_model.data import HandModel
+
+
+def add_model_commands(subparsers: argparse._SubParsersAction) -> None:
+    """Add `model convert` and `model info`; each sets `handler`, called as handler(args) -> exit code.
+
+    Handlers raise HandfitError for what the user can mend.
+    """
+    model = subparsers.add_parser("model", help="convert MANO files, or describe a hand model")
+    actions = model.add_subparsers(dest="model_command", metavar="COMMAND", required=True)
+
+    convert = actions.add_parser(
+        "convert", help="read a MANO .pkl safely, check it, and write it as .npz without pickles"
+    )
+    convert.add_argument("source", metavar="SRC.pkl", help="MANO_RIGHT.pkl or MANO_LEFT.pkl")
+    convert.add_argument("target", metavar="DST.npz", help="file to write; its folder is made if need be")
+    convert.set_defaults(handler=_convert)
+
+    info = actions.add_parser("info", help="side, size, fingerprint and bone lengths of a hand model")
+    info.add_argument("model", metavar="FILE", help="a .npz or MANO .pkl file, or open-hand")
+    info.set_defaults(handler=_info)
+
+
+def _convert(args: argparse.Namespace) -> int:
+    from handfit_core.hand_model.files import save_model_npz
+
+    source, target = Path(args.source).expanduser(), Path(args.target).expanduser()
+    if target.suffix.lower() != ".npz":
+        raise OptionError(f"{target}: the converted model is a .npz file; give a name that ends in .npz")
+    model = _read(source)
+    save_model_npz(model, target)
+    print(f"{target}: {model.side} hand, {len(model.v_template)} vertices")
+    return 0
+
+
+def _info(args: argparse.Namespace) -> int:
+    from handfit_core.hand_model.files import OPEN_HAND, load_model
+    from handfit_core.skeleton import SIDES
+
+    if args.model == OPEN_HAND:
+        for side in SIDES:
+            _describe(load_model(OPEN_HAND, side))
+    else:
+        _describe(_read(Path(args.model).expanduser()))
+    return 0
+
+
+def _read(path: Path) -> HandModel:
+    """One file of either format; its side is what it is."""
+    from handfit_core.errors import HandModelError
+    from handfit_core.hand_model.files import load_model_npz
+
+    if path.is_dir():
+        raise HandModelError(f"{path}: this is a folder; give one file, MANO_RIGHT or MANO_LEFT")
+    if not path.exists():
+        raise HandModelError(f"{path}: there is no such hand model; give a MANO .pkl or .npz file")
+    if path.suffix.lower() == ".pkl":
+        from handfit_core.hand_model.mano_pickle import load_mano_pickle
+
+        return load_mano_pickle(path)
+    return load_model_npz(path)
+
+
+def _describe(model: HandModel) -> None:
+    import numpy as np
+
+    from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, keypoints_from_joints
+
+    shaped = model.shaped()
+    points = keypoints_from_joints(shaped.joints, shaped.tips)
+    lengths = 1000 * np.linalg.norm(points[1:] - points[list(KEYPOINT_PARENTS[1:])], axis=1).reshape(5, 4)
+    print(f"name      {model.name}")
+    print(f"side      {model.side}")
+    print(f"vertices  {len(model.v_template)}")
+    print(f"faces     {len(model.polygons)}")
+    print(f"digest    {model.digest}")
+    print("bones mm  from wrist to first joint, then joint to joint, then to the tip (betas 0)")
+    for finger, row in zip(FINGERS, lengths, strict=True):
+        print(f"  {finger:<8}" + "".join(f"{length:7.1f}" for length in row))

@@ -1,0 +1,181 @@
+"""The arrays of a hand model in MANO's format, whoever made it, and its NumPy forward pass.
+
+Everything here needs NumPy only: Blender builds rigs from it. The differentiable, batched twin in
+torch is `hand_model.layer`; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from handfit_core import rotations
+from handfit_core.skeleton import (
+    NUM_BETAS,
+    NUM_JOINTS,
+    PARENTS,
+    Side,
+    keypoints_from_joints,
+)
+
+
+@dataclass(frozen=True)
+class ShapedHand:
+    """A hand model in its zero pose (flat hand), after the shape is applied. Metres, model frame."""
+
+    vertices: np.ndarray
+    """(V, 3)"""
+    joints: np.ndarray
+    """(16, 3)"""
+    tips: np.ndarray
+    """(5, 3) fingertips: thumb, index, middle, ring, little"""
+
+
+@dataclass(frozen=True)
+class PosedHand:
+    """A hand after pose and placement, in metres, in the frame that global_orient and transl lead to."""
+
+    vertices: np.ndarray
+    """(..., V, 3)"""
+    joints: np.ndarray
+    """(..., 16, 3)"""
+    keypoints: np.ndarray
+    """(..., 21, 3)"""
+
+
+@dataclass(frozen=True, eq=False)
+class HandModel:
+    """A hand in MANO's format, in metres; zero pose is the flat hand.
+
+    Model frame: the right hand's fingers point along -x (the left hand's along +x), the back of the
+    hand along +y, the thumb along +z. Arrays are float64 and read-only.
+    """
+
+    name: str
+    """`open-hand`, or the stem of the user's file"""
+    side: Side
+    v_template: np.ndarray
+    """(V, 3)"""
+    faces: np.ndarray
+    """(F, 3) int triangles, counter-clockwise seen from outside"""
+    shapedirs: np.ndarray
+    """(V, 3, 10)"""
+    posedirs: np.ndarray
+    """(V, 3, 135): offsets per element of R - I of joints 1..15, row-major"""
+    joint_regressor: np.ndarray
+    """(16, V)"""
+    weights: np.ndarray
+    """(V, 16) skin weights; rows sum to 1"""
+    hands_mean: np.ndarray
+    """(45,) relaxed pose, axis-angle; never added by us: hand_pose is always relative to the flat hand"""
+    hands_components: np.ndarray
+    """(45, 45) principal directions of the pose, in rows"""
+    tip_vertices: np.ndarray
+    """(5,) vertex index of each fingertip: thumb, index, middle, ring, little"""
+    quads: np.ndarray | None = None
+    """(Q, 4) int faces for artists, where the model has them"""
+    uv: np.ndarray | None = None
+    """(U, 2) texture coordinates, where the model has them"""
+    uv_faces: np.ndarray | None = None
+    """(Q, 4) or (F, 3) indices into uv, per corner of quads (or of faces where quads is None)"""
+    source: str = field(default="")
+    """Path of the file it came from, or empty for the bundled open hand"""
+
+    @property
+    def polygons(self) -> np.ndarray:
+        """(Q, 4) quads where the model has them, else its (F, 3) triangles."""
+        return self.faces if self.quads is None else self.quads
+
+    @property
+    def has_pose_blendshapes(self) -> bool:
+        """Whether posing changes the mesh beyond skinning (MANO: yes, the open hand: no)."""
+        return bool(np.any(self.posedirs))
+
+    @cached_property
+    def digest(self) -> str:
+        """Short fingerprint of the arrays that decide where vertices go."""
+        sha = hashlib.sha256(self.side.encode())
+        for array in (self.v_template, self.shapedirs, self.posedirs, self.joint_regressor, self.weights):
+            sha.update(np.ascontiguousarray(np.round(array, 9), dtype=np.float64).tobytes())
+        return sha.hexdigest()[:16]
+
+    def shaped(self, betas: np.ndarray | None = None) -> ShapedHand:
+        """Apply shape coefficients (10,) to the zero pose; None is the mean shape."""
+        betas = np.zeros(NUM_BETAS) if betas is None else np.asarray(betas, dtype=np.float64)
+        vertices = self.v_template + self.shapedirs @ betas
+        return ShapedHand(vertices, self.joint_regressor @ vertices, vertices[self.tip_vertices])
+
+    def posed(
+        self,
+        betas: np.ndarray | None,
+        global_orient: np.ndarray,
+        hand_pose: np.ndarray,
+        transl: np.ndarray,
+    ) -> PosedHand:
+        """Linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
+
+        betas (10,) or None; global_orient (..., 3) and hand_pose (..., 45) axis-angle in radians;
+        transl (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the
+        wrist ends at shaped(betas).joints[0] + transl.
+        """
+        everything = np.arange(len(self.v_template))
+        vertices, joints = self._skinned(everything, betas, global_orient, hand_pose, transl)
+        tips = vertices[..., self.tip_vertices, :]
+        return PosedHand(vertices, joints, keypoints_from_joints(joints, tips))
+
+    def keypoints(
+        self,
+        betas: np.ndarray | None,
+        global_orient: np.ndarray,
+        hand_pose: np.ndarray,
+        transl: np.ndarray,
+    ) -> np.ndarray:
+        """The (..., 21, 3) keypoints of `posed`, without the cost of the mesh."""
+        tips, joints = self._skinned(self.tip_vertices, betas, global_orient, hand_pose, transl)
+        return keypoints_from_joints(joints, tips)
+
+    def _skinned(
+        self,
+        chosen: np.ndarray,
+        betas: np.ndarray | None,
+        global_orient: np.ndarray,
+        hand_pose: np.ndarray,
+        transl: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The `chosen` vertices (..., N, 3) and all joints (..., 16, 3) of a posed hand."""
+        shaped = self.shaped(betas)
+        pose = np.concatenate([global_orient, hand_pose], axis=-1)
+        batch = pose.shape[:-1]
+        rotmats = rotations.rotvec_to_rotmat(pose.reshape(*batch, NUM_JOINTS, 3))
+        world_rot, world_pos = forward_kinematics(rotmats, shaped.joints)
+
+        vertices = np.broadcast_to(shaped.vertices[chosen], (*batch, len(chosen), 3))
+        if self.has_pose_blendshapes:
+            feature = (rotmats[..., 1:, :, :] - np.eye(3)).reshape(*batch, 135)
+            vertices = vertices + np.einsum("vcp,...p->...vc", self.posedirs[chosen], feature)
+        offsets = world_pos - np.einsum("...jab,jb->...ja", world_rot, shaped.joints)
+        weights = self.weights[chosen]
+        skin_rot = np.einsum("vj,...jab->...vab", weights, world_rot)
+        skinned = np.einsum("...vab,...vb->...va", skin_rot, vertices)
+        skinned = skinned + np.einsum("vj,...ja->...va", weights, offsets)
+        transl = np.asarray(transl, dtype=np.float64)[..., None, :]
+        return skinned + transl, world_pos + transl
+
+
+def forward_kinematics(rotmats: np.ndarray, rest_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Chain local joint rotations (..., 16, 3, 3) over rest joints (16, 3) in metres.
+
+    Returns each joint's rotation from the rest pose (..., 16, 3, 3) and position (..., 16, 3); the
+    root turns about its own joint.
+    """
+    world_rot: list[np.ndarray] = [rotmats[..., 0, :, :]]
+    world_pos: list[np.ndarray] = [np.broadcast_to(rest_joints[0], (*rotmats.shape[:-3], 3))]
+    for joint in range(1, NUM_JOINTS):
+        parent = PARENTS[joint]
+        offset = rest_joints[joint] - rest_joints[parent]
+        world_pos.append(world_pos[parent] + world_rot[parent] @ offset)
+        world_rot.append(world_rot[parent] @ rotmats[..., joint, :, :])
+    return np.stack(world_rot, axis=-3), np.stack(world_pos, axis=-2)

@@ -1,0 +1,173 @@
+"""Reading and writing hand models: our `.npz` (no pickles), and MANO's `.pkl` through `mano_pickle`."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handfit_core.errors import HandModelError
+from handfit_core.files import written_whole
+from handfit_core.hand_model.checks import checked_model
+from handfit_core.hand_model.data import HandModel
+from handfit_core.skeleton import SIDES, Side
+
+OPEN_HAND = "open-hand"
+"""Name of the bundled model; anything else given as a model is a path."""
+
+FORMAT_NAME = "handfit-model"
+FORMAT_VERSION = 1
+
+_DATA = Path(__file__).parent / "data"
+_REQUIRED = (
+    "v_template",
+    "faces",
+    "shapedirs",
+    "posedirs",
+    "joint_regressor",
+    "weights",
+    "hands_mean",
+    "hands_components",
+    "tip_vertices",
+)
+_OPTIONAL = ("quads", "uv", "uv_faces")
+_MANO_FILES: dict[Side, str] = {"right": "MANO_RIGHT", "left": "MANO_LEFT"}
+
+
+def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
+    """The hand model of one side.
+
+    `model` is None or "open-hand" for the bundled hand; a `.npz` or MANO `.pkl` file of that side;
+    or a folder that holds MANO_RIGHT and MANO_LEFT (`.npz` or `.pkl`). Given one side's file for
+    the other side, its neighbour `MANO_LEFT`/`MANO_RIGHT` is used if it exists.
+
+    Raises HandModelError.
+    """
+    if side not in SIDES:
+        raise HandModelError(f"a hand's side must be left or right, not {side!r}")
+    if model is None or str(model) == OPEN_HAND:
+        return _open_hand(side)
+    path = Path(model).expanduser()
+    if not path.exists():
+        raise HandModelError(
+            f"{path}: there is no such hand model; give a MANO .pkl or .npz, a folder with both sides, "
+            f"or '{OPEN_HAND}'"
+        )
+    return _read(_file_of_side(path, side), side)
+
+
+def _file_of_side(path: Path, side: Side) -> Path:
+    """The file of one side in a folder, or beside a file of the other side."""
+    if path.is_dir():
+        for candidate in _candidates(path, side, (".npz", ".pkl")):
+            return candidate
+        raise HandModelError(
+            f"{path}: this folder has no {_MANO_FILES[side]}.pkl or .npz for the {side} hand"
+        )
+    other = "left" if side == "right" else "right"
+    if _MANO_FILES[other].lower() in path.stem.lower():
+        for candidate in _candidates(path.parent, side, (path.suffix.lower(),)):
+            return candidate
+    return path
+
+
+def _candidates(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Path]:
+    files = {p.name.lower(): p for p in folder.iterdir() if p.is_file()}
+    wanted = (f"{_MANO_FILES[side].lower()}{suffix}" for suffix in suffixes)
+    return [files[name] for name in wanted if name in files]
+
+
+def _read(path: Path, side: Side) -> HandModel:
+    if path.suffix.lower() == ".pkl":
+        # Imported late: reading pickles needs scipy for the sparse regressor, the open hand does not.
+        from handfit_core.hand_model.mano_pickle import load_mano_pickle
+
+        model = load_mano_pickle(path)
+    else:
+        model = load_model_npz(path)
+    if model.side != side:
+        raise HandModelError(
+            f"{path}: this is a {model.side} hand, but the {side} hand was asked for; give the folder "
+            "that holds both MANO_LEFT and MANO_RIGHT"
+        )
+    return model
+
+
+@lru_cache(maxsize=2)
+def _open_hand(side: Side) -> HandModel:
+    return load_model_npz(_DATA / f"open_hand_{side}.npz", bundled=True)
+
+
+def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> HandModel:
+    """Read a model that `save_model_npz` wrote. Raises HandModelError."""
+    path = Path(path)
+    try:
+        # Opened here, because NumPy leaves a damaged file open.
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            arrays: dict[str, Any] = {name: archive[name] for name in archive.files}
+        header = json.loads(str(arrays.pop("header")[()]))
+        if header["format"] != FORMAT_NAME:
+            raise KeyError("format")
+        version, name, side = int(header["version"]), str(header["name"]), header["side"]
+        missing = [key for key in _REQUIRED if key not in arrays]
+    except Exception as error:  # a damaged zip can fail in any way
+        raise HandModelError(
+            f"{path}: not a hand model of ours, or a damaged one; make it again with "
+            "'python -m handfit_core model convert'"
+        ) from error
+    if version > FORMAT_VERSION:
+        raise HandModelError(
+            f"{path}: this hand model has format version {version}, this program reads up to "
+            f"{FORMAT_VERSION}; update the add-on"
+        )
+    if missing:
+        raise HandModelError(f"{path}: the hand model lacks {', '.join(missing)}")
+    return checked_model(
+        where=str(path),
+        name=name,
+        side=side,
+        source="" if bundled else str(path),
+        **{key: arrays.get(key) for key in (*_REQUIRED, *_OPTIONAL)},
+    )
+
+
+def save_model_npz(
+    model: HandModel, path: str | os.PathLike[str], notes: dict[str, str] | None = None
+) -> Path:
+    """Write a model as `.npz` without pickles; `notes` (provenance, licence) go into its header.
+
+    The same model gives the same bytes. Raises OutputError.
+    """
+    path = Path(path)
+    header = {
+        "format": FORMAT_NAME,
+        "version": FORMAT_VERSION,
+        "name": model.name,
+        "side": model.side,
+        "notes": notes or {},
+    }
+    arrays: dict[str, Any] = {"header": np.array(json.dumps(header, ensure_ascii=False))}
+    for key in (*_REQUIRED, *_OPTIONAL):
+        array = getattr(model, key)
+        if array is None:
+            continue
+        integer = np.issubdtype(array.dtype, np.integer)
+        arrays[key] = np.asarray(array, dtype=np.int32 if integer else np.float32)
+    with written_whole(path) as beside:
+        _save_npz_reproducibly(beside, arrays)
+    return path
+
+
+def _save_npz_reproducibly(path: Path, arrays: dict[str, Any]) -> None:
+    """`np.savez_compressed` stamps the time into the zip; this one does not."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name, array in arrays.items():
+            info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(info, "w") as stream:
+                np.lib.format.write_array(stream, np.asanyarray(array), allow_pickle=False)

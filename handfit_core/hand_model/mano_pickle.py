@@ -1,0 +1,465 @@
+"""MANO's own `.pkl` files: read without running anything in them, and written for other tools.
+
+A pickle is a program. MANO's asks for NumPy, SciPy and chumpy objects; chumpy does not even import
+on current Python. Here every name that such a file may ask for becomes an inert stand-in that only
+remembers what it was given, any other name is refused, and the arrays are read from the stand-ins'
+raw bytes afterwards. So nothing of NumPy, SciPy or chumpy runs on the file's behalf.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import re
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from handfit_core.errors import HandModelError
+from handfit_core.files import written_whole
+from handfit_core.hand_model.checks import checked_model
+from handfit_core.hand_model.data import HandModel
+from handfit_core.skeleton import MANO_TIP_VERTICES, NUM_JOINTS, PARENTS, Side
+
+MAX_FILE_BYTES = 64_000_000
+"""MANO's files have 4 MB; larger meshes in its format reach 10 MB."""
+
+_ROOT_PARENT = 2**32 - 1
+_REQUIRED = (
+    "v_template",
+    "f",
+    "shapedirs",
+    "posedirs",
+    "J_regressor",
+    "weights",
+    "kintree_table",
+    "hands_components",
+    "hands_mean",
+)
+_TIPS: dict[Side, tuple[int, ...]] = {
+    "right": MANO_TIP_VERTICES,
+    # The left mesh is no exact mirror; manotorch takes the neighbour for its middle finger.
+    "left": tuple(445 if vertex == 444 else vertex for vertex in MANO_TIP_VERTICES),
+}
+_AGAIN = "copy it again from the archive that mano.is.tue.mpg.de gives"
+
+
+def load_mano_pickle(path: str | os.PathLike[str]) -> HandModel:
+    """Read `MANO_RIGHT.pkl` or `MANO_LEFT.pkl`, or a file of `save_mano_pickle`, safely.
+
+    The side is taken from the geometry (from the wrist, a right hand's fingers point to -x). Left
+    models get the released file's sign fault undone, see `_has_left_fault`. hands_mean is kept but
+    never added to the pose. The model is named after the file.
+
+    Raises HandModelError, in one line, for a file that is missing, too large, no pickle, truncated,
+    asks for anything a MANO file does not need, or does not hold MANO's arrays; and where the name
+    says MANO_LEFT or MANO_RIGHT but the geometry says otherwise.
+    """
+    path = Path(path)
+    content = _unpickled(path)
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is refused, not warned of
+            return _model_from(path, content)
+    except _Unfit as error:
+        raise HandModelError(f"{path}: {error}; {_AGAIN}") from error
+
+
+def _model_from(path: Path, content: Any) -> HandModel:
+    if not isinstance(content, dict):
+        raise _Unfit("this pickle holds no hand model")
+    missing = [key for key in _REQUIRED if key not in content]
+    if missing:
+        raise _Unfit(f"not a MANO hand model, it lacks {', '.join(missing)}")
+    arrays = {key: _array_of(key, content[key]) for key in _REQUIRED}
+
+    parents = arrays["kintree_table"]
+    expected = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)])
+    # Masked, because some converters store the root's parent as -1.
+    if parents.dtype.kind not in "iu" or not np.array_equal(
+        parents.astype(np.int64) & _ROOT_PARENT, expected
+    ):
+        raise _Unfit("kintree_table does not describe MANO's 16 joints (a body model has more)")
+    v_template, regressor = arrays["v_template"], arrays["J_regressor"]
+    if v_template.ndim != 2 or v_template.shape[1] != 3 or regressor.shape != (NUM_JOINTS, len(v_template)):
+        raise _Unfit(
+            f"v_template has shape {_by(v_template)} and J_regressor {_by(regressor)}, expected Nx3 and 16xN"
+        )
+
+    joints = regressor @ v_template
+    if not np.all(np.isfinite(joints)):
+        raise _Unfit("v_template or J_regressor holds values that are not finite (NaN or infinity)")
+    side: Side = "right" if joints[1:, 0].mean() < joints[0, 0] else "left"
+    named = _side_in_name(path)
+    if named not in (None, side):
+        raise HandModelError(
+            f"{path}: the name says {named}, but this is a {side} hand; give the file its right name"
+        )
+    shapedirs = arrays["shapedirs"]
+    if side == "left" and _has_left_fault(v_template, shapedirs):
+        shapedirs = shapedirs * np.array([-1.0, 1.0, 1.0])[:, None]
+    tips = _array_of("tip_vertices", content["tip_vertices"]) if "tip_vertices" in content else _TIPS[side]
+    try:
+        return checked_model(
+            where=str(path),
+            name=path.stem,
+            side=side,
+            v_template=v_template,
+            faces=arrays["f"],
+            shapedirs=shapedirs,
+            posedirs=arrays["posedirs"],
+            joint_regressor=regressor,
+            weights=arrays["weights"],
+            hands_mean=arrays["hands_mean"].reshape(-1),
+            hands_components=arrays["hands_components"],
+            tip_vertices=tips,
+            source=str(path),
+        )
+    except HandModelError as error:
+        raise HandModelError(f"{error}; {_AGAIN}") from error
+
+
+def _side_in_name(path: Path) -> Side | None:
+    stem = path.stem.lower()
+    if "mano_right" in stem:
+        return "right"
+    return "left" if "mano_left" in stem else None
+
+
+def _has_left_fault(v_template: np.ndarray, shapedirs: np.ndarray) -> bool:
+    """Whether a left model's shape directions carry the right hand's sign in x (smplx issue 48).
+
+    Others compare with the right file; one file is enough. Betas are independent with unit variance,
+    so the sum over directions of (relative growth along x) * (relative growth across x) is the
+    covariance of hand length with hand breadth and thickness among the people that the model spans.
+    Large hands are large in all of them: it is positive. The fault negates all x components, hence
+    exactly this sum and nothing else. Shapes that do not correlate either way are left alone.
+    """
+    if shapedirs.ndim != 3 or shapedirs.shape[:2] != v_template.shape:
+        return False  # checked_model says so with the shapes
+    centred = v_template - v_template.mean(axis=0)
+    growth = np.einsum("vc,vcd->cd", centred, shapedirs) / np.sum(centred**2, axis=0)[:, None]  # (3, 10)
+    along, across = growth[0], growth[1] + growth[2]
+    size = np.linalg.norm(along) * np.linalg.norm(across)
+    return bool(along @ across < -0.1 * size)
+
+
+def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
+    """Write `model` with MANO's keys, types and conventions, for tools that read MANO's files.
+
+    smplx and manotorch load the result. No chumpy is needed to read it. One key goes beyond MANO's:
+    `tip_vertices` (5,), which other tools ignore. Needs SciPy. Raises OutputError.
+    """
+    from scipy.sparse import csc_matrix
+
+    path = Path(path)
+    parents = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)], dtype=np.uint32)
+    content = {
+        "v_template": np.array(model.v_template),
+        "f": np.array(model.faces, dtype=np.uint32),
+        "shapedirs": np.array(model.shapedirs),
+        "posedirs": np.array(model.posedirs),
+        "J_regressor": csc_matrix(model.joint_regressor),
+        "J": model.joint_regressor @ model.v_template,
+        "weights": np.array(model.weights),
+        "kintree_table": parents,
+        "hands_components": np.array(model.hands_components),
+        "hands_mean": np.array(model.hands_mean),
+        "tip_vertices": np.array(model.tip_vertices, dtype=np.int64),
+        "bs_style": "lbs",
+        "bs_type": "lrotmin",
+    }
+    data = pickle.dumps(content, protocol=2)
+    # NumPy 2 names its private modules; under their old names NumPy 1 reads the file as well.
+    data = data.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
+    with written_whole(path) as beside:
+        beside.write_bytes(data)
+    return path
+
+
+class _Unfit(Exception):
+    """What is wrong with the content of a file that could be read."""
+
+
+class _Refused(Exception):
+    """The name that a pickle asked for, which no MANO file needs."""
+
+
+def _unpickled(path: Path) -> Any:
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise HandModelError(
+                f"{path}: {size // 1_000_000} MB is too large for a hand model; MANO's files have 4 MB"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise HandModelError(
+            f"{path}: cannot be read ({error.strerror or error}); give the path of a MANO .pkl file"
+        ) from error
+    try:
+        return _Reader(data).load()
+    except _Refused as error:
+        raise HandModelError(
+            f"{path}: refused: the file asks to run {error}; a MANO file never does, do not trust it"
+        ) from error
+    except Exception as error:  # a damaged pickle can fail in any way
+        raise HandModelError(
+            f"{path}: not a MANO .pkl file, or a damaged or truncated one; {_AGAIN}"
+        ) from error
+
+
+class _StandIn:
+    """Remembers what a pickle gives it. Subclasses stand for the classes and functions it names."""
+
+    __slots__ = ("args", "state")
+
+    def __init__(self, *args: Any) -> None:
+        self.args = args
+        self.state: Any = None
+
+    def __new__(cls, *_args: Any) -> Any:
+        made = object.__new__(cls)
+        made.args, made.state = (), None
+        return made
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+    def fields(self) -> dict[str, Any]:
+        """The attributes that the real object would have."""
+        state = self.state[0] if isinstance(self.state, tuple) and self.state else self.state
+        return state if isinstance(state, dict) else {}
+
+
+class _Array(_StandIn):
+    """numpy.core.multiarray._reconstruct: args (class, shape, code); its contents are the state."""
+
+    __slots__ = ()
+
+
+class _ArrayFromBuffer(_StandIn):
+    """numpy.core.numeric._frombuffer: args (buffer, dtype, shape, order), pickle protocol 5."""
+
+    __slots__ = ()
+
+
+class _Dtype(_StandIn):
+    """numpy.dtype: args (code, align, copy), byte order in its state."""
+
+    __slots__ = ()
+
+
+class _CscMatrix(_StandIn):
+    __slots__ = ()
+
+
+class _CsrMatrix(_StandIn):
+    __slots__ = ()
+
+
+class _Chumpy(_StandIn):
+    """Any chumpy object; plain ones (`Ch`) hold their array as x."""
+
+    __slots__ = ()
+
+
+class _ChumpySelect(_Chumpy):
+    """chumpy.reordering.Select: elements `idxs` of the flattened array `a`."""
+
+    __slots__ = ()
+
+
+class _Unused(_StandIn):
+    """Names that occur around the arrays but carry nothing that is read."""
+
+    __slots__ = ()
+
+
+class _Encode(_StandIn):
+    """_codecs.encode(text, "latin1"), which is how protocol 2 writes bytes from Python 3."""
+
+    __slots__ = ()
+
+    def __new__(cls, text: Any, encoding: Any) -> Any:
+        if type(text) is not str or encoding not in ("latin1", "latin-1"):
+            raise _Refused("_codecs.encode in a way that no array needs")
+        return text.encode("latin1")
+
+
+class _Reconstructor(_StandIn):
+    """copy_reg._reconstructor(class, object, None), which is how protocols 0 and 1 make instances."""
+
+    __slots__ = ()
+
+    def __new__(cls, made: Any, *_args: Any) -> Any:
+        if not (isinstance(made, type) and issubclass(made, _StandIn)):
+            raise _Refused("copy_reg._reconstructor in a way that no array needs")
+        return _StandIn.__new__(made)
+
+
+_STAND_INS: dict[str, type[_StandIn]] = {
+    "numpy.ndarray": _Unused,
+    "numpy.dtype": _Dtype,
+    "__builtin__.object": _Unused,
+    "builtins.object": _Unused,
+    "__builtin__.set": _Unused,
+    "builtins.set": _Unused,
+    "_codecs.encode": _Encode,
+    "copy_reg._reconstructor": _Reconstructor,
+    "copyreg._reconstructor": _Reconstructor,
+    "chumpy.reordering.Select": _ChumpySelect,
+}
+for _core in ("numpy.core", "numpy._core"):
+    _STAND_INS[f"{_core}.multiarray._reconstruct"] = _Array
+    _STAND_INS[f"{_core}.multiarray.scalar"] = _Unused
+    _STAND_INS[f"{_core}.numeric._frombuffer"] = _ArrayFromBuffer
+for _module in ("csc", "_csc"):
+    _STAND_INS[f"scipy.sparse.{_module}.csc_matrix"] = _CscMatrix
+    _STAND_INS[f"scipy.sparse.{_module}.csc_array"] = _CscMatrix
+for _module in ("csr", "_csr"):
+    _STAND_INS[f"scipy.sparse.{_module}.csr_matrix"] = _CsrMatrix
+    _STAND_INS[f"scipy.sparse.{_module}.csr_array"] = _CsrMatrix
+
+
+class _WholeReads(io.BytesIO):
+    """Bytes whose end is an error at once, not a shorter answer: a cut-off name is no other name."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            raise EOFError
+        return data
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        line = super().readline(size)
+        if not line.endswith(b"\n"):
+            raise EOFError
+        return line
+
+
+class _Reader(pickle._Unpickler):
+    """An unpickler that makes stand-ins only.
+
+    The Python implementation rather than the C one, for two reasons: the C one allocates whatever
+    memo size a file names, and here those opcodes that reach outside the file
+    (persistent ids, the extension registry, buffers) are gone, and none allocates ahead of reading.
+    """
+
+    dispatch: ClassVar[dict[int, Any]] = {
+        code: method
+        for code, method in pickle._Unpickler.dispatch.items()
+        if bytes([code])
+        not in (
+            pickle.PERSID,
+            pickle.BINPERSID,
+            pickle.EXT1,
+            pickle.EXT2,
+            pickle.EXT4,
+            pickle.NEXT_BUFFER,
+            pickle.READONLY_BUFFER,
+        )
+    }
+
+    def _load_bytearray8(self) -> None:
+        size = int.from_bytes(self.read(8), "little")  # type: ignore[attr-defined]
+        self.append(self.read(size))  # type: ignore[attr-defined]
+
+    dispatch[pickle.BYTEARRAY8[0]] = _load_bytearray8
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(_WholeReads(data), encoding="latin1")
+
+    def find_class(self, module: Any, name: Any) -> type[_StandIn]:
+        """The stand-in for a name that MANO files use; _Refused for all others."""
+        asked = f"{module}.{name}"
+        if asked in _STAND_INS:
+            return _STAND_INS[asked]
+        if re.fullmatch(r"chumpy(\.\w+)*\.[A-Za-z]\w*", asked, re.ASCII):
+            return _Chumpy
+        raise _Refused(re.sub(r"[^\x20-\x7e]", "?", asked)[:80])
+
+
+def _array_of(key: str, value: Any, depth: int = 0) -> np.ndarray:
+    """The plain array behind a stand-in; J_regressor's sparse matrix becomes dense. Raises _Unfit."""
+    if depth > 4:
+        raise _Unfit(f"{key} is nested too deeply")
+    if isinstance(value, _ChumpySelect):
+        fields = value.fields()
+        whole = _array_of(key, fields.get("a"), depth + 1).reshape(-1)
+        chosen = _array_of(key, fields.get("idxs"), depth + 1)
+        if chosen.dtype.kind not in "iu" or np.any((chosen < 0) | (chosen >= whole.size)):
+            raise _Unfit(f"{key} selects elements that do not exist")
+        shape = fields.get("preferred_shape")
+        return _reshaped(key, whole[chosen], chosen.shape if shape is None else shape, "C")
+    if isinstance(value, _Chumpy):
+        return _array_of(key, value.fields().get("x"), depth + 1)
+    if isinstance(value, (_CscMatrix, _CsrMatrix)):
+        return _dense(key, value, depth)
+    if isinstance(value, _Array) and isinstance(value.state, tuple) and len(value.state) in (4, 5):
+        shape, dtype, fortran, raw = value.state[-4:]
+    elif isinstance(value, _ArrayFromBuffer) and len(value.args) == 4:
+        raw, dtype, shape, order = value.args
+        fortran = order == "F"
+    else:
+        raise _Unfit(f"{key} is not an array")
+    raw = raw.encode("latin1") if isinstance(raw, str) else raw  # Python 2's bytes are read as text
+    numpy_dtype = _dtype_of(key, dtype)
+    if not isinstance(raw, bytes) or len(raw) % numpy_dtype.itemsize:
+        raise _Unfit(f"{key} is not an array of numbers")
+    array = np.frombuffer(raw, dtype=numpy_dtype)
+    return _reshaped(key, array, shape, "F" if fortran else "C")
+
+
+def _reshaped(key: str, array: np.ndarray, shape: Any, order: Any) -> np.ndarray:
+    sizes = shape if isinstance(shape, (tuple, list)) else None
+    if (
+        sizes is None
+        or len(sizes) > 4
+        or not all(isinstance(n, int) and 0 <= n <= array.size for n in sizes)
+        or int(np.prod(sizes, dtype=object)) != array.size
+    ):
+        raise _Unfit(f"{key} holds {array.size} numbers, which do not fill its shape")
+    return array.reshape(tuple(sizes), order=order).astype(array.dtype.newbyteorder("="))
+
+
+def _dtype_of(key: str, dtype: Any) -> np.dtype[Any]:
+    code = dtype.args[0] if isinstance(dtype, _Dtype) and dtype.args else None
+    order = dtype.state[1] if isinstance(dtype, _Dtype) and isinstance(dtype.state, tuple) else "<"
+    if not (isinstance(code, str) and re.fullmatch(r"[<>|=]?[fiu][1248]", code) and code[-2:] != "f1"):
+        raise _Unfit(f"{key} is not an array of numbers")
+    return np.dtype((">" if order == ">" else "<") + code[-2:])
+
+
+def _dense(key: str, matrix: _StandIn, depth: int) -> np.ndarray:
+    fields = matrix.fields()
+    data, minor, starts = (_array_of(key, fields.get(k), depth + 1) for k in ("data", "indices", "indptr"))
+    shape = fields.get("_shape", fields.get("shape"))
+    if not (isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(n, int) for n in shape)):
+        raise _Unfit(f"{key} is a sparse matrix without a shape")
+    rows, columns = shape
+    majors, minors = (columns, rows) if isinstance(matrix, _CscMatrix) else (rows, columns)
+    sound = (
+        rows == NUM_JOINTS
+        and data.ndim == minor.ndim == starts.ndim == 1
+        and minor.dtype.kind in "iu"
+        and starts.dtype.kind in "iu"
+        and len(starts) == majors + 1
+        and starts[0] == 0
+        and starts[-1] == len(data) == len(minor)
+        and np.all(starts[1:] >= starts[:-1])
+        and np.all((minor >= 0) & (minor < minors))
+        # The dense matrix must not be beyond what the file itself could hold.
+        and 0 < columns <= MAX_FILE_BYTES // 1000
+    )
+    if not sound:
+        raise _Unfit(f"{key} is a damaged sparse matrix, or not of 16 joints")
+    major = np.repeat(np.arange(majors), np.diff(starts.astype(np.int64)))
+    dense = np.zeros((majors, minors))
+    np.add.at(dense, (major, minor), data)
+    return dense.T if isinstance(matrix, _CscMatrix) else dense
+
+
+def _by(array: np.ndarray) -> str:
+    return "x".join(map(str, array.shape))

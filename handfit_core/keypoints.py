@@ -1,0 +1,47 @@
+"""What a detector finds, as frozen dataclasses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.skeleton import Side
+
+
+@dataclass(frozen=True, eq=False)
+class HandDetection:
+    """One hand in one picture."""
+
+    side: Side
+    """The true hand, in a picture that is not mirrored"""
+    score: float
+    """Confidence in the hand and its side, 0..1"""
+    keypoints: np.ndarray
+    """(21, 3) image landmarks in pixels of the upright picture: x, y, and depth z towards the scene,
+    relative to the wrist and on the scale of x"""
+    world: np.ndarray
+    """(21, 3) world landmarks: metres about the hand's centre, axes as the camera frame's"""
+
+    @property
+    def keypoints_2d(self) -> np.ndarray:
+        """(21, 2) pixels."""
+        return self.keypoints[:, :2]
+
+    @property
+    def extent(self) -> float:
+        """Size of the hand in the picture: the longer side of its keypoints' box, pixels."""
+        return float(np.max(np.ptp(self.keypoints_2d, axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedTrack:
+    """One hand followed over a clip's T frames; None where it was not found."""
+
+    side: Side
+    detections: tuple[HandDetection | None, ...]
+
+    @property
+    def detected(self) -> np.ndarray:
+        """(T,) bool"""
+        return np.array([d is not None for d in self.detections], dtype=bool)

@@ -1,0 +1,313 @@
+"""Photos, image sequences and videos as one thing: numbered frames with a time.
+
+Frame numbers are Blender's: photos and videos count from 1, sequences use the numbers in their file
+names. Pictures come out upright, as (H, W, 3) uint8 RGB, whatever they were on disk.
+"""
+
+from __future__ import annotations
+
+import glob
+import logging
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handfit_core.errors import InputError
+from handfit_core.exif import read_orientation, upright
+from handfit_core.frame_range import FrameRange
+from handfit_core.take import Source
+
+log = logging.getLogger("handfit")
+
+PHOTO_SUFFIXES = frozenset(
+    f".{name}" for name in "jpg jpeg jpe png webp bmp dib tif tiff jp2 ppm pgm pnm hdr".split(" ")
+)
+VIDEO_SUFFIXES = frozenset(
+    f".{name}" for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ogv gif".split(" ")
+)
+
+DEFAULT_FPS = 24.0
+"""Frames per second of photos and sequences (Blender's own default) and of videos that name none."""
+
+MAX_FPS = 1000.0
+
+MediaInput = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+_NUMBER_IN_PATTERN = re.compile(r"%0?\d*d|#+")
+_LAST_NUMBER = re.compile(r"(\d+)(?!.*\d)")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of the input."""
+
+    number: int
+    time: float
+    """seconds since the clip's first frame"""
+    rgb: np.ndarray | None
+    """(H, W, 3) uint8, upright; None where the picture could not be read"""
+
+
+class Media:
+    """An opened input. Iterate `frames()`; `source`, `fps`, `width` and `height` are known at once."""
+
+    source: Source
+    fps: float
+    width: int
+    height: int
+    expected_frames: int
+    """How many frames `frames()` will yield, for progress; a video's own header may lie about it"""
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames in order."""
+        raise NotImplementedError
+
+
+def open_media(source: MediaInput, frames: FrameRange | None = None) -> Media:
+    """Open a photo, a list or folder of photos, a `name.%04d.png`, `name.####.png` or glob pattern, or
+    a video.
+
+    `frames` picks source frame numbers of sequences and videos. Raises InputError.
+    """
+    frames = frames or FrameRange()
+    if not isinstance(source, (str, os.PathLike)):
+        return _open_pictures([Path(p).expanduser() for p in source], frames, "the list of pictures")
+    path = Path(source).expanduser()
+    if path.is_dir():
+        return _open_pictures(pictures_in(path), frames, str(path))
+    if path.is_file():
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
+        if path.suffix.lower() in VIDEO_SUFFIXES:
+            return _Video(path, frames)
+        if path.suffix.lower() in PHOTO_SUFFIXES:
+            return _Pictures([path], [1], FrameRange(), kind="photo")
+        return _open_unknown(path, frames)
+    if is_pattern(str(source)):
+        found = _matching(str(path))
+        if not found:
+            raise InputError(f"{source}: no file matches this pattern")
+        return _open_pictures(found, frames, str(source))
+    raise InputError(f"{path}: there is no such file or folder")
+
+
+def is_pattern(text: str) -> bool:
+    """Whether a path that does not exist is meant as `%04d`, `####` or glob pattern."""
+    return bool(_NUMBER_IN_PATTERN.search(Path(text).name)) or any(c in text for c in "*?[")
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures of a folder, in the order of the numbers in their names."""
+    found = [p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and not p.name.startswith(".")]
+    return sorted(found, key=_natural)
+
+
+def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
+    """The frame numbers of files that form one numbered sequence (same name but for the last number
+    in it), or None."""
+    numbers: list[int] = []
+    shapes: set[tuple[str, str]] = set()
+    for file in files:
+        match = _LAST_NUMBER.search(file.stem)
+        if not match:
+            return None
+        numbers.append(int(match[1]))
+        shapes.add((file.stem[: match.start()], file.stem[match.end() :]))
+    return numbers if len(shapes) == 1 and len(set(numbers)) == len(numbers) else None
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    parts = re.split(r"(\d+)", path.name.lower())
+    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts]
+
+
+def _matching(pattern: str) -> list[Path]:
+    name = Path(pattern).name
+    globbed = _NUMBER_IN_PATTERN.sub("*", name)
+    exact: re.Pattern[str] | None = None
+    if globbed != name:
+        pieces = [re.escape(piece) for piece in _NUMBER_IN_PATTERN.split(name)]
+        exact = re.compile(r"\d+".join(pieces) + "$")
+    found = [Path(p) for p in glob.glob(str(Path(pattern).with_name(globbed)))]
+    return sorted((p for p in found if p.is_file() and (exact is None or exact.match(p.name))), key=_natural)
+
+
+def _open_pictures(files: list[Path], frames: FrameRange, what: str) -> Media:
+    if not files:
+        raise InputError(f"{what}: no pictures in it; give photos ({_suffixes(PHOTO_SUFFIXES)}) or a video")
+    for file in files:
+        if not file.is_file():
+            raise InputError(f"{file}: there is no such file")
+    if len(files) == 1:
+        return open_media(files[0], frames)
+    numbers = sequence_numbers(files) or list(range(1, len(files) + 1))
+    ordered = sorted(zip(numbers, files, strict=True))
+    chosen = [(n, f) for n, f in ordered if n in frames]
+    if not chosen:
+        raise InputError(
+            f"{what}: no picture lies in frames {frames}; its frames are {ordered[0][0]}-{ordered[-1][0]}"
+        )
+    return _Pictures([f for _, f in chosen], [n for n, _ in chosen], frames, kind="sequence")
+
+
+def _open_unknown(path: Path, frames: FrameRange) -> Media:
+    """A file whose name says nothing: try it as a picture, then as a video."""
+    try:
+        return _Pictures([path], [1], FrameRange(), kind="photo")
+    except InputError:
+        pass
+    try:
+        return _Video(path, frames)
+    except InputError:
+        raise InputError(
+            f"{path}: neither a picture nor a video that can be read; known are "
+            f"{_suffixes(PHOTO_SUFFIXES)} and {_suffixes(VIDEO_SUFFIXES)}"
+        ) from None
+
+
+def _suffixes(suffixes: frozenset[str]) -> str:
+    return " ".join(sorted(suffixes))
+
+
+def read_picture(path: Path) -> tuple[np.ndarray, int]:
+    """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
+
+    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. Raises InputError.
+    """
+    import cv2
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if not data:
+        raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
+    try:
+        # From memory, since OpenCV cannot open paths that are not ASCII on Windows.
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        # OpenCV refuses more than 2^30 pixels.
+        raise InputError(f"{path}: the picture is too large or damaged; save it again, smaller") from error
+    if pixels is None:
+        raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
+    orientation = read_orientation(data)
+    return np.ascontiguousarray(upright(_rgb8(pixels), orientation)), orientation
+
+
+def _rgb8(pixels: np.ndarray) -> np.ndarray:
+    """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB."""
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    elif pixels.dtype != np.uint8:
+        # Scene-linear floats, as .hdr and float TIFF hold them.
+        linear = np.clip(np.nan_to_num(pixels.astype(np.float32)), 0.0, 1.0)
+        pixels = np.round(255.0 * linear ** (1 / 2.2)).astype(np.uint8)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.shape[2] == 2:  # grey and alpha
+        pixels = pixels[..., (0, 0, 0, 1)]
+    if pixels.shape[2] == 4:
+        alpha = pixels[..., 3:].astype(np.uint16)
+        over_grey = (pixels[..., :3] * alpha + 128 * (255 - alpha) + 127) // 255
+        pixels = over_grey.astype(np.uint8)
+    if pixels.shape[2] == 1:
+        return np.repeat(pixels, 3, axis=2)
+    return pixels[..., ::-1]
+
+
+class _Pictures(Media):
+    """A photo or an image sequence."""
+
+    def __init__(self, files: list[Path], numbers: list[int], frames: FrameRange, *, kind: Any) -> None:
+        self._files, self._numbers = files, numbers
+        self._first_number = frames.first if frames.first is not None else numbers[0]
+        self.fps = DEFAULT_FPS
+        self.expected_frames = len(files)
+        # The first picture that can be read decides the size; unreadable ones become empty frames.
+        first, orientation = self._first_readable()
+        self.height, self.width = first.shape[:2]
+        self.source = Source(kind=kind, files=tuple(str(f.resolve()) for f in files), orientation=orientation)
+
+    def _first_readable(self) -> tuple[np.ndarray, int]:
+        errors: list[InputError] = []
+        for file in self._files:
+            try:
+                return read_picture(file)
+            except InputError as error:
+                errors.append(error)
+        raise errors[0]
+
+    def frames(self) -> Iterator[Frame]:
+        for number, file in zip(self._numbers, self._files, strict=True):
+            rgb: np.ndarray | None = None
+            try:
+                rgb, _ = read_picture(file)
+            except InputError as error:
+                log.warning("%s; frame %d is left empty", error, number)
+            if rgb is not None and rgb.shape[:2] != (self.height, self.width):
+                raise InputError(
+                    f"{file}: is {rgb.shape[1]}x{rgb.shape[0]} pixels, the first picture {self.width}x"
+                    f"{self.height}; pictures of one sequence must have one size, capture others one by one"
+                )
+            yield Frame(number, (number - self._first_number) / self.fps, rgb)
+
+
+class _Video(Media):
+    """A video file, read through OpenCV. Rotation stored in the file is applied by OpenCV."""
+
+    def __init__(self, path: Path, frames: FrameRange) -> None:
+        import cv2
+
+        self._path, self._range = path, frames
+        capture = cv2.VideoCapture(str(path))
+        try:
+            found, first = capture.read() if capture.isOpened() else (False, None)
+            if not found or first is None:
+                raise InputError(
+                    f"{path}: not a video, or one that is damaged or empty; play it in a viewer, and "
+                    "convert it to .mp4 (H.264) if that works"
+                )
+            fps = float(capture.get(cv2.CAP_PROP_FPS))
+            count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        finally:
+            capture.release()
+        if not math.isfinite(fps) or not 0.0 < fps <= MAX_FPS:
+            log.warning("%s: names no frame rate; %g frames per second are assumed", path, DEFAULT_FPS)
+            fps = DEFAULT_FPS
+        if frames.first is not None and count > 0 and frames.first > count:
+            raise InputError(f"{path}: frames {frames} lie behind its end; it has frames 1-{count}")
+        self.fps = fps
+        self.height, self.width = first.shape[:2]
+        self.expected_frames = sum(n in frames for n in range(1, count + 1)) if count > 0 else 0
+        self._count = count
+        self.source = Source(kind="video", files=(str(path.resolve()),))
+
+    def frames(self) -> Iterator[Frame]:
+        import cv2
+
+        capture = cv2.VideoCapture(str(self._path))
+        number = 0
+        try:
+            while not self._range.is_past(number + 1) and capture.grab():
+                number += 1
+                if number not in self._range:
+                    continue
+                ok, bgr = capture.retrieve()
+                rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok else None
+                yield Frame(number, (number - 1) / self.fps, rgb)
+        finally:
+            capture.release()
+        stopped_early = number + 1 < self._count and not self._range.is_past(number + 1)
+        if stopped_early:
+            log.warning(
+                "%s: the video breaks off after frame %d of %d; the rest is missing",
+                self._path,
+                number,
+                self._count,
+            )

@@ -1,0 +1,127 @@
+"""Rotation conversions in NumPy. Axis-angle in radians, quaternions as (w, x, y, z).
+
+Used by everything that must run without torch (Blender above all); the torch layer has its own
+`rotvec_to_rotmat` in `hand_model.layer`, checked against this one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def rotvec_to_rotmat(rotvec: np.ndarray) -> np.ndarray:
+    """(..., 3) axis-angle -> (..., 3, 3) matrices (Rodrigues' formula; exact at zero)."""
+    rotvec = np.asarray(rotvec, dtype=np.float64)
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    small = angle < 1e-8
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    k = skew(rotvec)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def skew(vector: np.ndarray) -> np.ndarray:
+    """(..., 3) -> (..., 3, 3) with skew(v) @ u = v x u."""
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*np.shape(x), 3, 3)
+
+
+def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) -> (..., 4) unit quaternions (w, x, y, z) with w >= 0.
+
+    Takes the largest of the four candidate components first (Shepperd's method), so that no
+    rotation is near a singular division.
+    """
+    m = np.asarray(rotmat, dtype=np.float64)
+    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    trace = m00 + m11 + m22
+    # Four times the outer product of the quaternion with itself; each row is the quaternion scaled.
+    rows = np.stack(
+        [
+            np.stack(
+                [
+                    1 + trace,
+                    m[..., 2, 1] - m[..., 1, 2],
+                    m[..., 0, 2] - m[..., 2, 0],
+                    m[..., 1, 0] - m[..., 0, 1],
+                ],
+                -1,
+            ),
+            np.stack(
+                [
+                    m[..., 2, 1] - m[..., 1, 2],
+                    1 + m00 - m11 - m22,
+                    m[..., 0, 1] + m[..., 1, 0],
+                    m[..., 0, 2] + m[..., 2, 0],
+                ],
+                -1,
+            ),
+            np.stack(
+                [
+                    m[..., 0, 2] - m[..., 2, 0],
+                    m[..., 0, 1] + m[..., 1, 0],
+                    1 - m00 + m11 - m22,
+                    m[..., 1, 2] + m[..., 2, 1],
+                ],
+                -1,
+            ),
+            np.stack(
+                [
+                    m[..., 1, 0] - m[..., 0, 1],
+                    m[..., 0, 2] + m[..., 2, 0],
+                    m[..., 1, 2] + m[..., 2, 1],
+                    1 - m00 - m11 + m22,
+                ],
+                -1,
+            ),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(np.stack([trace, m00, m11, m22], -1), axis=-1)
+    quat = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
+    quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    return np.where(quat[..., :1] < 0, -quat, quat)
+
+
+def quat_to_rotmat(quat: np.ndarray) -> np.ndarray:
+    """(..., 4) quaternions (w, x, y, z), normalised here -> (..., 3, 3)."""
+    quat = np.asarray(quat, dtype=np.float64)
+    w, x, y, z = np.moveaxis(quat / np.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
+    return np.stack(
+        [
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        ],
+        axis=-1,
+    ).reshape(*np.shape(w), 3, 3)
+
+
+def rotmat_to_rotvec(rotmat: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) -> (..., 3) axis-angle with an angle of at most pi."""
+    quat = rotmat_to_quat(rotmat)
+    vector = quat[..., 1:]
+    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quat[..., :1])
+    scale = np.where(sine < 1e-12, 2.0, angle / np.where(sine < 1e-12, 1.0, sine))
+    return vector * scale
+
+
+def unflip_quats(quats: np.ndarray) -> np.ndarray:
+    """Give consecutive quaternions of (T, ..., 4) the nearer sign, so that curves do not jump.
+
+    q and -q are the same rotation, but keys of both signs interpolate through nonsense.
+    """
+    quats = np.array(quats, dtype=np.float64)
+    flips = np.sum(quats[1:] * quats[:-1], axis=-1) < 0
+    sign = np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
+    quats[1:] *= sign[..., None]
+    return quats

@@ -1,0 +1,43 @@
+"""What solvers take and give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.hand_model.data import HandModel
+from handfit_core.keypoints import DetectedTrack
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFit:
+    """A hand fitted to a whole track, in the camera frame; NaN in frames without a detection."""
+
+    betas: np.ndarray
+    """(10,)"""
+    global_orient: np.ndarray
+    """(T, 3) radians"""
+    hand_pose: np.ndarray
+    """(T, 45) radians"""
+    transl: np.ndarray
+    """(T, 3) metres"""
+    converged: np.ndarray
+    """(T,) bool: False where the optimiser stopped for another reason, or nothing was detected"""
+
+
+OnFrame = Callable[[], None]
+"""Called once for every frame that is done; may raise to stop the run."""
+
+
+class TrackSolver(Protocol):
+    """Fits one hand model to one detected track, seen through one camera."""
+
+    def __call__(
+        self, model: HandModel, track: DetectedTrack, intrinsics: Intrinsics, on_frame: OnFrame
+    ) -> TrackFit:
+        """Fit; calls `on_frame` once for every detected frame."""
+        ...

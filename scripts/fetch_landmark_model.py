@@ -1,0 +1,64 @@
+#!/usr/bin/env python3
+"""Assemble MediaPipe's hand_landmarker.task from the pinned wheel on the package index.
+
+    python scripts/fetch_landmark_model.py            # into the cache, where everything finds it
+    python scripts/fetch_landmark_model.py --wheel mediapipe-0.10.21-....whl -o hand_landmarker.task
+
+This is the only part of the project that uses the network, and it is run while setting up, never
+by the add-on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from handfit_core.detect import landmark_model
+from handfit_core.errors import HandfitError, LandmarkModelError
+
+
+def main() -> int:
+    """Run the script; returns the exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--wheel", type=Path, help="use this wheel instead of downloading it")
+    parser.add_argument("-o", "--output", type=Path, help="where to write the file (default: the cache)")
+    parser.add_argument("--force", action="store_true", help="assemble it even if it is there already")
+    args = parser.parse_args()
+    output = args.output or landmark_model.cached_path()
+    if output.is_file() and not args.force:
+        print(f"{output}: already there")
+        return 0
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            wheel = args.wheel or download_wheel(Path(folder))
+            landmark_model.assemble(wheel, output)
+    except HandfitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{output}: assembled ({output.stat().st_size / 1e6:.1f} MB)")
+    return 0
+
+
+def download_wheel(folder: Path) -> Path:
+    """Download the pinned wheel with pip. Raises LandmarkModelError."""
+    command = [sys.executable, "-m", "pip", "download", landmark_model.WHEEL_REQUIREMENT, "--no-deps"]
+    command += ["--only-binary=:all:", "--python-version", landmark_model.WHEEL_PYTHON]
+    command += ["--platform", landmark_model.WHEEL_PLATFORM, "--quiet", "--dest", str(folder)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    wheels = sorted(folder.glob("*.whl"))
+    if result.returncode or not wheels:
+        reason = (result.stderr.strip().splitlines() or ["pip gave no reason"])[-1]
+        raise LandmarkModelError(
+            f"{landmark_model.WHEEL_REQUIREMENT} could not be downloaded ({reason}); check the network, or "
+            "download the wheel elsewhere and give it with --wheel"
+        )
+    return wheels[0]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from handfit_core.errors import OutputError
+from handfit_core.files import written_whole
+
+
+def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "result.glb"
+    with written_whole(path) as beside:
+        assert beside.suffix == ".glb"
+        assert beside.parent == path.parent
+        beside.write_text("new")
+        assert not path.exists()
+    assert path.read_text() == "new"
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [ValueError("bad"), KeyboardInterrupt()])
+def test_an_error_leaves_what_was_there(tmp_path: Path, error: BaseException) -> None:
+    path = tmp_path / "result.npz"
+    path.write_text("old")
+    with pytest.raises(type(error)), written_whole(path) as beside:  # noqa: PT012
+        beside.write_text("half")
+        raise error
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_an_output_error_and_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "result.npz"
+    path.write_text("old")
+    with pytest.raises(OutputError, match=r"result\.npz.*No space left"), written_whole(path) as beside:  # noqa: PT012
+        beside.write_text("half")
+        raise OSError(28, "No space left on device")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_of_that_name_is_an_output_error(tmp_path: Path) -> None:
+    (tmp_path / "result.npz").mkdir()
+    with pytest.raises(OutputError, match="could not be written"), written_whole(tmp_path / "result.npz"):
+        pass
+    assert [p.name for p in tmp_path.iterdir()] == ["result.npz"]
+
+
+def test_a_file_in_the_folders_place_names_the_remedy(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("x")
+    with (
+        pytest.raises(OutputError, match="choose a folder that you may write to"),
+        written_whole(tmp_path / "taken" / "result.npz"),
+    ):
+        pytest.fail("the block must not run")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="file modes are POSIX only")
+def test_results_are_ordinary_files(tmp_path: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        with written_whole(tmp_path / "a.txt") as beside:
+            beside.write_text("x")
+        assert os.umask(0o022) == 0o022
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644

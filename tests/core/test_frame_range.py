@@ -1,0 +1,35 @@
+import pytest
+
+from handfit_core.errors import OptionError
+from handfit_core.frame_range import FrameRange
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("10-16:2", [10, 12, 14, 16]),
+        ("3-5", [3, 4, 5]),
+        ("18-", [18, 19, 20]),
+        ("-3", [1, 2, 3]),
+        ("7", [7]),
+        (":5", [1, 6, 11, 16]),
+        ("4-:8", [4, 12, 20]),
+        (" 3 - 5 ", [3, 4, 5]),
+    ],
+)
+def test_parse(text: str, numbers: list[int]) -> None:
+    frames = FrameRange.parse(text)
+    assert [n for n in range(1, 21) if n in frames] == numbers
+    again = FrameRange.parse(str(frames))
+    assert [n for n in range(1, 21) if n in again] == numbers
+
+
+@pytest.mark.parametrize("text", ["", "a-b", "10-2", "1-5:0", "1--5", "1,5", "1.5", "1-2-3"])
+def test_refuses(text: str) -> None:
+    with pytest.raises(OptionError, match="frame range"):
+        FrameRange.parse(text)
+
+
+def test_everything_by_default() -> None:
+    assert all(n in FrameRange() for n in (1, 2, 1000))
+    assert not FrameRange().is_past(10**9)

@@ -1,0 +1,52 @@
+"""The arrows of the architecture: what may import what, and what loads nothing heavy."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("torch", "scipy", "cv2", "mediapipe")
+
+
+def imported_modules(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module)
+    return found
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "handfit_core").rglob("*.py")), ids=lambda p: p.stem)
+def test_core_knows_nothing_of_blender(path: Path) -> None:
+    for module in imported_modules(path):
+        assert module.split(".")[0] not in ("bpy", "bmesh", "mathutils", "bpy_extras", "blender_manient")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "blender_manient").rglob("*.py")), ids=lambda p: p.stem)
+def test_addon_imports_nothing_heavy(path: Path) -> None:
+    for module in imported_modules(path):
+        assert module.split(".")[0] not in HEAVY
+
+
+def test_light_half_is_light() -> None:
+    code = (
+        "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media, "
+        "handfit_core.solvers, handfit_core.pipeline, handfit_core.__main__\n"
+        f"heavy = sorted(set({HEAVY!r}) & set(sys.modules))\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_version_has_one_source() -> None:
+    import tomllib
+
+    from handfit_core.version import __version__
+
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    assert manifest["version"] == __version__

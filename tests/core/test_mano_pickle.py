@@ -1,0 +1,422 @@
+"""MANO's pickles: read as released, refused when hostile or damaged, written for other tools."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import pickletools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import HandModelError, OutputError
+from handfit_core.hand_model import load_model, mano_pickle
+from handfit_core.hand_model.mano_pickle import load_mano_pickle, save_mano_pickle
+from tests.imitation_mano import TIPS, csc_fields, imitation_arrays, imitation_model, write_mano_pickle
+
+MODEL_ARRAYS = {
+    "v_template": "v_template",
+    "faces": "f",
+    "shapedirs": "shapedirs",
+    "posedirs": "posedirs",
+    "joint_regressor": "J_regressor",
+    "weights": "weights",
+    "hands_mean": "hands_mean",
+    "hands_components": "hands_components",
+}
+
+
+def assert_same_arrays(model: Any, arrays: dict[str, np.ndarray]) -> None:
+    for ours, theirs in MODEL_ARRAYS.items():
+        np.testing.assert_allclose(getattr(model, ours), arrays[theirs], rtol=0, atol=1e-15, err_msg=ours)
+
+
+def message_of(path: Path) -> str:
+    """The one-line message with which a file is refused; it names the file."""
+    with pytest.raises(HandModelError) as caught:
+        load_mano_pickle(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+# Reading what MANO releases
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("select", [False, True], ids=["Ch", "Select"])
+def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
+    arrays = imitation_arrays(side)
+    path = write_mano_pickle(tmp_path / f"MANO_{side.upper()}.pkl", arrays, select=select)
+    asked = {str(arg) for op, arg, _ in pickletools.genops(path.read_bytes()) if op.name == "GLOBAL"}
+    # The imitation is only worth something while it asks for what the released file asks for.
+    assert {"chumpy.ch Ch", "scipy.sparse.csc csc_matrix", "numpy.core.multiarray _reconstruct"} <= asked
+    model = load_mano_pickle(path)
+    assert_same_arrays(model, arrays)
+    assert (model.side, model.name, model.source) == (side, f"MANO_{side.upper()}", str(path))
+    assert model.tip_vertices.tolist() == [745, 317, 444 if side == "right" else 445, 556, 673]
+
+
+def test_load_model_finds_both_sides_of_a_folder(tmp_path: Path) -> None:
+    for side in ("right", "left"):
+        write_mano_pickle(tmp_path / f"MANO_{side.upper()}.pkl", imitation_arrays(side))
+    assert load_model(tmp_path, "left").side == "left"
+    assert load_model(tmp_path / "MANO_LEFT.pkl", "right").side == "right"
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_reads_plain_arrays_of_every_pickle_protocol(tmp_path: Path, protocol: int) -> None:
+    arrays = imitation_arrays()
+    # Fortran order and other number types occur in converted files.
+    stored = dict(arrays, posedirs=np.asfortranarray(arrays["posedirs"]), f=arrays["f"].astype(">i4"))
+    path = tmp_path / "converted.pkl"
+    path.write_bytes(pickle.dumps(stored, protocol=protocol))
+    assert_same_arrays(load_mano_pickle(path), arrays)
+
+
+@pytest.mark.parametrize("protocol", [0, 1, 2, 4])
+def test_reads_modern_sparse_matrices(tmp_path: Path, protocol: int) -> None:
+    sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
+    arrays = imitation_arrays()
+    for kind in (sparse.csc_matrix, sparse.csr_matrix, sparse.csc_array):
+        path = tmp_path / "converted.pkl"
+        path.write_bytes(pickle.dumps(dict(arrays, J_regressor=kind(arrays["J_regressor"])), protocol))
+        assert_same_arrays(load_mano_pickle(path), arrays)
+
+
+def test_root_parent_may_be_stored_as_minus_one(tmp_path: Path) -> None:
+    arrays = imitation_arrays()
+    arrays["kintree_table"] = arrays["kintree_table"].astype(np.int64)
+    arrays["kintree_table"][0, 0] = -1
+    assert load_mano_pickle(write_mano_pickle(tmp_path / "a.pkl", arrays)).side == "right"
+
+
+# The left model's fault
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_released_left_fault_is_undone(tmp_path: Path, seed: int) -> None:
+    sound = imitation_arrays("left", seed=seed)
+    faulty = imitation_arrays("left", seed=seed, left_fault=True)
+    np.testing.assert_array_equal(faulty["shapedirs"][:, 0], -sound["shapedirs"][:, 0])
+    model = load_mano_pickle(write_mano_pickle(tmp_path / "MANO_LEFT.pkl", faulty))
+    np.testing.assert_array_equal(model.shapedirs, sound["shapedirs"])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sound_models_are_left_alone(tmp_path: Path, seed: int) -> None:
+    for side in ("left", "right"):
+        arrays = imitation_arrays(side, seed=seed)
+        model = load_mano_pickle(write_mano_pickle(tmp_path / "hand.pkl", arrays))
+        np.testing.assert_array_equal(model.shapedirs, arrays["shapedirs"])
+
+
+def test_a_left_model_without_shape_is_left_alone(tmp_path: Path) -> None:
+    arrays = imitation_arrays("left")
+    arrays["shapedirs"] = np.zeros((778, 3, 10))
+    model = load_mano_pickle(write_mano_pickle(tmp_path / "hand.pkl", arrays))
+    assert not model.shapedirs.any()
+
+
+def test_the_open_hand_would_not_be_taken_for_faulty() -> None:
+    model = load_model(None, "left")
+    assert not mano_pickle._has_left_fault(model.v_template, model.shapedirs)
+    faulty = model.shapedirs * np.array([-1.0, 1.0, 1.0])[:, None]
+    assert mano_pickle._has_left_fault(model.v_template, faulty)
+
+
+# Hostile files
+
+
+def hostile(module: str, name: str, *arguments: str) -> bytes:
+    """Protocol-0 pickle of module.name(*arguments)."""
+    return f"c{module}\n{name}\n(".encode() + b"".join(f"V{a}\n".encode() for a in arguments) + b"tR."
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("os", "system"),
+        ("posix", "system"),
+        ("nt", "system"),
+        ("subprocess", "Popen"),
+        ("builtins", "eval"),
+        ("__builtin__", "eval"),
+        ("builtins", "getattr"),
+        ("builtins", "exec"),
+        ("numpy", "load"),
+        ("numpy", "fromfile"),
+        ("numpy.core.multiarray", "fromfile"),
+        ("numpy.testing._private.utils", "runstring"),
+        ("scipy.sparse", "load_npz"),
+        ("operator", "attrgetter"),
+        ("chumpy.ch", "__init__"),
+        ("chumpyevil", "run"),
+        ("collections", "OrderedDict"),
+        ("handfit_core.hand_model.mano_pickle", "load_mano_pickle"),
+    ],
+)
+def test_anything_else_is_refused_by_name(tmp_path: Path, module: str, name: str) -> None:
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(hostile(module, name, "x"))
+    message = message_of(path)
+    assert f"refused: the file asks to run {module}.{name}; a MANO file never does" in message
+    assert "do not trust it" in message
+
+
+def test_nothing_runs_while_reading(tmp_path: Path) -> None:
+    """Each of these leaves a file behind when Python's own unpickler reads it, and none with ours."""
+    trace = tmp_path / "trace"
+    command = f"open({str(trace)!r}, 'w').close()"
+    eval_it = f"cbuiltins\nexec\n(V{command}\ntR".encode()
+    wrapped = {
+        "plain": eval_it + b".",
+        "in a dict": b"(dVv_template\n" + eval_it + b"s.",
+        "INST": f"(V{command}\nibuiltins\nexec\n.".encode(),
+        "OBJ": f"(cbuiltins\nexec\nV{command}\no.".encode(),
+        "STACK_GLOBAL": b"\x80\x04\x8c\x08builtins\x8c\x04exec\x93"
+        + b"\x8c" + bytes([len(command)]) + command.encode() + b"\x85R.",
+        "as state": b"cnumpy\ndtype\n(Vf8\ntR" + eval_it + b"b.",
+        "as argument": b"cnumpy\ndtype\n(" + eval_it + b"tR.",
+    }  # fmt: skip
+    for name, data in wrapped.items():
+        path = tmp_path / "hand.pkl"
+        path.write_bytes(data)
+        assert "refused" in message_of(path), name
+        assert not trace.exists(), name
+        # Once the code has run, the rest of the pickle may fail.
+        with contextlib.suppress(TypeError, AttributeError, IndexError):
+            pickle.loads(data)
+        assert trace.exists(), f"{name}: this test would not notice code that runs"
+        trace.unlink()
+
+
+INERT = {
+    "a path through chumpy": b"cchumpy\nos.system\n(Vx\ntR.",
+    "encode with another codec": b"c_codecs\nencode\n(Vabc\nVrot13\ntR.",
+    "encode of no text": b"c_codecs\nencode\n(I1\nVlatin1\ntR.",
+    "reconstructor of a list": b"ccopy_reg\n_reconstructor\n(]c__builtin__\nobject\nNtR.",
+    "state on a class": b"cnumpy\nndarray\n(dVevil\nI1\nsb.",
+    "slots on a class": b"cnumpy\ndtype\n(N(dV__setstate__\nI1\nstb.",
+    "huge array": b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(L99999999999999L\ntVb\ntR.",
+    "set of everything": b"c__builtin__\nset\n(L99999999999999L\ntR.",
+    "huge memo": b"\x80\x02Nr\xff\xff\xff\xff.",
+    "huge bytearray": b"\x80\x05\x96\x00\x00\x00\x00\x00\x01\x00\x00.",
+    "huge text": b"\x80\x02X\xff\xff\xff\xffabc.",
+    "huge frame": b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.",
+    "persistent id": b"Pevil\n.",
+    "extension": b"\x80\x02\x82\x01.",
+    "unknown opcode": b"\x80\x02\xff.",
+    "new protocol": b"\x80\x63.",
+    "recursion": b"(" * 5000 + b"t" * 5000 + b".",
+    "a list": b"].",
+    "empty": b"",
+    "text": b"this is no pickle\n",
+    "zip": b"PK\x03\x04" + bytes(100),
+    "html": b"<!DOCTYPE html><html>please log in</html>",
+}
+
+
+@pytest.mark.parametrize("data", INERT.values(), ids=INERT.keys())
+def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(data)
+    message = message_of(path)
+    assert "copy it again" in message or "do not trust it" in message
+
+
+def test_reading_one_file_leaves_no_trace_for_the_next(tmp_path: Path) -> None:
+    before = {name: dict(vars(made)) for name, made in mano_pickle._STAND_INS.items()}
+    for data in INERT.values():
+        (tmp_path / "hand.pkl").write_bytes(data)
+        message_of(tmp_path / "hand.pkl")
+    assert {name: dict(vars(made)) for name, made in mano_pickle._STAND_INS.items()} == before
+
+
+# Damaged files
+
+
+def test_truncated_anywhere(tmp_path: Path) -> None:
+    whole = write_mano_pickle(tmp_path / "whole.pkl", imitation_arrays()).read_bytes()
+    path = tmp_path / "MANO_RIGHT.pkl"
+    for end in [*range(1, 200, 7), *np.linspace(200, len(whole) - 1, 60).astype(int)]:
+        path.write_bytes(whole[:end])
+        assert "copy it again" in message_of(path)
+
+
+def test_damaged_anywhere_is_never_a_crash(tmp_path: Path) -> None:
+    whole = bytearray(write_mano_pickle(tmp_path / "whole.pkl", imitation_arrays()).read_bytes())
+    # The parts between the big arrays' bytes are what can confuse the reader.
+    spots, position = [], 0
+    for op, _, start in pickletools.genops(bytes(whole)):
+        if start - position < 64:
+            spots.append(start)
+        position = start
+        assert op
+    path, rng, messages = tmp_path / "hand.pkl", np.random.default_rng(0), []
+    for spot in rng.choice(spots, 250):
+        damaged = bytearray(whole)
+        damaged[spot] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            load_mano_pickle(path)
+        except HandModelError as error:
+            messages.append(str(error))
+    assert not any("\n" in message for message in messages)
+    assert len(messages) > 100
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    assert "cannot be read" in message_of(tmp_path / "nowhere.pkl")
+    (tmp_path / "folder.pkl").mkdir()
+    assert "cannot be read" in message_of(tmp_path / "folder.pkl")
+
+
+def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.pkl"
+    with path.open("wb") as stream:
+        stream.truncate(mano_pickle.MAX_FILE_BYTES + 1)  # sparse, takes no room
+    assert "too large" in message_of(path)
+
+
+@pytest.mark.parametrize("key", [*MODEL_ARRAYS.values(), "kintree_table"])
+def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
+    path = write_mano_pickle(tmp_path / "hand.pkl", imitation_arrays())
+    content = pickle.dumps({k: v for k, v in imitation_arrays().items() if k != key})
+    path.write_bytes(content)
+    assert f"lacks {key}" in message_of(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("v_template", np.zeros((778, 2)), "778x2"),
+        ("v_template", np.zeros((700, 3)), "700x3"),
+        ("v_template", np.full((778, 3), np.nan), "not finite"),
+        ("shapedirs", np.zeros((778, 3, 4)), "4 shape directions"),
+        ("shapedirs", np.full((778, 3, 10), np.inf), "not finite"),
+        ("posedirs", np.zeros((778, 3, 207)), "posedirs has shape 778x3x207"),
+        ("posedirs", np.full((778, 3, 135), np.nan), "posedirs holds values that are not finite"),
+        ("weights", np.zeros((778, 24)), "weights has shape 778x24"),
+        ("weights", np.zeros((778, 16)), "sum to 1"),
+        ("J_regressor", np.zeros((24, 778)), "24x778"),
+        ("f", np.zeros((5, 3)), "expected integers"),
+        ("f", np.full((5, 3), 778, dtype=np.uint32), "do not exist"),
+        ("kintree_table", np.zeros((2, 24), dtype=np.uint32), "kintree_table"),
+        ("kintree_table", np.zeros((2, 16), dtype=np.uint32), "kintree_table"),
+        ("hands_mean", np.zeros(44), "hands_mean has shape 44"),
+        ("hands_components", np.zeros((6, 45)), "hands_components has shape 6x45"),
+        ("weights", np.array([[None]]), "weights is not an array of numbers"),
+        ("weights", np.array(["text"]), "weights is not an array of numbers"),
+        ("weights", [[1.0]], "weights is not an array"),
+        ("v_template", None, "v_template is not an array"),
+    ],
+)
+def test_wrong_arrays_are_named(tmp_path: Path, key: str, value: Any, says: str) -> None:
+    path = tmp_path / "hand.pkl"
+    path.write_bytes(pickle.dumps(dict(imitation_arrays(), **{key: value}), protocol=2))
+    message = message_of(path)
+    assert says in message
+    assert "copy it again" in message
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"_shape": (16, 10**12)},
+        {"_shape": (16, -778)},
+        {"_shape": (24, 778)},
+        {"_shape": None},
+        {"indices": np.full(200, 16, dtype=np.int32)},
+        {"indices": np.full(3, 0, dtype=np.int32)},
+        {"indices": np.full(200, -1, dtype=np.int32)},
+        {"indices": np.zeros(200)},
+        {"indptr": np.zeros(779, dtype=np.int32)},
+        {"indptr": np.arange(779, dtype=np.int32)[::-1]},
+        {"indptr": np.array([0, 2**62] * 390, dtype=np.int64)[:779]},
+        {"data": np.zeros((2, 2))},
+    ],
+    ids=lambda change: "-".join(map(str, change)),
+)
+def test_damaged_sparse_regressors(tmp_path: Path, change: dict[str, Any], monkeypatch) -> None:
+    arrays = imitation_arrays()
+    fields = dict(csc_fields(arrays["J_regressor"]))
+    length = len(fields["data"])
+    change = {k: np.resize(v, length) if k == "indices" and len(v) == 200 else v for k, v in change.items()}
+    monkeypatch.setattr("tests.imitation_mano.csc_fields", lambda _dense: fields | change)
+    assert "J_regressor" in message_of(write_mano_pickle(tmp_path / "hand.pkl", arrays))
+
+
+def test_a_name_that_contradicts_the_geometry(tmp_path: Path) -> None:
+    path = write_mano_pickle(tmp_path / "MANO_LEFT.pkl", imitation_arrays("right"))
+    assert "the name says left, but this is a right hand" in message_of(path)
+    path = write_mano_pickle(tmp_path / "my_mano_right_v1_2.pkl", imitation_arrays("left"))
+    assert "the name says right, but this is a left hand" in message_of(path)
+    # Without the word MANO_ a name is only a name.
+    write_mano_pickle(tmp_path / "left.pkl", imitation_arrays("right"))
+    assert load_mano_pickle(tmp_path / "left.pkl").side == "right"
+
+
+# Writing
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_written_models_come_back(tmp_path: Path, side: str) -> None:
+    model = imitation_model(side)
+    path = save_mano_pickle(model, tmp_path / "new" / f"MANO_{side.upper()}.pkl")
+    back = load_mano_pickle(path)
+    assert back.side == side
+    assert back.digest == model.digest
+    assert back.tip_vertices.tolist() == list(TIPS.values())
+    np.testing.assert_array_equal(back.faces, model.faces)
+
+
+def test_the_written_file_is_manos(tmp_path: Path) -> None:
+    pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
+    data = save_mano_pickle(imitation_model(), tmp_path / "MANO_RIGHT.pkl").read_bytes()
+    assert data[:2] == b"\x80\x02"
+    assert b"numpy._core" not in data
+    assert b"chumpy" not in data
+    content = pickle.loads(data, encoding="latin1")
+    assert content["kintree_table"].dtype == np.uint32
+    assert content["kintree_table"][0, 0] == 2**32 - 1
+    assert content["f"].dtype == np.uint32
+    assert (content["bs_style"], content["bs_type"]) == ("lbs", "lrotmin")
+    assert content["J_regressor"].toarray().shape == (16, 778)
+
+
+def test_an_unwritable_target_is_an_output_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match="cannot write here"):
+        save_mano_pickle(imitation_model(), tmp_path / "file" / "MANO_RIGHT.pkl")
+
+
+@pytest.mark.parametrize("which", ["imitation", "open hand"])
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> None:
+    smplx = pytest.importorskip("smplx", reason="smplx is not installed")
+    import torch
+
+    from handfit_core.hand_model.layer import HandLayer
+
+    model = imitation_model(side) if which == "imitation" else load_model(None, side)
+    path = save_mano_pickle(model, tmp_path / f"MANO_{side.upper()}.pkl")
+    theirs = smplx.MANO(
+        model_path=str(path),
+        is_rhand=side == "right",
+        use_pca=False,
+        flat_hand_mean=True,
+        dtype=torch.float64,
+    )
+    generator = torch.Generator().manual_seed(0)
+    betas, global_orient, hand_pose, transl = (
+        torch.randn(3, n, generator=generator, dtype=torch.float64) * 0.5 for n in (10, 3, 45, 3)
+    )
+    expected = theirs(betas=betas, global_orient=global_orient, hand_pose=hand_pose, transl=transl)
+    out = HandLayer(load_mano_pickle(path))(betas, global_orient, hand_pose, transl)
+    # smplx adds 1e-8 to rotation vectors before it takes their length.
+    torch.testing.assert_close(out.vertices, expected.vertices, rtol=0, atol=1e-6)
+    torch.testing.assert_close(out.joints, expected.joints[:, :16], rtol=0, atol=1e-6)

@@ -1,0 +1,208 @@
+"""The take file: round trip, and one clear sentence for every file that is not a take."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.camera import Intrinsics
+from handfit_core.errors import OutputError, TakeError
+from handfit_core.take import FORMAT_VERSION, HandTrack, Source, Take
+
+FRAMES = 4
+SHAPES = {
+    "betas": (10,),
+    "global_orient": (FRAMES, 3),
+    "hand_pose": (FRAMES, 45),
+    "transl": (FRAMES, 3),
+    "joints_3d": (FRAMES, 21, 3),
+    "keypoints_2d": (FRAMES, 21, 2),
+    "reprojection_error": (FRAMES,),
+    "score": (FRAMES,),
+}
+
+
+def track(side: Any = "right", seed: int = 0, **changes: Any) -> HandTrack:
+    rng = np.random.default_rng(seed)
+    arrays: dict[str, Any] = {name: rng.normal(size=shape) for name, shape in SHAPES.items()}
+    detected = np.array([True, True, False, True])
+    for name, array in arrays.items():
+        if name != "betas":
+            array[~detected] = np.nan
+    return HandTrack(side=side, detected=detected, **(arrays | changes))
+
+
+def take(**changes: Any) -> Take:
+    fields: dict[str, Any] = {
+        "source": Source("sequence", ("/shots/Hände 手_0007.png", "/shots/Hände 手_0009.png"), orientation=6),
+        "fps": 23.976,
+        "frame_numbers": np.array([7, 9, 10, 12]),
+        "width": 1920,
+        "height": 1080,
+        "intrinsics": Intrinsics(1500.5, 1501.5, 960.0, 540.0),
+        "solver": "lm",
+        "model": "open-hand",
+        "model_digests": {"right": "00ff", "left": "aa11"},
+        "hands": (track("right"), track("left", 1)),
+    }
+    return Take(**(fields | changes))
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    original = take()
+    path = original.save(tmp_path / "new folder" / "take.npz")
+    loaded = Take.load(path)
+    for field in dataclasses.fields(Take):
+        if field.name not in ("frame_numbers", "hands"):
+            assert getattr(loaded, field.name) == getattr(original, field.name), field.name
+    np.testing.assert_array_equal(loaded.frame_numbers, original.frame_numbers)
+    assert [h.side for h in loaded.hands] == ["right", "left"]
+    for ours, theirs in zip(loaded.hands, original.hands, strict=True):
+        assert ours.detected.dtype == bool
+        np.testing.assert_array_equal(ours.detected, theirs.detected)
+        for name in SHAPES:
+            # Bit for bit, the NaN of frames without a hand included.
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+        assert np.isnan(ours.hand_pose[2]).all()
+
+
+def test_a_take_without_hands_is_a_take(tmp_path: Path) -> None:
+    assert Take.load(take(hands=()).save(tmp_path / "t.npz")).hands == ()
+
+
+def test_it_is_a_plain_archive_without_pickles(tmp_path: Path) -> None:
+    path = take().save(tmp_path / "take.npz")
+    with np.load(path, allow_pickle=False) as archive:
+        assert all(archive[name].dtype != object for name in archive.files)
+        assert json.loads(str(archive["header"]))["version"] == FORMAT_VERSION
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_wrong_shapes_are_refused(name: str) -> None:
+    with pytest.raises(TakeError, match=name):
+        take(hands=(track(**{name: np.zeros((FRAMES + 1, 2))}),))
+
+
+def test_wrong_sides_are_refused() -> None:
+    with pytest.raises(TakeError, match="'middle'"):
+        take(hands=(track("middle"),))
+
+
+def test_source_names() -> None:
+    assert Source("photo", ("/a/b/IMG_0042.jpg",)).name == "IMG_0042"
+    assert Source("sequence", ("/a/shot_0001.png",)).name == "shot"
+    assert Source("sequence", ("/a/clap/0001.png",)).name == "clap"
+
+
+def message_of(path: Path) -> str:
+    with pytest.raises(TakeError) as caught:
+        Take.load(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def edited(path: Path, **changes: Any) -> Path:
+    """Rewrite a take with header fields changed; a value of None drops the array of that name."""
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    header = json.loads(str(arrays["header"]))
+    for name, value in changes.items():
+        if name in arrays:
+            if value is None:
+                del arrays[name]
+            else:
+                arrays[name] = value
+        else:
+            header[name] = value
+    arrays["header"] = np.array(json.dumps(header))
+    np.savez(path, **arrays)
+    return path
+
+
+def test_a_newer_version_says_update(tmp_path: Path) -> None:
+    path = edited(take().save(tmp_path / "t.npz"), version=FORMAT_VERSION + 1)
+    assert "update the add-on" in message_of(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"hand0_betas": None},
+        {"hand1_score": None},
+        {"frame_numbers": None},
+        {"frame_numbers": np.zeros((4, 2))},
+        {"frame_numbers": np.arange(5)},
+        {"hand0_transl": np.zeros((4, 2))},
+        {"sides": None},
+        {"sides": ["right", "left", "right"]},
+        {"sides": ["up", "left"]},
+        {"fps": "fast"},
+        {"source": "a photo"},
+        {"intrinsics": {"fx": 1.0}},
+        {"intrinsics": {"fx": -1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}},
+    ],
+    ids=str,
+)
+def test_incomplete_takes(tmp_path: Path, changes: dict[str, Any]) -> None:
+    assert "capture it again" in message_of(edited(take().save(tmp_path / "t.npz"), **changes))
+
+
+def test_other_files_are_not_takes(tmp_path: Path) -> None:
+    path = tmp_path / "t.npz"
+    assert "no such take" in message_of(path)
+    for data in (b"", b"hello", b"PK\x03\x04" + bytes(50), pickle.dumps({"a": 1})):
+        path.write_bytes(data)
+        assert "not a take file" in message_of(path)
+    np.savez(path, a=np.arange(3))
+    assert "not a take file" in message_of(path)
+    with path.open("wb") as stream:
+        np.save(stream, np.arange(3))
+    assert "not a take file" in message_of(path)
+    assert "not a take file" in message_of(edited(take().save(path), format="something else"))
+
+
+def test_pickles_inside_are_not_run(tmp_path: Path) -> None:
+    trace = tmp_path / "trace"
+
+    class Evil:
+        def __reduce__(self) -> Any:
+            return (exec, (f"open({str(trace)!r}, 'w').close()",))
+
+    path = edited(take().save(tmp_path / "t.npz"), hand0_betas=np.array([Evil()], dtype=object))
+    assert "not a take file" in message_of(path)
+    assert not trace.exists()
+
+
+def test_truncated_or_damaged_anywhere(tmp_path: Path) -> None:
+    whole = take().save(tmp_path / "whole.npz").read_bytes()
+    path = tmp_path / "t.npz"
+    for end in range(0, len(whole), 199):
+        path.write_bytes(whole[:end])
+        message_of(path)
+    refused = 0
+    for spot in range(0, len(whole), 61):
+        for flip in (0x01, 0xFF):
+            damaged = bytearray(whole)
+            damaged[spot] ^= flip
+            path.write_bytes(damaged)
+            try:
+                Take.load(path)  # dates and the like may change without harm
+            except TakeError:
+                refused += 1
+    assert refused > len(whole) / 61
+
+
+def test_unwritable_targets(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match="cannot write here"):
+        take().save(tmp_path / "file" / "t.npz")
+    (tmp_path / "t.npz").mkdir()
+    with pytest.raises(OutputError, match="could not be written"):
+        take().save(tmp_path / "t.npz")
