@@ -1,0 +1,1 @@
+"""What users can do in Blender, one operator per file."""

@@ -1,0 +1,65 @@
+"""File > Import > Hand Take: build the hands of a saved take."""
+
+from __future__ import annotations
+
+import bpy
+from bpy_extras.io_utils import ImportHelper
+
+from handfit_core.errors import HandfitError
+from handfit_core.take import Take
+
+from ..scene.build import build_take
+
+
+class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
+    bl_idname = "manient.import_take"
+    bl_label = "Import Hand Take"
+    bl_description = "Build the rigged, animated hands and the camera of a captured take"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    filename_ext = ".npz"
+    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
+    pose_correctives: bpy.props.BoolProperty(  # type: ignore
+        name="Pose Correctives",
+        description="Shape keys that fill out bent joints, for hand models that have them",
+        default=True,
+    )
+    picture: bpy.props.BoolProperty(  # type: ignore
+        name="Picture Behind",
+        description="Show the photo or video that was captured behind the hands",
+        default=True,
+    )
+
+    def execute(self, context):
+        if context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        try:
+            take = Take.load(self.filepath)
+            built = build_take(
+                take,
+                scene=context.scene,
+                pose_correctives=self.pose_correctives,
+                picture=self.picture,
+            )
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for warning in built.warnings:
+            self.report({"WARNING"}, warning)
+        return {"FINISHED"}
+
+
+def _menu_entry(self, _context):
+    self.layout.operator(MANIENT_OT_import_take.bl_idname, text="Hand Take (.npz)")
+
+
+def register() -> None:
+    """Add the operator and its menu entry."""
+    bpy.utils.register_class(MANIENT_OT_import_take)
+    bpy.types.TOPBAR_MT_file_import.append(_menu_entry)
+
+
+def unregister() -> None:
+    """Take both away again."""
+    bpy.types.TOPBAR_MT_file_import.remove(_menu_entry)
+    bpy.utils.unregister_class(MANIENT_OT_import_take)

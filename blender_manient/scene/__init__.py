@@ -1,0 +1,1 @@
+"""What a take becomes in Blender, one builder per file."""

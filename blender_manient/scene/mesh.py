@@ -1,0 +1,83 @@
+"""The hand's mesh: faces, texture coordinates, vertex groups and skin."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from handfit_core.hand_model import HandModel, ShapedHand
+
+from .. import axes
+from .armature import bone_names
+
+_LEAST_WEIGHT = 1e-6
+"""Weights below this move nothing visibly; they would only make every export larger"""
+
+
+def build_mesh(name: str, model: HandModel, shaped: ShapedHand) -> bpy.types.Object:
+    """A smooth-shaded mesh object of the shaped hand in rest space, with one vertex group per bone.
+
+    It is not linked to any collection and has no modifier yet.
+    """
+    mesh = bpy.data.meshes.new(name)
+    polygons = model.polygons
+    mesh.from_pydata(axes.points_to_rest(shaped.vertices).tolist(), [], polygons.tolist())
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(polygons), dtype=bool))
+    _set_uvs(mesh, *_texture_coordinates(model))
+    mesh.materials.append(_skin_material())
+    mesh.update()
+
+    obj = bpy.data.objects.new(name, mesh)
+    for bone, weights in zip(bone_names(model.side), model.weights.T, strict=True):
+        group = obj.vertex_groups.new(name=bone)
+        for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
+            group.add([vertex], float(weights[vertex]), "REPLACE")
+    return obj
+
+
+def _texture_coordinates(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
+    """UVs (U, 2) and, per polygon corner, the index into them."""
+    if model.uv is not None and model.uv_faces is not None:
+        return model.uv, model.uv_faces
+    return _palm_and_back(model)
+
+
+def _palm_and_back(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
+    """For models without UVs: the palm flattened into the left half, the back into the right."""
+    flat = model.v_template[:, [0, 2]]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    size = (high - low).max()
+    square = (flat - low) / size * 0.98 + 0.01  # (V, 2) within the unit square
+    half = square * np.array([0.5, 1.0])
+    uv = np.concatenate([half, half + np.array([0.5, 0.0])])
+
+    corners = model.v_template[model.polygons]  # (P, 3 or 4, 3)
+    normal_y = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 1]
+    is_back = normal_y > 0
+    return uv, model.polygons + np.where(is_back, len(flat), 0)[:, None]
+
+
+def _set_uvs(mesh: bpy.types.Mesh, uv: np.ndarray, uv_faces: np.ndarray) -> None:
+    layer = mesh.uv_layers.new(name="UVMap")
+    layer.data.foreach_set("uv", uv[uv_faces].astype(np.float32).ravel())
+
+
+def _skin_material() -> bpy.types.Material:
+    """A plain skin; the user's own material of that name is left alone."""
+    material = bpy.data.materials.new("Hand Skin")
+    if bpy.app.version < (5, 0, 0):  # from 5.0 on every material has nodes, and setting this warns
+        material.use_nodes = True
+    material.diffuse_color = (0.80, 0.56, 0.45, 1.0)  # seen in Solid shading
+    shader = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    wanted = {
+        "Base Color": (0.62, 0.32, 0.22, 1.0),
+        "Roughness": 0.5,
+        "Subsurface Weight": 0.15,  # "Subsurface" before Blender 4.0
+        "Subsurface Radius": (1.0, 0.35, 0.2),
+        "Subsurface Scale": 0.004,
+    }
+    for name, value in wanted.items():
+        socket = shader.inputs.get(name)
+        if socket is not None:
+            socket.default_value = value
+    return material

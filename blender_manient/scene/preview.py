@@ -1,0 +1,225 @@
+"""Previews: the captured picture, and the same with the fitted hands rendered over it.
+
+Rendered by Cycles on the CPU, which works without a window or a graphics card. Everything happens in
+a scene that is removed afterwards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from handfit_core.errors import OutputError
+from handfit_core.files import written_whole
+from handfit_core.take import Take
+
+from .. import axes
+from .build import BuiltTake
+from .camera import build_camera, frame_scene
+from .own_scene import own_scene
+from .plate import Plate, load_plate
+
+LONGEST_SIDE = 1200
+"""pixels of one half of a preview"""
+_SAMPLES = 16
+_OPACITY = 0.85
+"""How much of the hand covers the picture; the rest lets its outline be compared"""
+_MISSING = (0.18, 0.18, 0.18)
+"""Shown where the picture file is gone"""
+
+# Degrees from the camera's axis (to the right, up), then strength in W/m2.
+_SUNS = ((-35.0, 45.0, 3.0), (50.0, 15.0, 1.2), (0.0, -40.0, 0.5))
+
+
+def render_preview(built: BuiltTake, take: Take, frame: int, path: Path) -> Path:
+    """Write a PNG: left the picture, right the same with the hands over it through the solved camera.
+
+    `frame` is a source frame number. The longer side of each half is at most `LONGEST_SIDE` pixels.
+    Raises OutputError.
+    """
+    rows = preview_rows(built, take, [frame])[0]
+    return write_png(rows, path)
+
+
+def preview_rows(built: BuiltTake, take: Take, frames: Sequence[int]) -> list[np.ndarray]:
+    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
+    scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
+    plate, _ = load_plate(take)
+    previews = []
+    try:
+        for frame in frames:
+            hands = _render_hands(built, take, frame, scale)
+            height, width = hands.shape[:2]
+            if plate is None:
+                picture = np.broadcast_to(np.array(_MISSING), (height, width, 3))
+            else:
+                picture = render_plate(plate, take, frame, scale)[..., :3]
+            alpha = hands[..., 3:] * _OPACITY
+            previews.append(np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1))
+    finally:
+        if plate is not None:
+            bpy.data.images.remove(plate.image)
+    return previews
+
+
+def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarray:
+    """The picture of one frame as rows (H, W, 4) of sRGB values 0..1, the first row on top.
+
+    Rendering is the one way to a movie's frames that works in every Blender without a window. Each
+    sample stays within its pixel, so at scale 1 the picture comes out as it went in.
+    """
+    with _scene(take, scale) as scene:
+        camera = build_camera("preview plate", take, None)
+        card = _card(plate, take)
+        try:
+            for obj in (camera, card):
+                scene.collection.objects.link(obj)
+            scene.camera = camera
+            scene.cycles.pixel_filter_type = "BOX"
+            scene.cycles.samples = 1 if scale == 1.0 else _SAMPLES
+            return _render(scene, frame)
+        finally:
+            _remove_with_data(camera, card)
+
+
+def write_png(rows: np.ndarray, path: Path) -> Path:
+    """Write rows (H, W, 3) of sRGB values 0..1, the first row on top. Raises OutputError."""
+    height, width = rows.shape[:2]
+    pixels = np.ones((height, width, 4), dtype=np.float32)
+    pixels[..., :3] = rows[::-1]
+    image = bpy.data.images.new("preview", width, height, alpha=False)
+    try:
+        image.pixels.foreach_set(pixels.ravel())
+        with written_whole(path) as beside:
+            image.filepath_raw = str(beside)
+            image.file_format = "PNG"
+            try:
+                image.save()
+            except RuntimeError as error:
+                raise OutputError(f"{path}: Blender could not write the preview ({error})") from error
+    finally:
+        bpy.data.images.remove(image)
+    return path
+
+
+def spread_frames(take: Take, count: int) -> list[int]:
+    """Up to `count` source frame numbers with a hand in them, evenly spread over the take."""
+    seen = np.any([track.detected for track in take.hands], axis=0)
+    numbers = np.asarray(take.frame_numbers)[seen]
+    picked = np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int)
+    return [int(n) for n in numbers[np.unique(picked)]]
+
+
+def _render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.ndarray:
+    """The hands that were found in that frame over nothing: rows (H, W, 4), straight alpha."""
+    row = int(np.searchsorted(take.frame_numbers, frame))
+    found = {track.side for track in take.hands if bool(track.detected[row])}
+    with _scene(take, scale) as scene:
+        lights = [_sun(*sun) for sun in _SUNS]
+        try:
+            for light in lights:
+                scene.collection.objects.link(light)
+            for hand in built.hands:
+                if hand.side in found:
+                    scene.collection.objects.link(hand.armature)
+                    scene.collection.objects.link(hand.mesh)
+            scene.camera = built.camera
+            scene.render.film_transparent = True
+            scene.cycles.samples = _SAMPLES
+            scene.cycles.max_bounces = 2
+            return _render(scene, frame)
+        finally:
+            _remove_with_data(*lights)
+
+
+@contextlib.contextmanager
+def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
+    """A scene of the take's picture size that shows colours as they are, removed afterwards."""
+    with own_scene("preview") as scene:
+        frame_scene(scene, take, scale)
+        scene.render.engine = "CYCLES"
+        scene.render.use_sequencer = False
+        scene.render.use_compositing = False
+        scene.render.dither_intensity = 0.0
+        scene.render.image_settings.file_format = "PNG"
+        scene.render.image_settings.color_mode = "RGBA"
+        scene.render.image_settings.compression = 0
+        scene.view_settings.view_transform = "Standard"
+        scene.view_settings.look = "None"
+        scene.cycles.device = "CPU"
+        scene.cycles.use_denoising = False
+        scene.cycles.use_adaptive_sampling = False
+        yield scene
+
+
+def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:
+    """Render one frame of the scene: rows (H, W, 4), the first row on top."""
+    scene.frame_set(frame)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "render.png"
+        scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(str(path), check_existing=False)
+        try:
+            # The bytes as they are: no colour space, no premultiplied alpha.
+            image.colorspace_settings.name = "Non-Color"
+            image.alpha_mode = "CHANNEL_PACKED"
+            width, height = image.size
+            pixels = np.empty(width * height * 4, dtype=np.float32)
+            image.pixels.foreach_get(pixels)
+        finally:
+            bpy.data.images.remove(image)
+    return pixels.reshape(height, width, 4)[::-1]
+
+
+def _card(plate: Plate, take: Take) -> bpy.types.Object:
+    """A glowing card, one metre in front of the camera, that fills its view with the picture."""
+    corners = np.array([[0, take.height], [take.width, take.height], [take.width, 0], [0, 0]], dtype=float)
+    mesh = bpy.data.meshes.new("preview card")
+    mesh.from_pydata(axes.points_to_world(take.intrinsics.rays(corners)).tolist(), [], [(0, 1, 2, 3)])
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.ravel())
+
+    material = bpy.data.materials.new("preview card")
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = plate.image
+    texture.interpolation = "Closest"
+    texture.extension = "EXTEND"
+    plate.apply_timing(texture.image_user)
+    glow = tree.nodes.new("ShaderNodeEmission")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(texture.outputs["Color"], glow.inputs["Color"])
+    tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
+    mesh.materials.append(material)
+    return bpy.data.objects.new("preview card", mesh)
+
+
+def _sun(right: float, up: float, strength: float) -> bpy.types.Object:
+    light = bpy.data.lights.new("preview light", "SUN")
+    light.energy = strength
+    light.angle = math.radians(20.0)
+    obj = bpy.data.objects.new("preview light", light)
+    azimuth, elevation = math.radians(right), math.radians(up)
+    # Shines from behind the camera, which looks along +Y.
+    towards = Vector((-math.sin(azimuth), math.cos(azimuth) * math.cos(elevation), -math.sin(elevation)))
+    obj.rotation_mode = "QUATERNION"
+    obj.rotation_quaternion = towards.to_track_quat("-Z", "Y")
+    return obj
+
+
+def _remove_with_data(*objects: bpy.types.Object) -> None:
+    for obj in objects:
+        data = obj.data
+        materials = list(getattr(data, "materials", ()))
+        bpy.data.batch_remove([obj, data, *materials])

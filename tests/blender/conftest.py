@@ -1,0 +1,185 @@
+"""Synthetic takes: plausible poses of a model, seen by a known camera, with everything a take has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
+
+from handfit_core.camera import Intrinsics  # noqa: E402
+from handfit_core.hand_model import load_model, save_model_npz  # noqa: E402
+from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
+from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
+from handfit_core.take import HandTrack, Source, Take  # noqa: E402
+from tests.imitation_mano import imitation_model  # noqa: E402
+
+FRAMES = np.array([3, 4, 5, 6, 7, 8, 12, 13, 14, 16, 17, 18])
+"""Not consecutive, not from 1"""
+UNSEEN = 4
+"""Row in which no hand was detected"""
+WIDTH, HEIGHT = 160, 120
+OFF_CENTRE = Intrinsics(fx=210.0, fy=180.0, cx=70.0, cy=66.0)
+"""fx != fy, and the principal point well off the middle"""
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    """Every test starts from an empty Blender file."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    yield
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@dataclass(frozen=True)
+class Made:
+    """A take and what it must look like in the camera frame, computed by the core."""
+
+    take: Take
+    vertices: dict[Side, np.ndarray]
+    """side -> (T, V, 3) metres"""
+    joints: dict[Side, np.ndarray]
+    """side -> (T, 16, 3) metres"""
+
+    @property
+    def seen(self) -> list[tuple[int, int]]:
+        """(row, frame number) of each frame with a detection."""
+        rows = np.flatnonzero(self.take.hands[0].detected)
+        return [(int(row), int(self.take.frame_numbers[row])) for row in rows]
+
+
+@pytest.fixture(scope="session")
+def picture(tmp_path_factory) -> Path:
+    """A picture in which every pixel is different."""
+    rows = np.zeros((HEIGHT, WIDTH, 4), dtype=np.float32)
+    rows[..., 0] = np.linspace(0, 1, WIDTH)[None, :]
+    rows[..., 1] = np.linspace(0, 1, HEIGHT)[:, None]
+    rows[..., 2] = 0.25
+    rows[..., 3] = 1.0
+    return write_png(tmp_path_factory.mktemp("picture") / "photo of a hand.png", rows)
+
+
+def write_png(path: Path, rows: np.ndarray) -> Path:
+    """Write rows (H, W, 4) of values 0..1, the first row on top."""
+    height, width = rows.shape[:2]
+    image = bpy.data.images.new(path.stem, width, height, alpha=True)
+    image.pixels.foreach_set(np.ascontiguousarray(rows[::-1], dtype=np.float32).ravel())
+    image.filepath_raw = str(path)
+    image.file_format = "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    return path
+
+
+@pytest.fixture(scope="session")
+def imitation_mano(tmp_path_factory) -> Path:
+    """A folder with an imitation of both MANO files: pose blend shapes, no UVs, triangles."""
+    folder = tmp_path_factory.mktemp("mano")
+    for side in SIDES:
+        save_model_npz(imitation_model(side), folder / f"MANO_{side.upper()}.npz")
+    return folder
+
+
+@pytest.fixture
+def make_take(picture):
+    """make_take(sides=..., model=..., **fields of Take) -> Made"""
+
+    def make(sides: tuple[Side, ...] = SIDES, model: str = "open-hand", seed: int = 1, **fields) -> Made:
+        rng = np.random.default_rng(seed)
+        frames = fields.get("frame_numbers", FRAMES)
+        intrinsics = fields.get("intrinsics", OFF_CENTRE)
+        tracks, vertices, joints, digests = [], {}, {}, {}
+        for side in sides:
+            hand = load_model(model, side)
+            track, posed = _track(hand, side, len(frames), intrinsics, rng)
+            tracks.append(track)
+            vertices[side], joints[side] = posed.vertices, posed.joints
+            digests[side] = hand.digest
+        values = {
+            "source": Source("photo", (str(picture),)),
+            "fps": 30.0,
+            "frame_numbers": frames,
+            "width": WIDTH,
+            "height": HEIGHT,
+            "intrinsics": intrinsics,
+            "solver": "paper-a",
+            "model": model,
+            "model_digests": digests,
+            "hands": tuple(tracks),
+        }
+        return Made(Take(**{**values, **fields}), vertices, joints)
+
+    return make
+
+
+def _track(hand, side: Side, count: int, intrinsics: Intrinsics, rng: np.random.Generator):
+    """A hand that turns through more than a full circle while its fingers open and close."""
+    t = np.linspace(0.0, 1.0, count)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    turns = rotvec_to_rotmat(axis * (t[:, None] * 2.6 * np.pi))
+    start = rotvec_to_rotmat(rng.normal(size=3))
+    global_orient = rotmat_to_rotvec(turns @ start)
+
+    sign = 1.0 if side == "right" else -1.0
+    hand_pose = np.zeros((count, 15, 3))
+    for finger, chain in FINGER_JOINTS.items():
+        for i, joint in enumerate(chain):
+            most = 0.5 if finger == "thumb" else (1.3, 1.5, 0.9)[i]
+            bend = most * (0.5 + 0.5 * np.sin(2 * np.pi * (t + rng.uniform())))
+            hand_pose[:, joint - 1, 2] = sign * bend
+            if i == 0:
+                hand_pose[:, joint - 1, 1] = rng.uniform(-0.25, 0.25)
+                hand_pose[:, joint - 1, 0] = rng.uniform(-0.1, 0.1)
+    hand_pose = hand_pose.reshape(count, 45)
+    transl = np.stack([0.08 * np.sin(5 * t) * sign, 0.05 * np.cos(4 * t), 0.5 + 0.2 * t], axis=-1)
+    betas = rng.normal(size=10)
+    posed = hand.posed(betas, global_orient, hand_pose, transl)
+    keypoints = intrinsics.project(posed.keypoints)
+    noise = rng.normal(scale=0.7, size=keypoints.shape)
+
+    detected = np.ones(count, dtype=bool)
+    if count > UNSEEN:
+        detected[UNSEEN] = False
+    nan = np.where(detected, 1.0, np.nan)
+    track = HandTrack(
+        side=side,
+        betas=betas,
+        global_orient=global_orient * nan[:, None],
+        hand_pose=hand_pose * nan[:, None],
+        transl=transl * nan[:, None],
+        joints_3d=posed.keypoints * nan[:, None, None],
+        keypoints_2d=(keypoints + noise) * nan[:, None, None],
+        reprojection_error=np.linalg.norm(noise, axis=-1).mean(axis=-1) * nan,
+        detected=detected,
+        score=np.full(count, 0.9) * nan,
+    )
+    return track, posed
+
+
+def world(points: np.ndarray) -> np.ndarray:
+    """Camera frame to Blender's world, written out: the capture camera looks along +Y, up is +Z."""
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def evaluated_vertices(obj) -> np.ndarray:
+    """(V, 3) world positions after shape keys and modifiers, at the scene's current frame."""
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    mesh = evaluated.to_mesh()
+    points = np.empty((len(mesh.vertices), 3), dtype=np.float32)
+    mesh.vertices.foreach_get("co", points.ravel())
+    evaluated.to_mesh_clear()
+    matrix = np.array(evaluated.matrix_world)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def joint_heads(armature, side: Side) -> np.ndarray:
+    """(16, 3) world positions of the bones' heads, at the scene's current frame."""
+    from blender_manient.scene.armature import bone_names
+
+    armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    heads = [armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)]
+    return np.array(heads)

@@ -1,0 +1,270 @@
+"""scripts/batch_fit.py as its users run it: a process of its own, under the bpy wheel and in real Blender."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy", reason="needs one of the bpy wheels")
+
+from handfit_core.camera import Intrinsics
+from handfit_core.hand_model import load_model
+from handfit_core.take import HandTrack, Source, Take
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / "scripts" / "batch_fit.py"
+SAMPLES = Path(os.environ.get("HANDFIT_SAMPLES", ROOT.parent / "shared" / "samples"))
+CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
+TIMEOUT = 600
+
+
+def can_capture() -> bool:
+    """Whether the Python that captures has what it needs."""
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    code = "import torch, cv2, mediapipe, scipy"
+    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+needs_capture = pytest.mark.skipif(
+    not SAMPLES.is_dir() or not can_capture(), reason="needs the samples, torch, OpenCV and MediaPipe"
+)
+
+
+@pytest.fixture(params=["wheel", "blender"])
+def batch(request, tmp_path):
+    """batch(*arguments) -> CompletedProcess, run in a folder of its own."""
+    if request.param == "wheel":
+        command = [sys.executable, str(SCRIPT)]
+    elif CHROOT:
+        wrapper = str(ROOT / "scripts" / "chroot_blender.sh")
+        command = [wrapper, CHROOT, "blender", "-b", "-P", str(SCRIPT), "--"]
+    else:
+        pytest.skip("HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it")
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+        bind = ":".join(filter(None, [str(tmp_path), os.environ.get("CHROOT_BIND")]))
+        return subprocess.run(
+            [*command, *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "CHROOT_BIND": bind, "HANDFIT_PYTHON": python},
+            timeout=TIMEOUT,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def take_file(tmp_path):
+    """take_file(name, frames) -> path of a saved take of a right hand."""
+
+    def make(name: str = "wave", frames: int = 5) -> Path:
+        hand = load_model("open-hand", "right")
+        t = np.linspace(0, 1, frames)
+        orient = np.stack([0.3 + t, t * 0, t], -1)
+        pose = np.tile(np.tile([0.0, 0.0, 0.4], 15), (frames, 1)) * t[:, None]
+        transl = np.tile([0.0, 0.0, 0.6], (frames, 1))
+        camera = Intrinsics.assumed(320, 240)
+        posed = hand.posed(None, orient, pose, transl)
+        track = HandTrack(
+            side="right",
+            betas=np.zeros(10),
+            global_orient=orient,
+            hand_pose=pose,
+            transl=transl,
+            joints_3d=posed.keypoints,
+            keypoints_2d=camera.project(posed.keypoints),
+            reprojection_error=np.zeros(frames),
+            detected=np.ones(frames, dtype=bool),
+            score=np.ones(frames),
+        )
+        take = Take(
+            source=Source("photo", (str(tmp_path / "gone.png"),)),
+            fps=25.0,
+            frame_numbers=np.arange(1, frames + 1),
+            width=320,
+            height=240,
+            intrinsics=camera,
+            solver="test",
+            model="open-hand",
+            model_digests={"right": hand.digest},
+            hands=(track,),
+        )
+        return take.save(tmp_path / f"{name}.take.npz")
+
+    return make
+
+
+def report(folder: Path) -> list[dict]:
+    content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert (content["format"], content["version"]) == ("handfit-batch", 1)
+    return content["inputs"]
+
+
+def lines(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.startswith("[")]
+
+
+def read_back(path: Path) -> dict:
+    """What a fresh Blender finds in a result file."""
+    operators = {
+        ".blend": "wm.open_mainfile",
+        ".glb": "import_scene.gltf",
+        ".fbx": "import_scene.fbx",
+        ".bvh": "import_anim.bvh",
+    }
+    code = (
+        "import bpy, json, sys\n"
+        "bpy.ops.wm.read_factory_settings(use_empty=True)\n"
+        f"bpy.ops.{operators[path.suffix]}(filepath=sys.argv[1])\n"
+        "rigs = [o for o in bpy.data.objects if o.type == 'ARMATURE']\n"
+        "print('FOUND', json.dumps({'rigs': len(rigs), 'bones': sorted(len(r.data.bones) for r in rigs),\n"
+        " 'animated': all(r.animation_data and r.animation_data.action for r in rigs),\n"
+        " 'frames': [bpy.context.scene.frame_start, bpy.context.scene.frame_end],\n"
+        " 'pictures': [bpy.path.abspath(i.filepath) for i in bpy.data.images if i.filepath]}))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True, timeout=TIMEOUT
+    )
+    return json.loads(next(x for x in done.stdout.splitlines() if x.startswith("FOUND"))[6:])
+
+
+def test_takes_become_files(batch, take_file, tmp_path):
+    take = take_file()
+    out = tmp_path / "out"
+    done = batch(take, "--output", out, "--format", "blend,glb,fbx,bvh", "--preview")
+    assert done.returncode == 0, done.stderr
+    assert len(lines(done.stdout)) == 1
+    (entry,) = report(out)
+    assert entry["status"] == "ok"
+    assert entry["frames"] == 5
+    assert entry["detected"] == {"right": 5}
+    assert "gone.png" in entry["warnings"][0]
+    assert sorted(entry["files"]) == sorted(
+        f"wave/wave{s}" for s in (".take.npz", ".blend", ".glb", ".fbx", ".bvh", ".preview.png")
+    )
+    assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == sorted(
+        ["report.json", *entry["files"]]
+    )
+    for suffix in (".glb", ".fbx", ".bvh"):
+        found = read_back(out / "wave" / f"wave{suffix}")
+        assert (found["rigs"], found["bones"], found["animated"]) == (1, [16], True), suffix
+
+
+def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path):
+    (tmp_path / "text.jpg").write_text("these are words")
+    (tmp_path / "empty.mp4").touch()
+    (tmp_path / "empty folder").mkdir()
+    (tmp_path / "damaged.npz").write_bytes(b"PK\x03\x04 and no more")
+    bad = ("nowhere.jpg", "empty.mp4", "empty folder", "damaged.npz", "nothing.*.png")
+    out = tmp_path / "out"
+    done = batch(*bad, take_file(), "-o", out, "--format", "glb")
+    assert done.returncode == 1
+    entries = report(out)
+    assert [e["status"] for e in entries] == ["failed"] * len(bad) + ["ok"]
+    assert all(e["error"] and "Traceback" not in e["error"] for e in entries[:-1])
+    assert "Traceback" not in done.stdout + done.stderr
+    assert len(lines(done.stdout)) == len(entries)
+    assert sorted(p.name for p in out.iterdir()) == ["report.json", "wave"]
+
+
+def test_unknown_format_is_refused_before_any_work(batch, take_file, tmp_path):
+    done = batch(take_file(), "-o", tmp_path / "out", "--format", "blend,obj")
+    assert done.returncode == 2
+    assert "'obj'" in done.stderr
+    assert "glb" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_unwritable_output_is_one_sentence(batch, take_file, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    done = batch(take_file(), "-o", tmp_path / "file" / "out")
+    assert done.returncode == 2
+    assert "cannot write here" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_equal_names_get_numbers(batch, take_file, tmp_path):
+    first = take_file()
+    (tmp_path / "other").mkdir()
+    second = Path(shutil.copy(first, tmp_path / "other" / "WAVE.take.npz"))
+    out = tmp_path / "out"
+    assert batch(first, second, "-o", out, "--format", "bvh").returncode == 0
+    assert [e["name"] for e in report(out)] == ["wave", "WAVE-2"]
+    assert batch(first, "-o", out, "--format", "bvh").returncode == 0
+    assert [e["name"] for e in report(out)] == ["wave-3"]
+    assert batch(first, "-o", out, "--format", "bvh", "--overwrite").returncode == 0
+    assert [e["name"] for e in report(out)] == ["wave"]
+
+
+def test_a_python_that_cannot_capture_is_named(batch, tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff")
+    done = batch("a.jpg", "-o", tmp_path / "out", "--python", tmp_path / "no-python")
+    assert done.returncode == 1
+    (entry,) = report(tmp_path / "out")
+    assert "no-python" in entry["error"]
+    assert "--python" in entry["error"]
+
+
+@needs_capture
+def test_photos_and_videos(batch, tmp_path):
+    photos = sorted(p for p in (SAMPLES / "photos").iterdir() if p.suffix in (".jpg", ".png"))
+    videos = sorted((SAMPLES / "videos").glob("*.mp4"))
+    (tmp_path / "text.jpg").write_text("these are words")
+    no_hand = tmp_path / "no_hand.png"
+    subprocess.run(
+        [
+            os.environ.get("HANDFIT_PYTHON", sys.executable),
+            "-c",
+            "import cv2, sys, numpy as np; cv2.imwrite(sys.argv[1], np.full((240, 320, 3), 90, np.uint8))",
+            str(no_hand),
+        ],
+        check=True,
+    )
+    out = tmp_path / "out"
+    done = batch(*photos, *videos, "text.jpg", no_hand, "-o", out, "--frames", "1-30")
+    assert done.returncode == 1
+    entries = {e["name"]: e for e in report(out)}
+    assert entries["text"]["status"] == "failed"
+    assert entries["no_hand"]["status"] == "failed"
+    assert "hand" in entries["no_hand"]["error"]
+    for source in (*photos, *videos):
+        entry = entries[source.stem]
+        assert entry["status"] == "ok", entry["error"]
+        assert entry["frames"] == (30 if source in videos else 1)
+        assert max(entry["detected"].values()) >= 1
+        assert set(entry["mean_reprojection_error_px"]) == set(entry["sides"])
+        for suffix in (".blend", ".glb"):
+            found = read_back(out / source.stem / f"{source.stem}{suffix}")
+            assert found["rigs"] == len(entry["sides"])
+            assert found["animated"]
+            if suffix == ".blend":
+                assert found["frames"] == [1, entry["frames"]]
+                assert [Path(p).resolve() for p in found["pictures"]] == [source.resolve()]
+
+
+@needs_capture
+def test_a_folder_of_numbered_pictures_is_one_sequence(batch, tmp_path):
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    photo = SAMPLES / "photos" / "thumb_up.jpg"
+    for number in (7, 8, 10):
+        shutil.copy(photo, folder / f"shot.{number:03d}.jpg")
+    done = batch(folder, "-o", tmp_path / "out", "--format", "blend")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (entry,) = report(tmp_path / "out")
+    assert (entry["name"], entry["frames"]) == ("shots", 3)
+    assert read_back(tmp_path / "out" / "shots" / "shots.blend")["frames"] == [7, 10]
+    done = batch(folder, "-o", tmp_path / "out2", "--format", "bvh", "--separate")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [e["name"] for e in report(tmp_path / "out2")] == ["shot.007", "shot.008", "shot.010"]
