@@ -20,22 +20,23 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from handfit_core.errors import HandfitError, InputError, OptionError  # noqa: E402
-from handfit_core.files import written_whole  # noqa: E402
-from handfit_core.frame_range import FrameRange  # noqa: E402
-from handfit_core.media import (  # noqa: E402
+from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.files import written_whole
+from handfit_core.frame_range import FrameRange
+from handfit_core.media import (
     PHOTO_SUFFIXES,
     VIDEO_SUFFIXES,
     is_pattern,
     pictures_in,
     sequence_numbers,
 )
-from handfit_core.take import Take  # noqa: E402
+from handfit_core.take import Take
 
 EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 TAKE_SUFFIX = ".take.npz"
@@ -63,19 +64,17 @@ class Result:
     """pending, ok, failed or interrupted"""
     seconds: float = 0.0
     frames: int = 0
-    sides: list[str] = field(default_factory=list)
-    detected: dict[str, int] = field(default_factory=dict)
-    """side -> frames in which that hand was found"""
-    mean_reprojection_error_px: dict[str, float] = field(default_factory=dict)
+    hands: list[dict[str, Any]] = field(default_factory=list)
+    """per hand its side, the frames in which it was detected, and mean_reprojection_error_px"""
     files: list[str] = field(default_factory=list)
     """relative to the report's folder"""
     warnings: list[str] = field(default_factory=list)
     error: str = ""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the batch; returns the exit code."""
-    args = parse_arguments(argv)
+def main(argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()) -> int:
+    """Run the batch; returns the exit code. `default_inputs` are used where none are given."""
+    args = parse_arguments(argv, default_inputs)
     with contextlib.suppress(ValueError):  # not in the main thread
         # Blender keeps Ctrl-C to itself in the background; farms end jobs with SIGTERM.
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -85,7 +84,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.frames:
             FrameRange.parse(args.frames)
         jobs = with_free_names(
-            [job for text in args.inputs for job in expand(text, args.grouping)], args.output, args.overwrite
+            [job for text in args.inputs for job in expand(text, args.grouping)],
+            args.output,
+            # In a flat folder names only need to differ from each other: results replace older ones.
+            args.overwrite or args.flat,
         )
         return _run(jobs, formats, args)
     except HandfitError as error:
@@ -97,7 +99,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, args.debug, EXIT_SOME_FAILED)
 
 
-def parse_arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
+def parse_arguments(
+    argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()
+) -> argparse.Namespace:
     """The command line: what follows `--` under Blender, everything under Python."""
     if argv is None:
         argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
@@ -106,7 +110,8 @@ def parse_arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument(
         "inputs",
-        nargs="+",
+        nargs="*" if default_inputs else "+",
+        default=default_inputs,
         metavar="INPUT",
         help="photo, video, folder of either, name.%%04d.png or glob pattern, or a take (.npz)",
     )
@@ -140,6 +145,9 @@ def parse_arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--no-picture", action="store_true", help="no picture behind the hands in the .blend")
     parser.add_argument("--no-correctives", action="store_true", help="no corrective shape keys (MANO)")
     parser.add_argument("--overwrite", action="store_true", help="write into result folders that exist")
+    parser.add_argument(
+        "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
+    )
     parser.add_argument("--debug", action="store_true", help="show tracebacks and Blender's own messages")
     return parser.parse_args(argv)
 
@@ -242,8 +250,9 @@ def _run(jobs: list[Job], formats: list[str], args: argparse.Namespace) -> int:
                 traceback.print_exc()
         finally:
             result.seconds = round(time.perf_counter() - started, 3)
-            with contextlib.suppress(OSError):
-                (args.output / job.name).rmdir()  # only if nothing was written
+            if not args.flat:
+                with contextlib.suppress(OSError):
+                    (args.output / job.name).rmdir()  # only if nothing was written
             _write_report(report, results)
             print(f"[{number}/{len(jobs)}] {_line(result)}", flush=True)
     return EXIT_OK if all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
@@ -253,7 +262,7 @@ def _fit_one(job: Job, result: Result, formats: list[str], args: argparse.Namesp
     """Capture, build, export: fills in `result` as it goes."""
     if job.error:
         raise InputError(job.error)
-    folder = args.output / job.name
+    folder = args.output if args.flat else args.output / job.name
     take_path = folder / f"{job.name}{TAKE_SUFFIX}"
     if job.take is None:
         _capture(job, take_path, result, args)
@@ -322,11 +331,14 @@ def _capture(job: Job, take_path: Path, result: Result, args: argparse.Namespace
 def _describe(take: Take, result: Result) -> None:
     result.frames = len(take.frame_numbers)
     for track in take.hands:
-        result.sides.append(track.side)
-        result.detected[track.side] = int(track.detected.sum())
         error = track.reprojection_error[track.detected]
-        if len(error):
-            result.mean_reprojection_error_px[track.side] = round(float(error.mean()), 3)
+        result.hands.append(
+            {
+                "side": track.side,
+                "detected": int(track.detected.sum()),
+                "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
+            }
+        )
 
 
 def _write_report(path: Path, results: list[Result]) -> None:
@@ -341,9 +353,9 @@ def _line(result: Result) -> str:
         named = "" if result.error.startswith(result.input) else f"{result.input}: "
         return f"{result.status}: {named}{result.error}"
     hands = ", ".join(
-        f"{side} hand in {result.detected[side]} of {result.frames} frames"
-        + (f" ({result.mean_reprojection_error_px[side]:.1f} px)" if result.detected[side] else "")
-        for side in result.sides
+        f"{hand['side']} hand in {hand['detected']} of {result.frames} frames"
+        + (f" ({hand['mean_reprojection_error_px']:.1f} px)" if hand["detected"] else "")
+        for hand in result.hands
     )
     warnings = f", {len(result.warnings)} warnings" if result.warnings else ""
     return f"ok: {result.input}: {hands}{warnings}, {result.seconds:.1f} s"

@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-import numpy as np  # noqa: E402
+import numpy as np
 
-from handfit_core.errors import HandfitError, InputError  # noqa: E402
-from handfit_core.take import Take  # noqa: E402
+from handfit_core.errors import HandfitError, InputError
+from handfit_core.take import Take
 
 _GAP = 4
 """pixels between cells"""

@@ -3,8 +3,8 @@
 
     python scripts/demo.py [INPUT ...] [options of batch_fit.py]
 
-Writes to out/demo/: .blend, .glb, .fbx, the take and preview.png (of one input; of several, one preview
-each).
+Writes to out/demo/: .blend, .glb, .fbx, the take and preview.png (one preview per input, if there are
+several).
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ OUTPUT = ROOT / "out" / "demo"
 
 def main() -> int:
     """Run the demo; returns the exit code."""
-    defaults = ["--format", "blend,glb,fbx", "--preview", "--flat", "--output", str(OUTPUT)]
     # Before the user's own arguments, so that those win.
-    arguments = [*defaults, *sys.argv[1:]]
-    if not batch_fit.parse_arguments(arguments, inputs_required=False).inputs:
-        arguments.append(str(SAMPLE))
-    code = batch_fit.main(arguments)
-    if code == 0:
-        folder = batch_fit.parse_arguments(arguments).output
-        for path in sorted(folder.iterdir()):
+    arguments = ["--format", "blend,glb,fbx", "--preview", "--flat", "--output", str(OUTPUT), *sys.argv[1:]]
+    args = batch_fit.parse_arguments(arguments, [str(SAMPLE)])
+    code = batch_fit.main(arguments, [str(SAMPLE)])
+    if args.output.is_dir():
+        previews = list(args.output.glob("*.preview.png"))
+        if len(previews) == 1:
+            previews[0].replace(args.output / "preview.png")
+        for path in sorted(p for p in args.output.iterdir() if p.is_file()):
             print(f"  {path}")
     return code
 

@@ -22,9 +22,10 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from handfit_core.align import align
+from handfit_core.camera import Intrinsics
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.errors import HandfitError, InputError
-from handfit_core.hand_model import load_model
+from handfit_core.hand_model import HandModel, load_model
 from handfit_core.keypoints import HandDetection
 from handfit_core.media import read_picture
 from handfit_core.solvers import PAPER_SOLVERS, solver_names
@@ -64,7 +65,8 @@ def measure(folder: Path, solvers: list[str], every: int) -> str:
     detected = 0
     with MediaPipeHands(max_hands=1) as detector:
         for number, sample in enumerate(samples, 1):
-            found = detector.detect(read_picture(folder / sample["file"])[0])
+            picture = read_picture(folder / sample["file"])[0]
+            found = detector.detect(picture)
             print(f"\r{number}/{len(samples)}", end="", file=sys.stderr, flush=True)
             if not found:
                 continue
@@ -74,7 +76,8 @@ def measure(folder: Path, solvers: list[str], every: int) -> str:
             errors["world landmarks"].append(pa_mpjpe(found[0].world, truth))
             for name in solvers:
                 started = time.perf_counter()
-                points = fitted(fitters[name, sample["hand"]], models[sample["hand"]], found[0])
+                camera = Intrinsics.assumed(picture.shape[1], picture.shape[0])
+                points = fitted(fitters[name, sample["hand"]], models[sample["hand"]], found[0], camera)
                 seconds[name].append(time.perf_counter() - started)
                 errors[name].append(pa_mpjpe(points, truth))
     print(file=sys.stderr)
@@ -90,10 +93,11 @@ def measure(folder: Path, solvers: list[str], every: int) -> str:
     return "\n".join(lines)
 
 
-def fitted(fitter: PaperFitter, model, detection: HandDetection) -> np.ndarray:
-    """The fitted hand's 21 keypoints, up to a similarity transform."""
+def fitted(fitter: PaperFitter, model: HandModel, detection: HandDetection, camera: Intrinsics) -> np.ndarray:
+    """The fitted hand's 21 keypoints (21, 3) in metres, placed before an assumed camera."""
     fit = fitter.fit(detection.keypoints)
-    return model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
+    hand = fitter.place(fit, detection.keypoints, camera, fit_shape=True)
+    return model.keypoints(hand.betas, hand.global_orient, hand.hand_pose, hand.transl)
 
 
 def pa_mpjpe(points: np.ndarray, truth: np.ndarray) -> float:

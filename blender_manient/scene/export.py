@@ -35,8 +35,9 @@ def export_take(built: BuiltTake, take: Take, folder: Path, name: str, fmt: str)
     """Write one format into `folder` and return the files written, each whole or not at all.
 
     The files are `name.<suffix>`; formats that hold one skeleton (BVH) get one file per hand, with
-    `_left` and `_right` where there are two. Frame numbers are kept. The rest of the open Blender
-    file is neither written nor changed. Raises OptionError and OutputError.
+    `_left` and `_right` where there are two (`_left` and `_left2` for two left hands). Frame numbers
+    are kept. The rest of the open Blender file is neither written nor changed. Raises OptionError and
+    OutputError.
     """
     chosen = find_format(fmt)
     if not available(chosen):
@@ -49,8 +50,11 @@ def export_take(built: BuiltTake, take: Take, folder: Path, name: str, fmt: str)
     files = []
     for hand in built.hands:
         side = f"_{hand.side}" if len(built.hands) > 1 else ""
+        path = folder / f"{name}{side}{chosen.suffix}"
+        if path in files:
+            path = folder / f"{name}{side}2{chosen.suffix}"
         only = BuiltTake(built.collection, built.camera, (hand,), built.warnings)
-        files.append(_write_one(chosen, only, take, folder / f"{name}{side}{chosen.suffix}"))
+        files.append(_write_one(chosen, only, take, path))
     return files
 
 

@@ -31,6 +31,8 @@ LONGEST_SIDE = 1200
 _SAMPLES = 16
 _OPACITY = 0.85
 """How much of the hand covers the picture; the rest lets its outline be compared"""
+_CLAY = (0.12, 0.42, 0.62, 1.0)
+"""The hands' colour in previews: nothing in a photo of a hand has it, so that the two stay apart"""
 _MISSING = (0.18, 0.18, 0.18)
 """Shown where the picture file is gone"""
 
@@ -120,23 +122,28 @@ def spread_frames(take: Take, count: int) -> list[int]:
 def _render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.ndarray:
     """The hands that were found in that frame over nothing: rows (H, W, 4), straight alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
-    found = {track.side for track in take.hands if bool(track.detected[row])}
     with _scene(take, scale) as scene:
         lights = [_sun(*sun) for sun in _SUNS]
+        clay = bpy.data.materials.new("preview clay")
+        if bpy.app.version < (5, 0, 0):
+            clay.use_nodes = True
+        clay.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
         try:
             for light in lights:
                 scene.collection.objects.link(light)
-            for hand in built.hands:
-                if hand.side in found:
+            for hand, track in zip(built.hands, take.hands, strict=True):
+                if track.detected[row]:
                     scene.collection.objects.link(hand.armature)
                     scene.collection.objects.link(hand.mesh)
             scene.camera = built.camera
+            scene.view_layers[0].material_override = clay
             scene.render.film_transparent = True
             scene.cycles.samples = _SAMPLES
             scene.cycles.max_bounces = 2
             return _render(scene, frame)
         finally:
             _remove_with_data(*lights)
+            bpy.data.materials.remove(clay)
 
 
 @contextlib.contextmanager

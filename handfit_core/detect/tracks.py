@@ -103,7 +103,7 @@ def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list
         sides: list[Side] = [first.side, second.side]
         wrong = int(np.argmin(doubt))
         sides[wrong] = other_side(sides[wrong])
-        return list(zip((first, second), sides, strict=True))
+        return [(first, sides[0]), (second, sides[1])]
     return [(t, t.side) for t in tracks if t.side == hands][:1]
 
 

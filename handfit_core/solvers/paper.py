@@ -10,7 +10,7 @@ alignment is inverted, which yields the hand in the picture without any camera.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.keypoints import DetectedTrack
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
-from handfit_core.solvers.placement import place, turn_to_ray
+from handfit_core.solvers.placement import PlacedHand, place, turn_to_ray
 from handfit_core.solvers.result import OnFrame, TrackFit
 
 MM = 1000.0
@@ -54,6 +54,8 @@ class PaperOptions:
     """pull towards a relaxed hand where the keypoints do not say; not in the paper"""
     warm_start: bool = False
     """start from the frame before, not from the flat hand; not in the paper"""
+    camera_stage: bool = False
+    """a last stage through the camera (`through_camera`); needs the prior; not in the paper"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +190,28 @@ class PaperFitter:
             message=str(result.message),
         )
 
+    def place(
+        self, fit: FrameFit, keypoints: np.ndarray, intrinsics: Intrinsics, *, fit_shape: bool
+    ) -> PlacedHand:
+        """Place a fitted hand before a camera, where it meets (21, 3) keypoints in pixels best.
+
+        With `camera_stage`, pose (and shape, if `fit_shape`) are refined there.
+        """
+        pixels = keypoints[:, :2]
+        towards = turn_to_ray(intrinsics, pixels.mean(axis=0))
+        orient = rotmat_to_rotvec(towards @ rotvec_to_rotmat(fit.root_rotation))
+        points = self._layer.model.keypoints(fit.betas, orient, fit.hand_pose, np.zeros(3))
+        placed = PlacedHand(fit.betas, orient, fit.hand_pose, place(points, pixels, intrinsics))
+        if not self._options.camera_stage:
+            return placed
+        from handfit_core.solvers.through_camera import refine
+
+        assert self._prior is not None, "the camera stage works on the prior's variables"
+        with _one_thread():
+            return refine(
+                self._layer, self._prior, self._loss, keypoints, intrinsics, placed, fit_shape=fit_shape
+            )
+
     def _first_variables(self, start: FrameFit | None, *, with_shape: bool) -> np.ndarray:
         orient, pose, betas = np.zeros(3), np.zeros(45), np.zeros(NUM_BETAS)
         if start is not None:
@@ -220,6 +244,12 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def _shape_of_clip(fitter: PaperFitter, keypoints: Sequence[np.ndarray]) -> np.ndarray:
+    """The median shape (10,) of a few evenly spread frames."""
+    spread = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
+    return np.median([fitter.fit(keypoints[i]).betas for i in spread], axis=0)
+
+
 def fit_track(
     options: PaperOptions,
     model: HandModel,
@@ -234,38 +264,26 @@ def fit_track(
     """
     fitter = PaperFitter(model, options)
     found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
-    fits: dict[int, FrameFit] = {}
-    betas: np.ndarray | None = None
-    if len(found) > 1:
-        spread = np.linspace(0, len(found) - 1, min(SHAPE_FRAMES, len(found))).round().astype(int)
-        frames = list(found)
-        betas = np.median([fitter.fit(found[frames[i]]).betas for i in spread], axis=0)
+    shape = _shape_of_clip(fitter, list(found.values())) if len(found) > 1 else None
+    fit_shape = shape is None
+    count = len(track.detections)
+    global_orient, hand_pose = np.full((count, 3), np.nan), np.full((count, 45), np.nan)
+    transl, converged = np.full((count, 3), np.nan), np.zeros(count, dtype=bool)
     previous: FrameFit | None = None
     for index, keypoints in found.items():
         start = previous if options.warm_start else None
-        previous = fits[index] = fitter.fit(keypoints, betas=betas, start=start)
+        fit = previous = fitter.fit(keypoints, betas=shape, start=start)
+        placed = fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape)
+        if fit_shape:
+            shape = placed.betas
+        global_orient[index], hand_pose[index] = placed.global_orient, placed.hand_pose
+        transl[index], converged[index] = placed.transl, fit.converged
         on_frame()
-    return _placed(model, track, fits, intrinsics)
-
-
-def _placed(
-    model: HandModel, track: DetectedTrack, fits: dict[int, FrameFit], intrinsics: Intrinsics
-) -> TrackFit:
-    count = len(track.detections)
-    betas = next(iter(fits.values())).betas
-    global_orient = np.full((count, 3), np.nan)
-    hand_pose = np.full((count, 45), np.nan)
-    transl = np.full((count, 3), np.nan)
-    converged = np.zeros(count, dtype=bool)
-    for index, fit in fits.items():
-        detection = track.detections[index]
-        assert detection is not None
-        pixels = detection.keypoints_2d
-        towards = turn_to_ray(intrinsics, pixels.mean(axis=0))
-        orient = rotmat_to_rotvec(towards @ rotvec_to_rotmat(fit.root_rotation))
-        points = model.posed(betas, orient, fit.hand_pose, np.zeros(3)).keypoints
-        global_orient[index] = orient
-        hand_pose[index] = fit.hand_pose
-        transl[index] = place(points, pixels, intrinsics)
-        converged[index] = fit.converged
-    return TrackFit(betas, global_orient, hand_pose, transl, converged)
+    assert shape is not None, "a track has at least one detection"
+    return TrackFit(
+        betas=shape,
+        global_orient=global_orient,
+        hand_pose=hand_pose,
+        transl=transl,
+        converged=converged,
+    )

@@ -23,7 +23,9 @@ def rotmats_of(angles: np.ndarray, axes: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_axes_are_rotations_with_the_stated_directions(side: Side) -> None:
     axes = anatomical_axes(load_model(None, side))
-    np.testing.assert_allclose(axes @ np.swapaxes(axes, -1, -2), np.broadcast_to(np.eye(3), (15, 3, 3)), atol=1e-12)
+    np.testing.assert_allclose(
+        axes @ np.swapaxes(axes, -1, -2), np.broadcast_to(np.eye(3), (15, 3, 3)), atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.det(axes), 1.0)
     sign = 1.0 if side == "right" else -1.0
     fingers = axes[:12]

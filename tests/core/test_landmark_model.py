@@ -16,9 +16,9 @@ def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_missing_file_says_what_to_do(empty_cache: Path) -> None:
-    with pytest.raises(LandmarkModelError, match="fetch_landmark_model.py"):
+    with pytest.raises(LandmarkModelError, match=r"fetch_landmark_model.py"):
         landmark_model.landmark_model_path()
-    with pytest.raises(LandmarkModelError, match="no such landmark model"):
+    with pytest.raises(LandmarkModelError, match=r"no such landmark model"):
         landmark_model.landmark_model_path(empty_cache / "x.task")
 
 

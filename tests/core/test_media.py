@@ -115,7 +115,7 @@ def test_video(video: Path) -> None:
     levels = [float(f.rgb.mean()) for f in frames if f.rgb is not None]
     np.testing.assert_allclose(levels, [20 * i for i in range(12)], atol=4)
     assert numbers(video, "3-8:2") == [3, 5, 7]
-    picked = [f for f in open_media(video, FrameRange.parse("7")).frames()]
+    picked = list(open_media(video, FrameRange.parse("7")).frames())
     assert picked[0].rgb is not None
     assert float(picked[0].rgb.mean()) == pytest.approx(120, abs=4)
 

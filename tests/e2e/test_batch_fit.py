@@ -148,7 +148,7 @@ def test_takes_become_files(batch, take_file, tmp_path):
     (entry,) = report(out)
     assert entry["status"] == "ok"
     assert entry["frames"] == 5
-    assert entry["detected"] == {"right": 5}
+    assert [(h["side"], h["detected"]) for h in entry["hands"]] == [("right", 5)]
     assert "gone.png" in entry["warnings"][0]
     assert sorted(entry["files"]) == sorted(
         f"wave/wave{s}" for s in (".take.npz", ".blend", ".glb", ".fbx", ".bvh", ".preview.png")
@@ -242,11 +242,11 @@ def test_photos_and_videos(batch, tmp_path):
         entry = entries[source.stem]
         assert entry["status"] == "ok", entry["error"]
         assert entry["frames"] == (30 if source in videos else 1)
-        assert max(entry["detected"].values()) >= 1
-        assert set(entry["mean_reprojection_error_px"]) == set(entry["sides"])
+        assert max(hand["detected"] for hand in entry["hands"]) >= 1
+        assert all(hand["mean_reprojection_error_px"] > 0 for hand in entry["hands"])
         for suffix in (".blend", ".glb"):
             found = read_back(out / source.stem / f"{source.stem}{suffix}")
-            assert found["rigs"] == len(entry["sides"])
+            assert found["rigs"] == len(entry["hands"])
             assert found["animated"]
             if suffix == ".blend":
                 assert found["frames"] == [1, entry["frames"]]
