@@ -99,16 +99,16 @@ def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list
         if first.side != second.side:
             return [(first, first.side), (second, second.side)]
         # Named alike: the one whose side is less sure is the other hand.
-        doubt = [t.side_votes[t.side] / t.weight * max(_mean_score(t), 1e-9) for t in (first, second)]
-        sides: list[Side] = [first.side, second.side]
-        wrong = int(np.argmin(doubt))
-        sides[wrong] = other_side(sides[wrong])
-        return [(first, sides[0]), (second, sides[1])]
-    return [(t, t.side) for t in tracks if t.side == hands][:1]
+        if _sureness(first) < _sureness(second):
+            return [(first, other_side(first.side)), (second, second.side)]
+        return [(first, first.side), (second, other_side(second.side))]
+    of_side: list[tuple[_OpenTrack, Side]] = [(t, t.side) for t in tracks if t.side == hands]
+    return of_side[:1]
 
 
-def _mean_score(track: _OpenTrack) -> float:
-    return track.weight / len(track.detections)
+def _sureness(track: _OpenTrack) -> float:
+    """Mean confidence of the detections that agree with the track's side."""
+    return track.side_votes[track.side] / len(track.detections)
 
 
 def _without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:

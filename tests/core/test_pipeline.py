@@ -1,0 +1,154 @@
+"""The whole core on the bundled sample, against the pose that was rendered; and on real photos."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import handfit_core
+from handfit_core import Intrinsics, Progress, Take, capture
+from handfit_core.align import align
+from handfit_core.errors import HandModelError, NoHandFoundError, OptionError
+from handfit_core.frame_range import FrameRange
+from handfit_core.hand_model import load_model, save_model_npz
+from tests.conftest import ROOT
+
+SAMPLE = ROOT / "samples" / "rendered_hand"
+PATTERN = str(SAMPLE / "hand.%04d.jpg")
+
+
+@pytest.fixture(scope="module")
+def truth() -> Take:
+    return Take.load(SAMPLE / "truth.take.npz")
+
+
+@pytest.fixture(scope="module")
+def progress() -> list[Progress]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def take(truth: Take, progress: list[Progress]) -> Take:
+    return capture(
+        PATTERN, progress=progress.append, frames=FrameRange.parse("1-24:4"), intrinsics=truth.intrinsics
+    )
+
+
+def test_take_describes_its_source(take: Take) -> None:
+    assert take.source.kind == "sequence"
+    assert take.source.name == "hand"
+    assert [Path(f).name for f in take.source.files] == [f"hand.{n:04d}.jpg" for n in range(1, 25, 4)]
+    np.testing.assert_array_equal(take.frame_numbers, range(1, 25, 4))
+    assert (take.width, take.height, take.fps) == (640, 480, 24.0)
+    assert take.solver == "paper-a-plus"
+    assert take.model == "open-hand"
+    assert take.model_digests == {"right": load_model(None, "right").digest}
+
+
+def test_finds_the_hand_that_was_rendered(take: Take, truth: Take) -> None:
+    (hand,) = take.hands
+    assert hand.side == "right"
+    assert hand.detected.all()
+    expected = truth.hands[0]
+    rows = np.asarray(take.frame_numbers) - 1
+    joints = expected.joints_3d[rows]
+    aligned = [align(a, b, with_scale=True).apply(a) for a, b in zip(hand.joints_3d, joints, strict=True)]
+    assert np.linalg.norm(np.array(aligned) - joints, axis=-1).mean() < 0.012  # metres, similarity-aligned
+    pixels = np.linalg.norm(take.intrinsics.project(hand.joints_3d) - expected.keypoints_2d[rows], axis=-1)
+    assert pixels.mean() < 12.0
+    # Nobody sees a hand's size in a picture, but an adult's hand is no further off than this.
+    depth = hand.joints_3d[:, 0, 2] / joints[:, 0, 2]
+    assert np.all((depth > 0.7) & (depth < 1.4))
+
+
+def test_take_is_consistent(take: Take) -> None:
+    (hand,) = take.hands
+    model = load_model(None, "right")
+    joints = model.posed(hand.betas, hand.global_orient, hand.hand_pose, hand.transl).keypoints
+    np.testing.assert_allclose(hand.joints_3d, joints, atol=1e-9)
+    errors = np.linalg.norm(take.intrinsics.project(joints) - hand.keypoints_2d, axis=-1).mean(axis=-1)
+    np.testing.assert_allclose(hand.reprojection_error, errors)
+    assert np.all(hand.score > 0.5)
+
+
+def test_progress_counts_every_frame(take: Take, progress: list[Progress]) -> None:
+    detect = [p for p in progress if p.stage == "detect"]
+    fit = [p for p in progress if p.stage == "fit"]
+    assert [(p.done, p.total) for p in detect] == [(i, 6) for i in range(1, 7)]
+    assert [(p.done, p.total) for p in fit] == [(i, 6) for i in range(1, 7)]
+    assert progress == detect + fit
+
+
+def test_progress_can_stop_the_capture() -> None:
+    def stop(progress: Progress) -> None:
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        capture(PATTERN, progress=stop)
+
+
+def test_camera_is_assumed_when_none_is_given() -> None:
+    found = capture(SAMPLE / "hand.0001.jpg", solver="paper-a")
+    assert found.intrinsics == Intrinsics(640.0, 640.0, 320.0, 240.0)
+    assert found.source.kind == "photo"
+    assert found.hands[0].reprojection_error[0] < 15.0
+
+
+def test_hand_choice() -> None:
+    assert [t.side for t in capture(SAMPLE / "hand.0001.jpg", hands="right").hands] == ["right"]
+    with pytest.raises(NoHandFoundError, match="no left hand was found, only a right one"):
+        capture(SAMPLE / "hand.0001.jpg", hands="left")
+
+
+def test_own_model_and_bad_options(tmp_path: Path) -> None:
+    path = save_model_npz(load_model(None, "right"), tmp_path / "mine.npz")
+    found = capture(SAMPLE / "hand.0001.jpg", model=path)
+    assert found.model == str(path)
+    with pytest.raises(HandModelError, match="no such hand model"):
+        capture(SAMPLE / "hand.0001.jpg", model=tmp_path / "gone.pkl")
+    left = save_model_npz(load_model(None, "left"), tmp_path / "left.npz")
+    with pytest.raises(HandModelError, match="this is a left hand"):
+        capture(SAMPLE / "hand.0001.jpg", model=left)
+    with pytest.raises(OptionError, match="no solver"):
+        capture(SAMPLE / "hand.0001.jpg", solver="magic")
+    with pytest.raises(OptionError, match="auto, left, right, both"):
+        capture(SAMPLE / "hand.0001.jpg", hands="any")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(OptionError, match="threshold"):
+        capture(SAMPLE / "hand.0001.jpg", threshold=2.0)
+
+
+def test_public_names() -> None:
+    for name in handfit_core.__all__:
+        assert getattr(handfit_core, name) is not None
+    with pytest.raises(AttributeError, match="nothing"):
+        handfit_core.nothing  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    ("photo", "sides"),
+    [
+        ("mona_lisa.jpg", ["right"]),
+        ("pinky_out.jpg", ["right"]),
+        ("thumb_up.jpg", ["left"]),
+        ("thumbs_up.png", ["right"]),
+        ("two_hands.jpg", ["left", "left"]),  # both show their backs; they are two left hands
+    ],
+)
+def test_photos(samples: Path, photo: str, sides: list[str]) -> None:
+    found = capture(samples / "photos" / photo)
+    assert [track.side for track in found.hands] == sides
+    for track in found.hands:
+        size = np.ptp(track.keypoints_2d[0], axis=0).max()
+        assert track.reprojection_error[0] < 0.04 * size
+
+
+def test_detector_agrees_with_mediapipes_own_output(samples: Path) -> None:
+    """Pixels of the same video from another build of the same model."""
+    import json
+
+    video = samples / "videos" / "asl_hand.mp4"
+    reference = json.loads((video.parent / "asl_hand.mediapipe_2d.json").read_text())
+    take = capture(video, frames=FrameRange.parse("1-10"), solver="paper-a-plus")
+    points = np.array(reference)[:10, :, :2]
+    distance = np.linalg.norm(take.hands[0].keypoints_2d - points, axis=-1)
+    assert np.median(distance) < 10.0
