@@ -33,7 +33,8 @@ def can_capture() -> bool:
 
 
 needs_capture = pytest.mark.skipif(
-    not SAMPLES.is_dir() or not can_capture(), reason="needs the samples, torch, OpenCV and MediaPipe"
+    not SAMPLES.is_dir() or not can_capture(),
+    reason="needs the samples, and a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON",
 )
 
 
@@ -129,6 +130,7 @@ def read_back(path: Path) -> dict:
         f"bpy.ops.{operators[path.suffix]}(filepath=sys.argv[1])\n"
         "rigs = [o for o in bpy.data.objects if o.type == 'ARMATURE']\n"
         "print('FOUND', json.dumps({'rigs': len(rigs), 'bones': sorted(len(r.data.bones) for r in rigs),\n"
+        " 'suffixes': sorted(r.data.bones[0].name[-2:] for r in rigs),\n"
         " 'animated': all(r.animation_data and r.animation_data.action for r in rigs),\n"
         " 'frames': [bpy.context.scene.frame_start, bpy.context.scene.frame_end],\n"
         " 'pictures': [bpy.path.abspath(i.filepath) for i in bpy.data.images if i.filepath]}))\n"
@@ -251,6 +253,30 @@ def test_photos_and_videos(batch, tmp_path):
             if suffix == ".blend":
                 assert found["frames"] == [1, entry["frames"]]
                 assert [Path(p).resolve() for p in found["pictures"]] == [source.resolve()]
+
+
+@needs_capture
+def test_two_hands_in_one_photo_are_two_rigs_of_the_right_sides(batch, tmp_path):
+    """The bundled right hand beside its mirror image, which is a left hand."""
+    photo = tmp_path / "both.png"
+    code = (
+        "import cv2, sys, numpy as np\n"
+        "right = cv2.imread(sys.argv[1])[:, 120:520]\n"
+        "cv2.imwrite(sys.argv[2], np.hstack([right[:, ::-1], right]))\n"
+    )
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    sample = ROOT / "samples" / "rendered_hand" / "hand.0001.jpg"
+    subprocess.run([python, "-c", code, str(sample), str(photo)], check=True)
+    done = batch(photo, "-o", tmp_path / "out", "--format", "blend,glb,bvh")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (entry,) = report(tmp_path / "out")
+    assert sorted(hand["side"] for hand in entry["hands"]) == ["left", "right"]
+    for suffix in (".blend", ".glb"):
+        found = read_back(tmp_path / "out" / "both" / f"both{suffix}")
+        assert found["suffixes"] == [".L", ".R"]
+    for side, ending in (("left", ".L"), ("right", ".R")):
+        found = read_back(tmp_path / "out" / "both" / f"both_{side}.bvh")
+        assert found["suffixes"] == [ending]
 
 
 @needs_capture
