@@ -47,6 +47,9 @@ class CaptureOptions:
     hands: str | None = None
     solver: str | None = None
     model: str | None = None
+    threshold: float | None = None
+    intrinsics: str | None = None
+    """FX,FY,CX,CY in pixels"""
     landmark_model: str | None = None
     debug: bool = False
 
@@ -57,6 +60,8 @@ class CaptureOptions:
             "--hands": self.hands,
             "--solver": self.solver,
             "--model": self.model,
+            "--threshold": self.threshold,
+            "--intrinsics": self.intrinsics,
             "--landmark-model": self.landmark_model,
         }
         # One word each: a value such as "-200" would else be taken for an option.

@@ -12,11 +12,12 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from handfit_core.camera import Intrinsics
 from handfit_core.detect.tracks import HAND_CHOICES
 from handfit_core.errors import HandfitError, OptionError
+from handfit_core.files import check_writable
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.pipeline import Progress, ProgressCallback, capture
@@ -125,6 +126,7 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
 
 def _capture(args: argparse.Namespace) -> int:
     output: _Output = args.reporter
+    check_writable(args.output)  # now, not after an hour of capturing
     source = args.input[0] if len(args.input) == 1 else args.input
     started = time.perf_counter()
     take = capture(
@@ -259,6 +261,12 @@ class _LogHandler(logging.Handler):
         self._output.warning(record.getMessage())
 
 
+def _text_stream(descriptor: int) -> TextIO:
+    """stderr's twin on another descriptor; what its encoding lacks is escaped, as stderr does."""
+    encoding = getattr(sys.stderr, "encoding", None)
+    return os.fdopen(descriptor, "w", buffering=1, encoding=encoding, errors="backslashreplace")
+
+
 @contextlib.contextmanager
 def _native_noise_dropped() -> Iterator[None]:
     """MediaPipe, TensorFlow Lite and FFmpeg write to file descriptor 2 whatever one asks of them.
@@ -272,7 +280,7 @@ def _native_noise_dropped() -> Iterator[None]:
         return
     sys.stderr.flush()
     kept = os.dup(original)
-    with open(os.devnull, "w") as nowhere, os.fdopen(os.dup(kept), "w", buffering=1) as python_stderr:
+    with open(os.devnull, "w") as nowhere, _text_stream(os.dup(kept)) as python_stderr:
         os.dup2(nowhere.fileno(), original)
         previous, sys.stderr = sys.stderr, python_stderr
         try:

@@ -38,6 +38,11 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return pixels
 
 
+def is_tiff(data: bytes) -> bool:
+    """Whether an encoded picture is a TIFF, which OpenCV turns upright by itself."""
+    return data[:4] in (b"II*\0", b"MM\0*")
+
+
 def _tiff_block(data: bytes) -> bytes | None:
     """The TIFF structure that holds the EXIF tags, from the container around it."""
     if data[:2] == b"\xff\xd8":
@@ -47,7 +52,7 @@ def _tiff_block(data: bytes) -> bytes | None:
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         block = _from_chunks(data, 12, "<I", b"EXIF", type_first=True)
         return block[6:] if block and block[:6] == b"Exif\0\0" else block
-    if data[:4] in (b"II*\0", b"MM\0*"):
+    if is_tiff(data):
         return data
     return None
 

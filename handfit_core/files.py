@@ -11,6 +11,25 @@ from pathlib import Path
 from handfit_core.errors import OutputError
 
 
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError if `written_whole(path)` could not work; leaves nothing behind."""
+    path = Path(path)
+    if path.is_dir():
+        raise OutputError(f"{path}: this is a folder; give the name of a file in it")
+    folder = path.absolute().parent
+    while not folder.exists():
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(_cannot_write(path, error)) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> str:
+    return f"{path}: cannot write here ({error.strerror}); choose a folder that you may write to"
+
+
 @contextlib.contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it over `path` once the block succeeds.
@@ -25,9 +44,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
         os.close(handle)
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot write here ({error.strerror}); choose a folder that you may write to"
-        ) from error
+        raise OutputError(_cannot_write(path, error)) from error
     beside = Path(name)
     try:
         yield beside

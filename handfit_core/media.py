@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from handfit_core.errors import InputError
-from handfit_core.exif import read_orientation, upright
+from handfit_core.exif import is_tiff, read_orientation, upright
 from handfit_core.frame_range import FrameRange
 from handfit_core.take import Source
 
@@ -36,6 +36,12 @@ DEFAULT_FPS = 24.0
 """Frames per second of photos and sequences (Blender's own default) and of videos that name none."""
 
 MAX_FPS = 1000.0
+
+MAX_FRAME_NUMBER = 1_048_574
+"""Blender's last frame."""
+
+WIDEST_GAPS = 10
+"""A sequence has at least one picture per so many frame numbers on average."""
 
 MediaInput = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -76,8 +82,10 @@ def open_media(source: MediaInput, frames: FrameRange | None = None) -> Media:
     `frames` picks source frame numbers of sequences and videos. Raises InputError.
     """
     frames = frames or FrameRange()
-    if not isinstance(source, (str, os.PathLike)):
+    if not isinstance(source, str | os.PathLike):
         return _open_pictures([Path(p).expanduser() for p in source], frames, "the list of pictures")
+    if not str(source):
+        raise InputError("no input was given; name a photo, a folder of photos or a video")
     path = Path(source).expanduser()
     if path.is_dir():
         return _open_pictures(pictures_in(path), frames, str(path))
@@ -90,16 +98,17 @@ def open_media(source: MediaInput, frames: FrameRange | None = None) -> Media:
             return _Pictures([path], [1], FrameRange(), kind="photo")
         return _open_unknown(path, frames)
     if is_pattern(str(source)):
-        found = _matching(str(path))
+        found, numbers = _matching(path)
         if not found:
             raise InputError(f"{source}: no file matches this pattern")
-        return _open_pictures(found, frames, str(source))
+        return _open_pictures(found, frames, str(source), numbers)
     raise InputError(f"{path}: there is no such file or folder")
 
 
 def is_pattern(text: str) -> bool:
     """Whether a path that does not exist is meant as `%04d`, `####` or glob pattern."""
-    return bool(_NUMBER_IN_PATTERN.search(Path(text).name)) or any(c in text for c in "*?[")
+    name = Path(text).name
+    return bool(_NUMBER_IN_PATTERN.search(name)) or any(c in name for c in "*?[")
 
 
 def pictures_in(folder: Path) -> list[Path]:
@@ -110,7 +119,10 @@ def pictures_in(folder: Path) -> list[Path]:
 
 def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
     """The frame numbers of files that form one numbered sequence (same name but for the last number
-    in it), or None."""
+    in it), or None.
+
+    Numbers with wide gaps are no frames but a camera's counter or a time of day, as phones name photos.
+    """
     numbers: list[int] = []
     shapes: set[tuple[str, str]] = set()
     for file in files:
@@ -119,7 +131,14 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
             return None
         numbers.append(int(match[1]))
         shapes.add((file.stem[: match.start()], file.stem[match.end() :]))
-    return numbers if len(shapes) == 1 and len(set(numbers)) == len(numbers) else None
+    if len(shapes) != 1 or len(set(numbers)) != len(numbers) or not _are_frames(numbers):
+        return None
+    return numbers
+
+
+def _are_frames(numbers: Sequence[int]) -> bool:
+    span = max(numbers) - min(numbers) + 1
+    return max(numbers) <= MAX_FRAME_NUMBER and span <= WIDEST_GAPS * len(numbers)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:
@@ -127,26 +146,33 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts]
 
 
-def _matching(pattern: str) -> list[Path]:
-    name = Path(pattern).name
-    globbed = _NUMBER_IN_PATTERN.sub("*", name)
-    exact: re.Pattern[str] | None = None
-    if globbed != name:
-        pieces = [re.escape(piece) for piece in _NUMBER_IN_PATTERN.split(name)]
-        exact = re.compile(r"\d+".join(pieces) + "$")
-    found = [Path(p) for p in glob.glob(str(Path(pattern).with_name(globbed)))]
-    return sorted((p for p in found if p.is_file() and (exact is None or exact.match(p.name))), key=_natural)
+def _matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
+    """The files of a pattern, and the numbers that stand where it has `%04d` or `####`."""
+    pieces = _NUMBER_IN_PATTERN.split(pattern.name)
+    if len(pieces) == 1:
+        # Only the last part is a pattern: folders may be called "[final]".
+        found = [Path(p) for p in glob.glob(str(Path(glob.escape(str(pattern.parent))) / pattern.name))]
+        return sorted((p for p in found if p.suffix.lower() in PHOTO_SUFFIXES), key=_natural), None
+    exact = re.compile(r"(\d+)".join(map(re.escape, pieces)) + "$")
+    folder = pattern.parent
+    names = {p: exact.match(p.name) for p in folder.iterdir()} if folder.is_dir() else {}
+    numbered = sorted((int(match[1]), p) for p, match in names.items() if match and p.is_file())
+    return [p for _, p in numbered], [n for n, _ in numbered]
 
 
-def _open_pictures(files: list[Path], frames: FrameRange, what: str) -> Media:
+def _open_pictures(
+    files: list[Path], frames: FrameRange, what: str, numbers: list[int] | None = None
+) -> Media:
+    """A sequence of pictures; `numbers` are their frame numbers where the user said which they are."""
     if not files:
         raise InputError(f"{what}: no pictures in it; give photos ({_suffixes(PHOTO_SUFFIXES)}) or a video")
     for file in files:
         if not file.is_file():
             raise InputError(f"{file}: there is no such file")
-    if len(files) == 1:
+    if len(files) == 1 and numbers is None:
         return open_media(files[0], frames)
-    numbers = sequence_numbers(files) or list(range(1, len(files) + 1))
+    if numbers is None or not _are_frames(numbers):
+        numbers = sequence_numbers(files) or list(range(1, len(files) + 1))
     ordered = sorted(zip(numbers, files, strict=True))
     chosen = [(n, f) for n, f in ordered if n in frames]
     if not chosen:
@@ -197,13 +223,20 @@ def read_picture(path: Path) -> tuple[np.ndarray, int]:
     if pixels is None:
         raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
     orientation = read_orientation(data)
-    return np.ascontiguousarray(upright(_rgb8(pixels), orientation)), orientation
+    rgb = _rgb8(pixels)
+    if not is_tiff(data):  # OpenCV has turned those already
+        rgb = upright(rgb, orientation)
+    return np.ascontiguousarray(rgb), orientation
 
 
 def _rgb8(pixels: np.ndarray) -> np.ndarray:
     """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB."""
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
+    elif np.issubdtype(pixels.dtype, np.integer) and pixels.dtype != np.uint8:
+        info = np.iinfo(pixels.dtype)
+        pixels = np.round((pixels.astype(np.float64) - info.min) * (255.0 / (info.max - info.min)))
+        pixels = pixels.astype(np.uint8)
     elif pixels.dtype != np.uint8:
         # Scene-linear floats, as .hdr and float TIFF hold them.
         linear = np.clip(np.nan_to_num(pixels.astype(np.float32)), 0.0, 1.0)

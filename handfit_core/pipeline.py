@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,7 +12,7 @@ import numpy as np
 
 from handfit_core.camera import Intrinsics
 from handfit_core.detect.tracks import HAND_CHOICES, HandChoice, link_tracks
-from handfit_core.errors import InputError, NoHandFoundError, OptionError
+from handfit_core.errors import HandModelError, InputError, NoHandFoundError, OptionError
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.keypoints import DetectedTrack, HandDetection
@@ -80,10 +80,8 @@ def capture(
     solve = get_solver(solver)
     report = progress or (lambda _: None)
     media = open_media(source, frames)
-    # Before the long part: a wrong model path should not cost a detection run. A file of one side
-    # only is fine as long as no hand of the other side turns up.
     if model is not None:
-        load_any_side(model)
+        _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
     numbers, found = detect_frames(
         media, report, max_hands=max(max_hands, 2), threshold=threshold, landmark_model=landmark_model
@@ -103,10 +101,9 @@ def capture(
         done += 1
         report(Progress("fit", done, total))
 
+    models = {track.side: load_model(model, track.side) for track in tracks}
     fitted: list[HandTrack] = []
-    models: dict[str, HandModel] = {}
     for track in tracks:
-        models[track.side] = load_model(model, track.side)
         fit = solve(models[track.side], track, intrinsics, one_more)
         fitted.append(hand_track(models[track.side], track, fit, intrinsics))
     return Take(
@@ -180,20 +177,17 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
     )
 
 
-def load_any_side(model: str | os.PathLike[str]) -> Iterable[HandModel]:
-    """Load whichever sides `model` has. Raises the right side's HandModelError if it has none."""
-    from handfit_core.errors import HandModelError
-
-    loaded: list[HandModel] = []
+def _check_some_side(model: str | os.PathLike[str]) -> None:
+    """Raise HandModelError if `model` is good for neither side. One side alone is fine as long as no
+    hand of the other turns up."""
     errors: list[HandModelError] = []
     for side in SIDES:
         try:
-            loaded.append(load_model(model, side))
+            load_model(model, side)
         except HandModelError as error:
             errors.append(error)
-    if not loaded:
+    if len(errors) == len(SIDES):
         raise errors[-1]
-    return loaded
 
 
 def _absolute(model: str | os.PathLike[str]) -> str:

@@ -109,6 +109,14 @@ class Take:
         if np.ndim(self.frame_numbers) != 1:
             raise TakeError("frame_numbers must be a list of numbers")
         count = len(self.frame_numbers)
+        if count == 0 or np.any(np.diff(self.frame_numbers) <= 0):
+            raise TakeError("a take needs at least one frame, and its frame numbers must increase")
+        if not self.source.files:
+            raise TakeError("a take must name the pictures that it was made from")
+        if not (np.isfinite(self.fps) and self.fps > 0 and self.width > 0 and self.height > 0):
+            raise TakeError(
+                f"frame rate and size must be positive; got {self.fps} fps, {self.width}x{self.height} pixels"
+            )
         for track in self.hands:
             if track.side not in SIDES:
                 raise TakeError(f"a hand's side must be left or right, not {track.side!r}")
@@ -120,6 +128,9 @@ class Take:
                     raise TakeError(
                         f"the {track.side} hand's {name} has shape {found}, expected {(count, *shape)}"
                     )
+                seen = np.asarray(getattr(track, name))[np.asarray(track.detected, dtype=bool)]
+                if not np.all(np.isfinite(seen)):
+                    raise TakeError(f"the {track.side} hand's {name} is not finite in a frame with a hand")
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the take as `.npz`, whole or not at all. Raises OutputError."""

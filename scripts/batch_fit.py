@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import glob
+import io
 import json
 import os
 import signal
@@ -36,6 +37,7 @@ from handfit_core.media import (
     pictures_in,
     sequence_numbers,
 )
+from handfit_core.solvers import get_solver
 from handfit_core.take import Take
 
 EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
@@ -75,12 +77,17 @@ class Result:
 def main(argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()) -> int:
     """Run the batch; returns the exit code. `default_inputs` are used where none are given."""
     args = parse_arguments(argv, default_inputs)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a file name must not end a run on a narrow console
+            stream.reconfigure(errors="backslashreplace")
     with contextlib.suppress(ValueError):  # not in the main thread
         # Blender keeps Ctrl-C to itself in the background; farms end jobs with SIGTERM.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _interrupt)
     try:
         formats = _checked_formats(args.format)
+        if args.solver:
+            get_solver(args.solver)
         if args.frames:
             FrameRange.parse(args.frames)
         jobs = with_free_names(
@@ -123,6 +130,8 @@ def parse_arguments(
     parser.add_argument("--hands", choices=("auto", "left", "right", "both"), help="default: auto")
     parser.add_argument("--solver", metavar="NAME", help="solver (default: the core's)")
     parser.add_argument("--model", metavar="PATH", help="MANO file or folder (default: the open hand)")
+    parser.add_argument("--threshold", type=float, help="detection threshold 0-1 (default: 0.5)")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="the camera in pixels (default: assumed)")
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
     parser.add_argument("--python", metavar="PATH", help="Python that captures (default: this one)")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")
@@ -155,7 +164,7 @@ def parse_arguments(
 def expand(text: str, grouping: str | None = None) -> list[Job]:
     """The jobs of one INPUT.
 
-    A folder or a glob pattern gives one job per video and take, and one per photo, unless the photos
+    A folder or a glob pattern gives one job per video, and one per photo, unless the photos
     form one numbered sequence (`grouping` forces either: "sequence" or "separate").
     """
     path = Path(text).expanduser()
@@ -165,10 +174,11 @@ def expand(text: str, grouping: str | None = None) -> list[Job]:
         return jobs or [Job(text, path.resolve().name, error=f"{text}: no photos or videos in this folder")]
     if path.exists() or not is_pattern(text):
         return [_file_job(path)]
-    if not any(c in text for c in "*?["):  # name.%04d.png and name.####.png are sequences by intent
+    if not any(c in path.name for c in "*?["):  # name.%04d.png and name.####.png are sequences by intent
         name = path.name.partition("%")[0].partition("#")[0].rstrip("._- ") or path.absolute().parent.name
         return [Job(text, name, (str(path),))]
-    found = sorted(p for p in map(Path, glob.glob(str(path))) if p.is_file())
+    pattern = str(Path(glob.escape(str(path.parent))) / path.name)
+    found = sorted(p for p in map(Path, glob.glob(pattern)) if p.is_file())
     pictures = [p for p in found if p.suffix.lower() in PHOTO_SUFFIXES]
     others = [_file_job(p) for p in found if p not in pictures]
     jobs = _group(pictures, grouping, path.absolute().parent.name) + others
@@ -316,6 +326,8 @@ def _capture(job: Job, take_path: Path, result: Result, args: argparse.Namespace
                 hands=args.hands,
                 solver=args.solver,
                 model=args.model,
+                threshold=args.threshold,
+                intrinsics=args.intrinsics,
                 landmark_model=args.landmark_model,
                 debug=args.debug,
             ),

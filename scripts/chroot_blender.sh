@@ -34,7 +34,15 @@ samples=${HANDFIT_SAMPLES:-$repo/../shared/samples}
 [ -d "$samples" ] && bind "$(cd "$samples" && pwd)"
 if [ -n "${HANDFIT_PYTHON:-}" ]; then
   # The environment, and the installation that it stands on.
-  while read -r prefix; do bind "$prefix"; done < <(
+  while read -r prefix; do
+    case $prefix in
+      /usr | /)
+        echo "chroot_blender.sh: HANDFIT_PYTHON is the system's own Python, which would hide Blender's" >&2
+        exit 2
+        ;;
+    esac
+    bind "$prefix"
+  done < <(
     "$HANDFIT_PYTHON" -c 'import sys; print(*dict.fromkeys((sys.base_prefix, sys.prefix)), sep="\n")'
   )
 fi

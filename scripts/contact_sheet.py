@@ -7,6 +7,7 @@ blender -b -P scripts/contact_sheet.py -- TAKE_OR_RESULT_FOLDER [...] -o sheet.p
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,6 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--height", type=int, default=240, metavar="PX", help="height of a row (default: 240)"
     )
     args = parser.parse_args(argv)
+    if importlib.util.find_spec("bpy") is None:
+        print("error: this Python has no bpy: run it with 'blender -b -P', or install bpy", file=sys.stderr)
+        return 1
     try:
         from blender_manient.scene.preview import write_png
 

@@ -9,6 +9,7 @@ several).
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -27,13 +28,25 @@ def main() -> int:
     arguments = ["--format", "blend,glb,fbx", "--preview", "--flat", "--output", str(OUTPUT), *sys.argv[1:]]
     args = batch_fit.parse_arguments(arguments, [str(SAMPLE)])
     code = batch_fit.main(arguments, [str(SAMPLE)])
-    if args.output.is_dir():
-        previews = list(args.output.glob("*.preview.png"))
-        if len(previews) == 1:
-            previews[0].replace(args.output / "preview.png")
-        for path in sorted(p for p in args.output.iterdir() if p.is_file()):
-            print(f"  {path}")
+    report_path = args.output / "report.json"
+    if not report_path.is_file():
+        return code
+    report = json.loads(report_path.read_text(encoding="utf-8"))
+    entries = report["inputs"]
+    if len(entries) == 1:
+        entries[0]["files"] = [_plainly_named(args.output, name) for name in entries[0]["files"]]
+        report_path.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    for name in (name for entry in entries for name in entry["files"]):
+        print(f"  {args.output / name}")
     return code
+
+
+def _plainly_named(folder: Path, name: str) -> str:
+    """The only preview there is becomes preview.png; other files keep their names."""
+    if not name.endswith(".preview.png"):
+        return name
+    (folder / name).replace(folder / "preview.png")
+    return "preview.png"
 
 
 if __name__ == "__main__":

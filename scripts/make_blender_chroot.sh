@@ -38,10 +38,17 @@ if [ -z "$mirror" ]; then
   exit 1
 fi
 
-umount_all() { for m in proc dev; do umount -l "$target/$m" 2>/dev/null || true; done; }
-umount_all
+if [ -e "$target" ] && [ ! -e "$target/.blender-chroot" ] && [ -n "$(ls -A "$target")" ]; then
+  echo "make_blender_chroot.sh: $target is not empty and not of our making; name another folder" >&2
+  exit 1
+fi
+if grep -q " $(realpath -m "$target")/" /proc/mounts; then
+  echo "make_blender_chroot.sh: something is mounted below $target; unmount it first" >&2
+  exit 1
+fi
 rm -rf "$target"
 mkdir -p "$target"
+touch "$target/.blender-chroot"
 log=$(mktemp)
 if ! debootstrap --variant=minbase --include="$packages" "$suite" "$target" "$mirror" >"$log" 2>&1; then
   tail -n 20 "$log" >&2

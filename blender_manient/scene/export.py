@@ -51,8 +51,9 @@ def export_take(built: BuiltTake, take: Take, folder: Path, name: str, fmt: str)
     for hand in built.hands:
         side = f"_{hand.side}" if len(built.hands) > 1 else ""
         path = folder / f"{name}{side}{chosen.suffix}"
-        if path in files:
-            path = folder / f"{name}{side}2{chosen.suffix}"
+        for number in range(2, len(built.hands) + 1):
+            if path in files:
+                path = folder / f"{name}{side}{number}{chosen.suffix}"
         only = BuiltTake(built.collection, built.camera, (hand,), built.warnings)
         files.append(_write_one(chosen, only, take, path))
     return files
@@ -109,6 +110,9 @@ def _only(built: BuiltTake, take: Take, *, whole: bool) -> Iterator[bpy.types.Sc
 
 
 def _gltf(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
+    # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
+    render = _open_scene().render
+    render.fps_base = 1.0 / render.fps_base
     bpy.ops.export_scene.gltf(
         filepath=str(path),
         check_existing=False,
@@ -118,7 +122,7 @@ def _gltf(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
         export_lights=False,
         export_extras=True,
         export_apply=False,  # applying modifiers would drop the shape keys
-        export_all_influences=True,  # four per vertex, the default, moves MANO's skin by millimetres
+        export_all_influences=True,  # the default keeps four per vertex, which is another skin
         export_animations=True,
         # One clip with both hands; the other modes add every action in the file that would fit.
         export_animation_mode="SCENE",

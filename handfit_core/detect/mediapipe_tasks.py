@@ -103,8 +103,8 @@ def _shrunk(rgb: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(rgb)
     import cv2
 
-    scale = MAX_SIDE / longer
-    return cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    height, width = (max(1, round(side * MAX_SIDE / longer)) for side in rgb.shape[:2])
+    return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _detection(

@@ -25,6 +25,9 @@ DUPLICATE_DISTANCE = 0.25
 MATCH_DISTANCE = 1.0
 """A hand moves less than its own size between two frames it is seen in, or it is another hand."""
 
+STRAY_WEIGHT = 0.05
+"""A track with less than this share of the surest track's confidence is a misdetection, not a hand."""
+
 SIDE_PENALTY = 0.3
 """Added to the distance when the detector names the other side, so that crossing hands keep theirs."""
 
@@ -91,14 +94,18 @@ def link_tracks(
 
 def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list[tuple[_OpenTrack, Side]]:
     if hands == "auto":
-        return [(t, t.side) for t in tracks[:max_hands]]
+        surest = tracks[0]
+        kept = [t for t in tracks if t.weight >= STRAY_WEIGHT * surest.weight]
+        return [(t, t.side) for t in kept[:max_hands]]
     if hands == "both":
+        first = tracks[0]
+        for second in tracks[1:]:
+            if second.side != first.side:
+                return [(first, first.side), (second, second.side)]
         if len(tracks) == 1:
-            return [(tracks[0], tracks[0].side)]
-        first, second = tracks[:2]
-        if first.side != second.side:
-            return [(first, first.side), (second, second.side)]
-        # Named alike: the one whose side is less sure is the other hand.
+            return [(first, first.side)]
+        # All named alike: of the two that were seen most, the one whose side is less sure is the other.
+        second = tracks[1]
         if _sureness(first) < _sureness(second):
             return [(first, other_side(first.side)), (second, second.side)]
         return [(first, first.side), (second, other_side(second.side))]

@@ -17,8 +17,6 @@ import numpy as np
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
-NUM_ANGLES = 45
-
 
 def anatomical_axes(model: HandModel) -> np.ndarray:
     """(15, 3, 3) rotations whose columns are each joint's (twist, spread, bend) axes, model frame.

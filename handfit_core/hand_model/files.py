@@ -84,7 +84,7 @@ def _candidates(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Pat
 
 def _read(path: Path, side: Side) -> HandModel:
     if path.suffix.lower() == ".pkl":
-        # Imported late: reading pickles needs scipy for the sparse regressor, the open hand does not.
+        # Imported late: the open hand needs nothing of it.
         from handfit_core.hand_model.mano_pickle import load_mano_pickle
 
         model = load_mano_pickle(path)

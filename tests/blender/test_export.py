@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import bpy
@@ -136,6 +137,26 @@ def test_bvh_of_one_hand_has_no_side_in_its_name(make_take, tmp_path):
     made = make_take(sides=("left",))
     files = export_take(build_take(made.take), made.take, tmp_path, "x", "bvh")
     assert [f.name for f in files] == ["x.bvh"]
+
+
+@pytest.mark.parametrize("fps", [12.5, 24.0, 30000 / 1001])
+def test_gltf_keeps_the_time(make_take, tmp_path, fps):
+    """Read from the file itself: Blender's importer would undo a mistake of its exporter."""
+    made = make_take(sides=("right",), fps=fps)
+    (path,) = export_take(build_take(made.take), made.take, tmp_path, "timed", "glb")
+    data = path.read_bytes()
+    content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    inputs = {s["input"] for animation in content["animations"] for s in animation["samplers"]}
+    spans = [content["accessors"][i]["max"][0] - content["accessors"][i]["min"][0] for i in inputs]
+    frames = int(made.take.frame_numbers[-1] - made.take.frame_numbers[0])
+    assert max(spans) == pytest.approx(frames / fps, rel=1e-4)
+
+
+def test_three_hands_of_one_side_are_three_files(make_take, tmp_path):
+    made = make_take(sides=("left", "left", "left"))
+    files = export_take(build_take(made.take), made.take, tmp_path, "hands", "bvh")
+    assert [f.name for f in files] == ["hands_left.bvh", "hands_left2.bvh", "hands_left3.bvh"]
+    assert all(f.stat().st_size > 0 for f in files)
 
 
 def test_usd_round_trip(exported):

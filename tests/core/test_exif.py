@@ -68,3 +68,42 @@ def test_upright_agrees_with_opencv(tmp_path) -> None:
         buffer = np.frombuffer(data, dtype=np.uint8)
         stored = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(upright(stored, orientation), cv2.imdecode(buffer, cv2.IMREAD_COLOR))
+
+
+def test_tiff_is_turned_once(tmp_path) -> None:
+    """OpenCV turns TIFFs whatever one asks for."""
+    from handfit_core.media import read_picture
+
+    pixels = np.zeros((12, 20, 3), dtype=np.uint8)
+    pixels[0, 0] = 255  # top left as stored
+    params = [cv2.IMWRITE_TIFF_COMPRESSION, 1]
+    data = bytearray(cv2.imencode(".tif", pixels, params)[1].tobytes())
+    expected = {
+        1: (0, 0),
+        2: (0, 19),
+        3: (11, 19),
+        4: (11, 0),
+        5: (0, 0),
+        6: (0, 11),
+        7: (19, 11),
+        8: (19, 0),
+    }
+    for orientation, corner in expected.items():
+        path = tmp_path / f"{orientation}.tif"
+        path.write_bytes(with_tiff_orientation(bytes(data), orientation))
+        rgb, found = read_picture(path)
+        assert found == orientation
+        assert tuple(int(i) for i in np.argwhere(rgb[..., 0] == 255)[0]) == corner
+
+
+def with_tiff_orientation(data: bytes, orientation: int) -> bytes:
+    """The same TIFF with an orientation tag: its directory copied to the end with one more entry."""
+    (offset,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, offset)
+    entries = [data[offset + 2 + 12 * i : offset + 14 + 12 * i] for i in range(count)]
+    entries = [e for e in entries if struct.unpack_from("<H", e)[0] != 0x0112]
+    entries.append(struct.pack("<HHIHH", 0x0112, 3, 1, orientation, 0))
+    entries.sort(key=lambda e: struct.unpack_from("<H", e)[0])
+    data += b"\0" * (len(data) % 2)
+    directory = struct.pack("<H", len(entries)) + b"".join(entries) + struct.pack("<I", 0)
+    return data[:4] + struct.pack("<I", len(data)) + data[8:] + directory

@@ -397,7 +397,7 @@ def test_an_unwritable_target_is_an_output_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("which", ["imitation", "open hand"])
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> None:
-    smplx = pytest.importorskip("smplx", reason="smplx is not installed")
+    smplx = pytest.importorskip("smplx", reason="smplx is not installed (its licence is non-commercial)")
     import torch
 
     from handfit_core.hand_model.layer import HandLayer

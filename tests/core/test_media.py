@@ -7,7 +7,7 @@ import pytest
 
 from handfit_core.errors import InputError
 from handfit_core.frame_range import FrameRange
-from handfit_core.media import open_media, read_picture
+from handfit_core.media import open_media, read_picture, sequence_numbers
 from tests.core.test_exif import tiff_block
 
 
@@ -94,6 +94,22 @@ def test_patterns_use_the_numbers_in_the_names(tmp_path: Path, pattern: str) -> 
     assert media.source.kind == "sequence"
     assert media.source.name == "shot"
     assert [round(f.time * 24) for f in media.frames()] == [0, 1, 2, 4]
+
+
+def test_number_of_a_pattern_need_not_be_the_last(tmp_path: Path) -> None:
+    folder = tmp_path / "shots [final]"
+    for n in (1001, 1002):
+        write(folder / f"hand_{n}_v2.png", grey(n % 255))
+    assert numbers(str(folder / "hand_%04d_v2.png"), "1001-1002") == [1001, 1002]
+    assert numbers(str(folder / "hand_1002_v%d.png")) == [2]
+    assert numbers(str(folder / "hand_*.png")) == [1, 2]  # a glob says nothing of numbers
+
+
+def test_photos_named_by_the_time_are_no_frames(tmp_path: Path) -> None:
+    for name in ("PXL_20240501_120001234", "PXL_20240501_120101234", "PXL_20240501_120201234"):
+        write(tmp_path / f"{name}.png", grey(1))
+    assert numbers(tmp_path) == [1, 2, 3]
+    assert sequence_numbers(sorted(tmp_path.iterdir())) is None
 
 
 def test_folder_and_list(tmp_path: Path) -> None:

@@ -60,6 +60,16 @@ def test_hand_choice() -> None:
     alike = [[hand(100, "left", 0.99), hand(500, "left", 0.6)]]
     assert {t.side: x_of(t.detections[0]) for t in link_tracks(alike, "both")} == {"left": 100, "right": 500}
     assert [t.side for t in link_tracks([[hand(100, "left")]], "both")] == ["left"]
+    # A weak track of the missing side is better than relabelling a strong one.
+    three = [[hand(100, "right", 0.9), hand(500, "right", 0.8)]] * 3 + [[hand(900, "left", 0.9)]]
+    found = {t.side: x_of(next(d for d in t.detections if d)) for t in link_tracks(three, "both")}
+    assert found == {"right": 100, "left": 900}
+
+
+def test_a_stray_misdetection_is_no_second_hand() -> None:
+    frames = [[hand(100 + t)] for t in range(30)]
+    frames[7] = [*frames[7], hand(900, "left", 0.6)]
+    assert [t.side for t in link_tracks(frames)] == ["right"]
 
 
 def test_nothing_found() -> None:

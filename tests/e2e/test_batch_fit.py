@@ -22,7 +22,9 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "scripts" / "batch_fit.py"
 SAMPLES = Path(os.environ.get("HANDFIT_SAMPLES", ROOT.parent / "shared" / "samples"))
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
-TIMEOUT = 600
+if CHROOT:
+    CHROOT = str(Path(CHROOT).resolve())
+TIMEOUT = 1200
 
 
 def can_capture() -> bool:
