@@ -96,11 +96,14 @@ class HandModel:
 
     @cached_property
     def digest(self) -> str:
-        """Short fingerprint of the arrays that decide where vertices go."""
+        """Short fingerprint of the arrays that decide where joints and vertices go.
+
+        In 32 bits, which is what `.npz` files keep of `.pkl` files; without the skin weights, which are
+        normalised again on every reading.
+        """
         sha = hashlib.sha256(self.side.encode())
-        for array in (self.v_template, self.shapedirs, self.posedirs, self.joint_regressor, self.weights):
-            # In whole micrometres (and millionths): .npz files keep 32 bits of what .pkl files hold in 64.
-            sha.update(np.round(np.asarray(array) * 1e6).astype(np.int64).tobytes())
+        for array in (self.v_template, self.shapedirs, self.posedirs, self.joint_regressor):
+            sha.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
         return sha.hexdigest()[:16]
 
     def shaped(self, betas: np.ndarray | None = None) -> ShapedHand:

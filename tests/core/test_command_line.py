@@ -1,6 +1,7 @@
 """The command line as its users run it: exit codes, one line per error, nothing written half."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -40,6 +41,16 @@ def test_json_progress(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Take.load(tmp_path / "a.npz").frame_numbers, [5, 7])
 
 
+def test_names_that_the_console_cannot_show(tmp_path: Path) -> None:
+    output = tmp_path / "手.npz"
+    command = [sys.executable, "-m", "handfit_core", "capture", str(PHOTO), "-o", str(output)]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=300)
+    assert result.returncode == 0, result.stderr
+    assert "\\u624b.npz" in result.stderr
+    assert output.is_file()
+
+
 def test_intrinsics(tmp_path: Path) -> None:
     assert run("capture", PHOTO, "--intrinsics", "700,710,320,240", "-o", tmp_path / "a.npz").returncode == 0
     assert vars(Take.load(tmp_path / "a.npz").intrinsics) == {"fx": 700, "fy": 710, "cx": 320, "cy": 240}
@@ -64,6 +75,8 @@ def bad_calls(folder: Path) -> list[tuple[list[str | Path], str]]:
         (["capture", PHOTO, "--model", folder / "gone.pkl", *out], "no such hand model"),
         (["capture", PHOTO, "--landmark-model", folder / "gone.task", *out], "no such landmark model"),
         (["capture", PHOTO, "-o", folder / "file" / "out.npz"], "cannot write here"),
+        (["capture", PHOTO, "-o", folder], "this is a folder"),
+        (["capture", "", *out], "no input was given"),
     ]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.errors import OutputError
-from handfit_core.files import written_whole
+from handfit_core.files import check_writable, written_whole
 
 
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
@@ -61,6 +61,16 @@ def test_a_file_in_the_folders_place_names_the_remedy(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="file modes are POSIX only")
+def test_check_writable_says_so_before_and_leaves_nothing(tmp_path: Path) -> None:
+    check_writable(tmp_path / "new" / "folder" / "file.npz")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(OutputError, match="this is a folder"):
+        check_writable(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match="cannot write here"):
+        check_writable(tmp_path / "file" / "out.npz")
+
+
 def test_results_are_ordinary_files(tmp_path: Path) -> None:
     before = os.umask(0o022)
     try:

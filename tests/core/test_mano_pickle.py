@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import HandModelError, OutputError
-from handfit_core.hand_model import load_model, mano_pickle
+from handfit_core.hand_model import load_model, mano_pickle, save_model_npz
 from handfit_core.hand_model.mano_pickle import load_mano_pickle, save_mano_pickle
 from tests.imitation_mano import TIPS, csc_fields, imitation_arrays, imitation_model, write_mano_pickle
 
@@ -58,6 +58,15 @@ def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
     assert_same_arrays(model, arrays)
     assert (model.side, model.name, model.source) == (side, f"MANO_{side.upper()}", str(path))
     assert model.tip_vertices.tolist() == [745, 317, 444 if side == "right" else 445, 556, 673]
+
+
+def test_a_converted_file_has_the_same_digest(tmp_path: Path) -> None:
+    """Or converting after a capture would look like another model."""
+    model = load_mano_pickle(write_mano_pickle(tmp_path / "MANO_RIGHT.pkl", imitation_arrays("right")))
+    converted = load_model(save_model_npz(model, tmp_path / "mano_right.npz"), "right")
+    assert converted.digest == model.digest
+    other = load_mano_pickle(write_mano_pickle(tmp_path / "other.pkl", imitation_arrays("right", seed=1)))
+    assert other.digest != model.digest
 
 
 def test_load_model_finds_both_sides_of_a_folder(tmp_path: Path) -> None:

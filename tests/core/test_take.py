@@ -89,6 +89,29 @@ def test_wrong_shapes_are_refused(name: str) -> None:
         take(hands=(track(**{name: np.zeros((FRAMES + 1, 2))}),))
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fps": 0.0}, "frame rate"),
+        ({"fps": float("nan")}, "frame rate"),
+        ({"width": 0}, "frame rate and size"),
+        ({"frame_numbers": np.array([7, 9, 9, 12])}, "must increase"),
+        ({"frame_numbers": np.array([], dtype=int), "hands": ()}, "at least one frame"),
+        ({"source": Source("photo", ())}, "pictures"),
+    ],
+)
+def test_what_blender_could_not_build_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(TakeError, match=words):
+        take(**changes)
+
+
+def test_a_frame_with_a_hand_is_finite() -> None:
+    transl = np.zeros((FRAMES, 3))
+    transl[0] = np.nan
+    with pytest.raises(TakeError, match="transl is not finite"):
+        take(hands=(track(transl=transl),))
+
+
 def test_wrong_sides_are_refused() -> None:
     with pytest.raises(TakeError, match="'middle'"):
         take(hands=(track("middle"),))

@@ -190,6 +190,20 @@ def test_unknown_format_is_refused_before_any_work(batch, take_file, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_unknown_solver_is_refused_before_any_work(batch, tmp_path):
+    done = batch("a.jpg", "-o", tmp_path / "out", "--solver", "magic")
+    assert done.returncode == 2
+    assert "paper-a" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_names_that_the_console_cannot_show(batch, take_file, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    done = batch(take_file("手"), take_file("wave"), "-o", tmp_path / "out", "--format", "bvh")
+    assert done.returncode == 0, done.stderr
+    assert [e["name"] for e in report(tmp_path / "out")] == ["手", "wave"]
+
+
 def test_unwritable_output_is_one_sentence(batch, take_file, tmp_path):
     (tmp_path / "file").write_text("in the way")
     done = batch(take_file(), "-o", tmp_path / "file" / "out")
