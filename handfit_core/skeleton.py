@@ -85,15 +85,6 @@ def keypoints_from_joints(joints: np.ndarray, tips: np.ndarray) -> np.ndarray:
     return np.concatenate([joints, tips], axis=-2)[..., list(KEYPOINT_SOURCE), :]
 
 
-def joint_children() -> tuple[int | None, ...]:
-    """For each of the 16 joints the next joint along its chain; None for distal joints and the wrist."""
-    children: list[int | None] = [None] * NUM_JOINTS
-    for first, second, third in FINGER_JOINTS.values():
-        children[first] = second
-        children[second] = third
-    return tuple(children)
-
-
 def other_side(side: Side) -> Side:
     """The opposite hand."""
     return "left" if side == "right" else "right"

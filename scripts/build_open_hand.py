@@ -38,7 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
-from handfit_core.hand_model.files import OPEN_HAND, load_model_npz, save_model_npz
+from handfit_core.hand_model.files import ARRAY_NAMES, OPEN_HAND, load_model_npz, save_model_npz
 from handfit_core.skeleton import (
     FINGER_JOINTS,
     FINGERS,
@@ -909,20 +909,6 @@ NOTES: Final = {
     "made_by": "scripts/build_open_hand.py",
 }
 
-ARRAYS: Final = (
-    "v_template",
-    "faces",
-    "shapedirs",
-    "posedirs",
-    "joint_regressor",
-    "weights",
-    "hands_mean",
-    "hands_components",
-    "tip_vertices",
-    "quads",
-    "uv",
-    "uv_faces",
-)
 TOLERANCE: Final = 1e-5
 
 
@@ -930,7 +916,7 @@ def differences(fresh: HandModel, path: Path) -> list[str]:
     """What differs between a fresh model and its file, one line each; empty where nothing does."""
     stored = load_model_npz(path)
     lines = []
-    for key in ARRAYS:
+    for key in ARRAY_NAMES:
         one, other = getattr(fresh, key), getattr(stored, key)
         if other is None or one.shape != other.shape:
             lines.append(f"{path.name}: {key} has another shape")

@@ -36,6 +36,10 @@ _REQUIRED = (
     "tip_vertices",
 )
 _OPTIONAL = ("quads", "uv", "uv_faces")
+
+ARRAY_NAMES = (*_REQUIRED, *_OPTIONAL)
+"""All arrays of a model, named as in `HandModel` and in the file."""
+
 _MANO_FILES: dict[Side, str] = {"right": "MANO_RIGHT", "left": "MANO_LEFT"}
 
 
@@ -132,7 +136,7 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
         name=name,
         side=side,
         source="" if bundled else str(path),
-        **{key: arrays.get(key) for key in (*_REQUIRED, *_OPTIONAL)},
+        **{key: arrays.get(key) for key in ARRAY_NAMES},
     )
 
 
@@ -152,7 +156,7 @@ def save_model_npz(
         "notes": notes or {},
     }
     arrays: dict[str, Any] = {"header": np.array(json.dumps(header, ensure_ascii=False))}
-    for key in (*_REQUIRED, *_OPTIONAL):
+    for key in ARRAY_NAMES:
         array = getattr(model, key)
         if array is None:
             continue

@@ -83,6 +83,14 @@ def imitation_mano(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(params=("open-hand", "imitation-mano"))
+def model(request) -> str:
+    """What a take names as its model: without and with pose blend shapes."""
+    if request.param == "open-hand":
+        return request.param
+    return str(request.getfixturevalue("imitation_mano"))
+
+
 @pytest.fixture
 def make_take(picture):
     """make_take(sides=..., model=..., **fields of Take) -> Made"""

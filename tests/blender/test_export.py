@@ -16,15 +16,6 @@ from handfit_core.errors import OptionError, OutputError
 
 from .conftest import evaluated_vertices, joint_heads, world
 
-MODELS = ("open-hand", "imitation-mano")
-
-
-@pytest.fixture(params=MODELS)
-def model(request) -> str:
-    if request.param == "open-hand":
-        return request.param
-    return str(request.getfixturevalue("imitation_mano"))
-
 
 @pytest.fixture
 def exported(make_take, model, tmp_path):

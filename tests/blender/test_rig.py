@@ -15,15 +15,6 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINT
 
 from .conftest import HEIGHT, WIDTH, evaluated_vertices, joint_heads, world
 
-MODELS = ("open-hand", "imitation-mano")
-
-
-@pytest.fixture(params=MODELS)
-def model(request) -> str:
-    if request.param == "open-hand":
-        return request.param
-    return str(request.getfixturevalue("imitation_mano"))
-
 
 def test_evaluated_mesh_is_the_posed_model(make_take, model, record_property):
     made = make_take(model=model)

@@ -61,14 +61,5 @@ def test_keypoint_parents_agree_with_the_joints_parents() -> None:
             assert parent == place[skeleton.FINGER_JOINTS[finger][2]]
 
 
-def test_children_invert_parents() -> None:
-    children = skeleton.joint_children()
-    assert children[0] is None
-    for joint, parent in enumerate(skeleton.PARENTS):
-        if parent > 0:
-            assert children[parent] == joint
-    assert [j for j, child in enumerate(children) if child is None] == [0, 3, 6, 9, 12, 15]
-
-
 def test_other_side() -> None:
     assert [skeleton.other_side(side) for side in skeleton.SIDES] == ["right", "left"]
