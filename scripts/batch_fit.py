@@ -14,6 +14,7 @@ import glob
 import io
 import json
 import os
+import shutil
 import signal
 import sys
 import time
@@ -21,7 +22,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
@@ -406,6 +407,20 @@ def _blender_silenced(debug: bool) -> Iterator[None]:
         os.close(target)
 
 
+def _leave(code: int) -> NoReturn:
+    """End with this code. Blender ends with it too; only an uncaught exception would leave it at 0.
+
+    As a Python module, Blender 4.2 crashes while the interpreter shuts down after a glTF export, which
+    would turn a finished run into a failed one: there the process ends without that.
+    """
+    bpy = sys.modules.get("bpy")
+    if bpy is not None and not bpy.app.binary_path:
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    # Blender ends with this code too; only exceptions that nobody catches would leave it at 0.
-    sys.exit(main())
+    _leave(main())
