@@ -131,14 +131,15 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
             return None
         numbers.append(int(match[1]))
         shapes.add((file.stem[: match.start()], file.stem[match.end() :]))
-    if len(shapes) != 1 or len(set(numbers)) != len(numbers) or not _are_frames(numbers):
+    if len(shapes) != 1 or not _can_be_frames(numbers):
         return None
-    return numbers
-
-
-def _are_frames(numbers: Sequence[int]) -> bool:
     span = max(numbers) - min(numbers) + 1
-    return max(numbers) <= MAX_FRAME_NUMBER and span <= WIDEST_GAPS * len(numbers)
+    return numbers if span <= WIDEST_GAPS * len(numbers) else None
+
+
+def _can_be_frames(numbers: Sequence[int]) -> bool:
+    """Whether Blender could hold them all, each once."""
+    return max(numbers) <= MAX_FRAME_NUMBER and len(set(numbers)) == len(numbers)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:
@@ -171,7 +172,7 @@ def _open_pictures(
             raise InputError(f"{file}: there is no such file")
     if len(files) == 1 and numbers is None:
         return open_media(files[0], frames)
-    if numbers is None or not _are_frames(numbers):
+    if numbers is None or not _can_be_frames(numbers):
         numbers = sequence_numbers(files) or list(range(1, len(files) + 1))
     ordered = sorted(zip(numbers, files, strict=True))
     chosen = [(n, f) for n, f in ordered if n in frames]

@@ -105,6 +105,14 @@ def test_number_of_a_pattern_need_not_be_the_last(tmp_path: Path) -> None:
     assert numbers(str(folder / "hand_*.png")) == [1, 2]  # a glob says nothing of numbers
 
 
+def test_numbers_that_the_user_names_may_have_gaps_but_no_doubles(tmp_path: Path) -> None:
+    for name in ("shot.0001.png", "shot.0500.png"):
+        write(tmp_path / name, grey(1))
+    assert numbers(str(tmp_path / "shot.%04d.png")) == [1, 500]
+    write(tmp_path / "shot.1.png", grey(1))
+    assert numbers(str(tmp_path / "shot.%04d.png")) == [1, 2, 3]  # frame 1 twice: counted instead
+
+
 def test_photos_named_by_the_time_are_no_frames(tmp_path: Path) -> None:
     for name in ("PXL_20240501_120001234", "PXL_20240501_120101234", "PXL_20240501_120201234"):
         write(tmp_path / f"{name}.png", grey(1))
