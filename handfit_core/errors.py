@@ -35,5 +35,9 @@ class TakeError(HandfitError):
     """A take file that cannot be read: damaged, not a take, or written by a newer version."""
 
 
+class DatasetError(HandfitError):
+    """A labelled data set whose files are not where, or what, its layout says."""
+
+
 class OutputError(HandfitError):
     """A result could not be written (folder not writable, disk full, name taken)."""

@@ -1,0 +1,92 @@
+"""What a labelled data set holds, as every reader gives it: metres, camera frame, MediaPipe's order.
+
+Readers list their entries at once and read labels one by one, when asked: some sets hold a hundred
+thousand pictures. A label that the set does not have, or marks as invalid, is NaN, never a guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.skeleton import Side
+
+
+@dataclass(frozen=True, eq=False)
+class MeshLabel:
+    """A hand's true surface, read when asked for."""
+
+    vertices: Callable[[], np.ndarray]
+    """() -> (V, 3) metres, camera frame"""
+    digest: str = ""
+    """`HandModel.digest` of the model whose vertices these are; empty where unknown (a MANO of someone's)"""
+
+
+@dataclass(frozen=True, eq=False)
+class HandLabel:
+    """The truth about one hand in one picture."""
+
+    side: Side | None
+    """None where the set does not say"""
+    joints_3d: np.ndarray
+    """(21, 3) metres in the camera frame, MediaPipe's order; NaN where there is no label"""
+    keypoints_2d: np.ndarray
+    """(21, 2) pixels of the picture as stored; NaN where there is no label"""
+    mesh: MeshLabel | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """The truth about one picture."""
+
+    hands: tuple[HandLabel, ...]
+    intrinsics: Intrinsics | None
+    """The true camera in pixels; None where the set does not give it"""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One picture of a data set."""
+
+    name: str
+    """Unique within the set, as in `Desk/00012`"""
+    picture: Path
+    read_labels: Callable[[], Labels]
+    """Raises DatasetError with the reason where the entry's own labels are damaged"""
+    clip: str | None = None
+    """The clip it belongs to; None for a still. Entries of a clip stand together, in the order of time"""
+    time: float = 0.0
+    """seconds since the clip's start"""
+    tags: Mapping[str, str] = field(default_factory=dict)
+    """What the set tells about the picture, as in {"pose": "fist", "occluder": "none"}; results are
+    grouped by it"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is wrong with some entries; such entries are counted and reported, never silently dropped."""
+
+    kind: str
+    """A few words, as in `picture missing`; problems of one kind are counted together"""
+    where: str
+    """The file or entry"""
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """A labelled data set on disk."""
+
+    name: str
+    """For people, as in `FreiHAND (evaluation)`"""
+    kind: str
+    """The reader's name on the command line, as in `freihand`"""
+    root: Path
+    entries: Sequence[Entry]
+    problems: tuple[Problem, ...] = ()
+    """Found while listing: pictures without labels, labels without pictures, ..."""
+    notes: tuple[str, ...] = ()
+    """What a reader of the results should know about the labels"""
