@@ -1,4 +1,5 @@
-"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `model convert`, `model info`."""
+"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `model convert`, `model info`,
+`evaluate DATASET`."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import argparse
 import contextlib
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -17,6 +19,7 @@ from typing import Any, TextIO
 from handfit_core.camera import Intrinsics
 from handfit_core.detect.tracks import HAND_CHOICES
 from handfit_core.errors import HandfitError, OptionError
+from handfit_core.evaluate.commands import add_evaluate_command
 from handfit_core.files import check_writable
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model.commands import add_model_commands
@@ -83,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     add_model_commands(commands)
+    add_evaluate_command(commands)
     for sub in _all_parsers(commands):
         sub.add_argument(
             "--debug", action="store_true", help="show tracebacks and the libraries' own messages"
@@ -179,6 +183,9 @@ class _Output:
     def done(self, summary: dict[str, Any]) -> None:
         raise NotImplementedError
 
+    def evaluated(self, summary: dict[str, Any], table: str) -> None:
+        raise NotImplementedError
+
     def warning(self, message: str) -> None:
         raise NotImplementedError
 
@@ -198,6 +205,9 @@ class _JsonOutput(_Output):
     def done(self, summary: dict[str, Any]) -> None:
         self._write(event="done", **summary)
 
+    def evaluated(self, summary: dict[str, Any], table: str) -> None:  # noqa: ARG002 (machines read the numbers)
+        self._write(event="done", **_without_nan(summary))
+
     def warning(self, message: str) -> None:
         self._write(event="warning", message=message)
 
@@ -205,22 +215,37 @@ class _JsonOutput(_Output):
         self._write(event="error", type=kind, message=message)
 
 
+def _without_nan(value: Any) -> Any:
+    """What does not apply is null: JSON has no NaN."""
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
 class _TextOutput(_Output):
     """A progress bar and sentences for people, on whatever sys.stderr is at the time."""
 
     _WIDTH = 30
     _EVERY = 0.1
-    _VERBS = {"detect": "finding hands", "fit": "fitting      "}  # noqa: RUF012
+    _EVERY_IN_LOGS = 30.0
+    _VERBS = {"detect": "finding hands", "fit": "fitting      ", "score": "scoring      "}  # noqa: RUF012
 
     def __init__(self) -> None:
         self._bar = sys.stderr.isatty()
-        self._last = 0.0
+        self._last = 0.0 if self._bar else time.monotonic()
         self._dirty = False
 
     def progress(self, progress: Progress) -> None:
         now = time.monotonic()
         finished = progress.total > 0 and progress.done >= progress.total
-        if not self._bar or (now - self._last < self._EVERY and not finished):
+        if not self._bar:
+            if now - self._last >= self._EVERY_IN_LOGS:
+                self._last = now
+                self._line(
+                    f"{self._VERBS[progress.stage].strip()}: {progress.done} of {progress.total or '?'}"
+                )
+            return
+        if now - self._last < self._EVERY and not finished:
             return
         self._last = now
         filled = self._WIDTH * progress.done // max(progress.total, 1)
@@ -242,6 +267,12 @@ class _TextOutput(_Output):
             for h in summary["hands"]
         )
         self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")
+
+    def evaluated(self, summary: dict[str, Any], table: str) -> None:
+        print(table, flush=True)
+        for kind, count in summary["problems"].items():
+            self._line(f"warning: {kind}: {count}")
+        self._line(f"report: {summary['output']}")
 
     def warning(self, message: str) -> None:
         self._line(f"warning: {message}")

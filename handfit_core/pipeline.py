@@ -21,7 +21,8 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import DEFAULT_SOLVER, TrackFit, get_solver
 from handfit_core.take import HandTrack, Take
 
-Stage = Literal["detect", "fit"]
+Stage = Literal["detect", "fit", "score"]
+"""`score` is of evaluations only"""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,134 @@
+"""The command line's `evaluate`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import get_args
+
+from handfit_core.errors import OptionError
+from handfit_core.solvers import DEFAULT_SOLVER
+
+DEFAULT_METHODS = ("raw", "fused", DEFAULT_SOLVER)
+
+
+def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
+    """Add `evaluate`; its handler raises HandfitError for what the user can mend."""
+    from handfit_core.evaluate.run import CAMERA_CHOICES
+    from handfit_core.evaluate.scores import ProtocolName
+
+    command = subparsers.add_parser(
+        "evaluate",
+        help="how accurate and how fast solvers are on labelled pictures",
+        description="Detect every picture once, fit with every solver, and write a report. A run that was "
+        "stopped goes on where it ended when the same command is given again.",
+    )
+    command.set_defaults(handler=_evaluate)
+    command.add_argument(
+        "dataset", type=Path, metavar="DIR", help="the data set's folder (docs/data-sets.md)"
+    )
+    command.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="REPORT",
+        help="folder for the report (default: out/evaluation/NAME-PROTOCOL)",
+    )
+    command.add_argument(
+        "--solvers",
+        nargs="+",
+        default=list(DEFAULT_METHODS),
+        metavar="NAMES",
+        help="solvers, and raw, fused, paper or all, separated by commas or spaces "
+        f"(default: {','.join(DEFAULT_METHODS)})",
+    )
+    command.add_argument(
+        "--protocol",
+        choices=get_args(ProtocolName),
+        default="strict",
+        help="strict counts misses; paper is the published evaluation, faults included (default: strict)",
+    )
+    command.add_argument("--kind", metavar="KIND", help="the data set's layout (default: recognised)")
+    command.add_argument("--split", metavar="SPLIT", help="which part of a data set that has several")
+    command.add_argument(
+        "--labels",
+        choices=("original", "cleaned"),
+        help="which labels of EgoDexter and Dexter+Object (default: cleaned where they are)",
+    )
+    command.add_argument(
+        "--camera",
+        choices=CAMERA_CHOICES,
+        default="assumed",
+        help="what solvers are told about the camera (default: assumed, that is nothing)",
+    )
+    command.add_argument(
+        "--every", type=int, default=1, metavar="N", help="every n-th still and every n-th clip only"
+    )
+    command.add_argument(
+        "--stills", action="store_true", help="take each picture of a clip for a still of its own"
+    )
+    command.add_argument(
+        "--reference", metavar="NAME", help="compare the others with this solver (default: the last one)"
+    )
+    command.add_argument(
+        "--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well"
+    )
+    command.add_argument(
+        "--model", metavar="PATH", help="a MANO file, or a folder with both sides (default: the open hand)"
+    )
+    command.add_argument(
+        "--threshold", type=float, default=0.5, help="detection threshold 0-1 (default: 0.5)"
+    )
+    command.add_argument(
+        "--landmark-model", type=Path, metavar="PATH", help="MediaPipe's hand_landmarker.task"
+    )
+    command.add_argument(
+        "--progress", choices=("bar", "json", "none"), default="bar", help="how to show progress"
+    )
+
+
+def _evaluate(args: argparse.Namespace) -> int:
+    from handfit_core.evaluate.datasets import open_dataset
+    from handfit_core.evaluate.detections import DetectorSettings
+    from handfit_core.evaluate.report import write_report
+    from handfit_core.evaluate.report.tables import markdown_table
+    from handfit_core.evaluate.run import EvaluationOptions, evaluate
+    from handfit_core.files import check_writable
+    from handfit_core.pipeline import Progress
+
+    options = EvaluationOptions(
+        methods=tuple(name for word in args.solvers for name in word.split(",") if name),
+        protocol=args.protocol,
+        camera=args.camera,
+        every=args.every,
+        clips=not args.stills,
+        jobs=args.jobs,
+        reference=args.reference,
+        model=args.model,
+        detector=DetectorSettings(threshold=args.threshold, landmark_model=args.landmark_model),
+    )
+    dataset = open_dataset(args.dataset, args.kind, split=args.split, labels=args.labels)
+    folder = args.output or Path("out", "evaluation", f"{args.dataset.resolve().name}-{args.protocol}")
+    if folder.is_file():
+        raise OptionError(f"{folder}: this is a file; name a folder for the report")
+    check_writable(folder / "index.html")  # now, not after an hour of fitting
+    report = args.reporter
+
+    def progress(stage, done: int, total: int) -> None:
+        if args.progress != "none":
+            report.progress(Progress(stage, done, total))
+
+    evaluation = evaluate(dataset, options, folder, progress)
+    files = write_report(folder, evaluation)
+    report.evaluated(
+        {
+            "output": str(folder / "index.html"),
+            "files": [str(file) for file in files],
+            "pictures": evaluation.pictures,
+            "hands": evaluation.labelled_hands,
+            "problems": {kind: len(where) for kind, where in evaluation.problems.items()},
+            "summaries": evaluation.summaries,
+        },
+        markdown_table(evaluation),
+    )
+    return 0

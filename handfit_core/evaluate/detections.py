@@ -1,0 +1,169 @@
+"""Detections of a data set's pictures, made once and kept by the pictures' content.
+
+All methods of an evaluation see the same detections, and a second evaluation, of other solvers or
+after an interruption, does not detect again. A kept detection is found by the bytes of the pictures,
+the detector's settings and model, and the detector's code: change one and it is made anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from handfit_core import detect
+from handfit_core.detect.landmark_model import landmark_model_path
+from handfit_core.errors import InputError
+from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
+from handfit_core.evaluate.units import Unit
+from handfit_core.keypoints import HandDetection
+from handfit_core.media import read_picture
+from handfit_core.paths import cache_dir
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+
+UNREADABLE = (0, 0)
+
+
+@dataclass(frozen=True)
+class DetectorSettings:
+    """What decides a detection, apart from the picture."""
+
+    max_hands: int = 2
+    threshold: float = 0.5
+    landmark_model: Path | None = None
+    """None for the one that is bundled or cached"""
+
+
+@dataclass(frozen=True, eq=False)
+class UnitDetections:
+    """What was found in the T pictures of a unit."""
+
+    frames: tuple[tuple[HandDetection, ...], ...]
+    """(T)"""
+    sizes: np.ndarray
+    """(T, 2) int: width and height in pixels; UNREADABLE where the picture could not be read"""
+    milliseconds: np.ndarray
+    """(T,) spent in the detector"""
+
+    @property
+    def readable(self) -> np.ndarray:
+        """(T,) bool"""
+        return np.asarray((self.sizes > 0).all(axis=-1))
+
+
+class Detector:
+    """Finds the hands of units. Use as a context manager."""
+
+    def __init__(self, settings: DetectorSettings, folder: Path | None = None) -> None:
+        self._settings = settings
+        self._folder = folder or cache_dir() / "detections"
+        model = landmark_model_path(settings.landmark_model).read_bytes()
+        self.model_sha256 = hashlib.sha256(model).hexdigest()
+        self._made_with = "|".join(
+            (
+                self.model_sha256,
+                version("mediapipe"),
+                str(settings.max_hands),
+                repr(settings.threshold),
+                code_digest(detect),
+            )
+        )
+        self._stills = None
+
+    def __enter__(self) -> Detector:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._stills is not None:
+            self._stills.close()
+            self._stills = None
+
+    def detect(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
+        """The hands in a unit's pictures, kept or fresh; calls `on_picture` once for each picture."""
+        path = self._folder / f"{self._key(unit)}.npz"
+        kept = load_kept(path)
+        if kept is None:
+            found = self._fresh(unit, on_picture)
+            save_kept(path, _to_arrays(found))
+            return found
+        for _ in unit.entries:
+            on_picture()
+        return _from_arrays(kept)
+
+    def _key(self, unit: Unit) -> str:
+        sha = hashlib.sha256(f"{self._made_with}|{unit.is_clip}".encode())
+        for entry in unit.entries:
+            try:
+                sha.update(hashlib.sha256(entry.picture.read_bytes()).digest())
+            except OSError:
+                sha.update(b"unreadable")
+            if unit.is_clip:
+                sha.update(repr(entry.time).encode())
+        return sha.hexdigest()[:32]
+
+    def _fresh(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
+        from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+
+        def hands(video: bool) -> MediaPipeHands:
+            s = self._settings
+            return MediaPipeHands(
+                max_hands=s.max_hands, video=video, threshold=s.threshold, landmark_model=s.landmark_model
+            )
+
+        if not unit.is_clip:
+            if self._stills is None:
+                self._stills = hands(video=False)
+            return _detected(unit, self._stills, on_picture)
+        with hands(video=True) as of_this_clip:
+            return _detected(unit, of_this_clip, on_picture)
+
+
+def _detected(unit: Unit, detector, on_picture: Callable[[], None]) -> UnitDetections:
+    frames: list[tuple[HandDetection, ...]] = []
+    sizes, spent = [], []
+    for entry in unit.entries:
+        found: tuple[HandDetection, ...] = ()
+        size, started = UNREADABLE, time.perf_counter()
+        try:
+            rgb, _ = read_picture(entry.picture)
+        except InputError:
+            pass
+        else:
+            size = (rgb.shape[1], rgb.shape[0])
+            started = time.perf_counter()
+            found = detector.detect(rgb, entry.time)
+        frames.append(found)
+        sizes.append(size)
+        spent.append(1000 * (time.perf_counter() - started))
+        on_picture()
+    return UnitDetections(tuple(frames), np.array(sizes), np.array(spent))
+
+
+def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
+    hands = [hand for frame in found.frames for hand in frame]
+    return {
+        "sizes": found.sizes,
+        "milliseconds": found.milliseconds,
+        "counts": np.array([len(frame) for frame in found.frames]),
+        "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
+        "scores": np.array([hand.score for hand in hands]),
+        "keypoints": np.array([hand.keypoints for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
+        "world": np.array([hand.world for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
+    }
+
+
+def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
+    hands = [
+        HandDetection(SIDES[side], float(score), keypoints, world)
+        for side, score, keypoints, world in zip(
+            arrays["sides"], arrays["scores"], arrays["keypoints"], arrays["world"], strict=True
+        )
+    ]
+    ends = np.cumsum(arrays["counts"])
+    frames = tuple(tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True))
+    return UnitDetections(frames, arrays["sizes"], arrays["milliseconds"])

@@ -1,0 +1,123 @@
+"""Running methods on tracks, in several processes if asked, with every result kept for a later run."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
+from handfit_core.evaluate.methods import TrackResult, get_method
+from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.hand_model import HandModel, load_model
+from handfit_core.keypoints import DetectedTrack
+from handfit_core.skeleton import Side
+
+
+@dataclass(frozen=True, eq=False)
+class FitTask:
+    """One method on one track."""
+
+    method: str
+    track: DetectedTrack
+    intrinsics: Intrinsics
+
+
+class Fits:
+    """The results of methods on tracks, kept in a folder."""
+
+    def __init__(
+        self, folder: Path, protocol: ProtocolName, model: str | None, sides: Iterable[Side]
+    ) -> None:
+        self._folder = folder
+        self._protocol: ProtocolName = protocol
+        self._model = model
+        self.models: Mapping[Side, HandModel] = _load_models(model, sides)
+        digests = "|".join(self.models[side].digest for side in sorted(self.models))
+        self._made_with = f"{protocol}|{digests}|{_code()}"
+
+    def run(self, tasks: Sequence[FitTask], jobs: int) -> Iterator[FitTask]:
+        """Run what is not kept yet; yields each task when its result is there."""
+        missing: list[FitTask] = []
+        for task in tasks:
+            if self._path(task).is_file():
+                yield task
+            else:
+                missing.append(task)
+        if jobs <= 1 or len(missing) < 2:
+            for task in missing:
+                method = get_method(task.method, self._protocol)
+                save_kept(self._path(task), _arrays(method(self.models, task.track, task.intrinsics)))
+                yield task
+            return
+        with ProcessPoolExecutor(
+            jobs,
+            get_context("spawn"),
+            initializer=_set_up,
+            initargs=(self._protocol, self._model, tuple(self.models)),
+        ) as pool:
+            running = {pool.submit(_run_one, task, self._path(task)): task for task in missing}
+            try:
+                for finished in as_completed(running):
+                    finished.result()
+                    yield running[finished]
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+
+    def result(self, task: FitTask) -> TrackResult:
+        """A task's result; made again where the kept file was damaged."""
+        arrays = load_kept(self._path(task))
+        if arrays is None:
+            self._path(task).unlink(missing_ok=True)
+            list(self.run([task], jobs=1))
+            arrays = load_kept(self._path(task))
+            assert arrays is not None
+        return TrackResult(**arrays)
+
+    def _path(self, task: FitTask) -> Path:
+        sha = hashlib.sha256(f"{self._made_with}|{task.method}|{task.track.side}|{task.intrinsics}".encode())
+        for detection in task.track.detections:
+            if detection is None:
+                sha.update(b"none")
+            else:
+                sha.update(np.ascontiguousarray(detection.keypoints).tobytes())
+                sha.update(np.ascontiguousarray(detection.world).tobytes())
+        return self._folder / task.method / f"{sha.hexdigest()[:32]}.npz"
+
+
+def _code() -> str:
+    from handfit_core import align, camera, hand_model, rotations, skeleton, solvers
+    from handfit_core.evaluate import methods, raw_landmarks
+
+    return code_digest(solvers, hand_model, align, camera, rotations, skeleton, methods, raw_landmarks)
+
+
+def _load_models(model: str | None, sides: Iterable[Side]) -> Mapping[Side, HandModel]:
+    return {side: load_model(model, side) for side in sides}
+
+
+def _arrays(result: TrackResult) -> dict[str, np.ndarray]:
+    return dict(vars(result))
+
+
+_method_settings: tuple[ProtocolName, Mapping[Side, HandModel]] | None = None
+"""Of a child process."""
+
+
+def _set_up(protocol: ProtocolName, model: str | None, sides: tuple[Side, ...]) -> None:
+    global _method_settings
+    _method_settings = (protocol, _load_models(model, sides))
+
+
+def _run_one(task: FitTask, path: Path) -> None:
+    assert _method_settings is not None
+    protocol, models = _method_settings
+    method = get_method(task.method, protocol)
+    save_kept(path, _arrays(method(models, task.track, task.intrinsics)))

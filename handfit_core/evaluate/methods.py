@@ -1,0 +1,158 @@
+"""What can be evaluated: the raw detector, and every solver. Each turns a detected track into 3D hands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.errors import OptionError
+from handfit_core.evaluate.raw_landmarks import (
+    fused_landmarks,
+    image_landmarks,
+    in_metres,
+    world_landmarks,
+)
+from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.hand_model import HandModel
+from handfit_core.keypoints import DetectedTrack, HandDetection
+from handfit_core.skeleton import NUM_KEYPOINTS, Side
+from handfit_core.solvers import PAPER_SOLVERS, get_solver, solver_names
+
+Models = Mapping[Side, HandModel]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackResult:
+    """One method's hand over a track's T frames; NaN where nothing was detected."""
+
+    points_3d: np.ndarray
+    """(T, 21, 3) metres, camera frame"""
+    picture_points: np.ndarray
+    """(T, 21, 3) pixels with a relative depth in pixels, on the scale of x"""
+    milliseconds: np.ndarray
+    """(T,) of fitting, spread evenly over the frames with a hand"""
+    parameters: np.ndarray
+    """(T, 61) betas, global_orient, hand_pose, transl; (T, 0) where there is no hand model"""
+
+    def vertices(self, model: HandModel, frame: int) -> np.ndarray | None:
+        """(V, 3) metres in the camera frame; None where there is no hand model or no hand."""
+        row = self.parameters[frame]
+        if not len(row) or not np.isfinite(row).all():
+            return None
+        return model.posed(row[:10], row[10:13], row[13:58], row[58:]).vertices
+
+
+Method = Callable[[Models, DetectedTrack, Intrinsics], TrackResult]
+"""Fits a whole track, seen through one camera, with the model of the track's side."""
+
+
+def raw(
+    landmarks: Callable[[HandDetection], np.ndarray],
+    models: Models,  # noqa: ARG001 (a method's signature)
+    track: DetectedTrack,
+    intrinsics: Intrinsics,
+) -> TrackResult:
+    """The detector's landmarks as they are."""
+    count = len(track.detections)
+    points, picture = _empty(count), _empty(count)
+    for i, detection in enumerate(track.detections):
+        if detection is not None:
+            picture[i] = landmarks(detection)
+            points[i] = in_metres(picture[i], detection, intrinsics)
+    return TrackResult(points, picture, np.full(count, np.nan), np.empty((count, 0)))
+
+
+def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
+    """A solver, called as a capture calls it."""
+    model, seen = models[track.side], track.detected
+    started = time.perf_counter()
+    fit = get_solver(solver)(model, track, intrinsics, lambda: None)
+    spent = 1000 * (time.perf_counter() - started) / max(1, int(seen.sum()))
+    points = _empty(len(seen))
+    points[seen] = model.keypoints(fit.betas, fit.global_orient[seen], fit.hand_pose[seen], fit.transl[seen])
+    betas = np.where(seen[:, None], fit.betas, np.nan)
+    return TrackResult(
+        points_3d=points,
+        picture_points=_seen_from_afar(points, intrinsics),
+        milliseconds=np.where(seen, spent, np.nan),
+        parameters=np.concatenate([betas, fit.global_orient, fit.hand_pose, fit.transl], axis=1),
+    )
+
+
+def published(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
+    """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
+    the inverse of its alignment, with no camera anywhere."""
+    from handfit_core.solvers.paper import PaperFitter
+
+    model = models[track.side]
+    fitter = PaperFitter(model, PAPER_SOLVERS[solver])
+    count = len(track.detections)
+    points, picture, spent = _empty(count), _empty(count), np.full(count, np.nan)
+    for i, detection in enumerate(track.detections):
+        if detection is None:
+            continue
+        started = time.perf_counter()
+        fit = fitter.fit(detection.keypoints)
+        spent[i] = 1000 * (time.perf_counter() - started)
+        fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
+        picture[i] = fit.in_picture(fitted)
+        points[i] = in_metres(picture[i], detection, intrinsics)
+    return TrackResult(points, picture, spent, np.empty((count, 0)))
+
+
+def _empty(count: int) -> np.ndarray:
+    return np.full((count, NUM_KEYPOINTS, 3), np.nan)
+
+
+def _seen_from_afar(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(T, 21, 3) metres -> projected pixels, and depths about their mean in pixels of the mean depth."""
+    mean_depth = points[..., 2:].mean(axis=-2, keepdims=True)
+    depth = (points[..., 2:] - mean_depth) * intrinsics.fx / mean_depth
+    return np.concatenate([intrinsics.project(points), depth], axis=-1)
+
+
+_RAW: Final = {"raw-image": image_landmarks, "raw-world": world_landmarks, "fused": fused_landmarks}
+
+_TITLES: Final = {
+    "raw-image": "detector, image landmarks",
+    "raw-world": "detector, world landmarks",
+    "fused": "detector, both landmark sets fused",
+}
+
+_GROUPS: Final[dict[str, tuple[str, ...]]] = {
+    "raw": ("raw-image", "raw-world"),
+    "paper": tuple(f"paper-{letter}" for letter in "abcdefgh"),
+    "all": (*_RAW, *solver_names()),
+}
+"""Names that stand for several."""
+
+
+def method_names(asked: list[str]) -> list[str]:
+    """Every method once, in the order asked for; groups opened. Raises OptionError."""
+    known = _GROUPS["all"]
+    names = [name for word in asked for name in _GROUPS.get(word, (word,))]
+    for name in names:
+        if name not in known:
+            raise OptionError(f"there is no solver '{name}'; choose from {', '.join((*_GROUPS, *known))}")
+    return list(dict.fromkeys(names))
+
+
+def method_title(name: str) -> str:
+    """For people."""
+    return _TITLES.get(name, name)
+
+
+def get_method(name: str, protocol: ProtocolName) -> Method:
+    """The method of that name, as the protocol runs it."""
+    if name in _RAW:
+        return partial(raw, _RAW[name])
+    options = PAPER_SOLVERS.get(name)
+    if protocol == "paper" and options is not None and not options.camera_stage:
+        return partial(published, name)
+    return partial(solved, name)

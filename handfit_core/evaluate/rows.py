@@ -1,0 +1,223 @@
+"""From a data set to rows: labelled hands, each with its detected track, or without one.
+
+Everything that cannot become a row is counted as a problem, with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.detect.tracks import link_tracks
+from handfit_core.errors import DatasetError, NoHandFoundError
+from handfit_core.evaluate.detections import UnitDetections
+from handfit_core.evaluate.labels import Entry, HandLabel, Labels, Problem
+from handfit_core.evaluate.matching import label_pixels, match
+from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.evaluate.units import Unit
+from handfit_core.evaluate.views import view_of
+from handfit_core.keypoints import DetectedTrack
+from handfit_core.skeleton import TIP_KEYPOINTS, Side
+
+PAPER_SIDE: Side = "left"
+"""The published evaluation takes every hand for a left one, as both of its data sets hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackInView:
+    """A detected track and the camera it is fitted through."""
+
+    track: DetectedTrack
+    intrinsics: Intrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One labelled hand in one picture."""
+
+    entry: Entry
+    hand_index: int
+    label: HandLabel
+    label_2d: np.ndarray
+    """(21, 2) pixels"""
+    intrinsics: Intrinsics | None
+    """The true camera, where the set gives it"""
+    view: str
+    detect_ms: float
+    track: TrackInView | None
+    """None for a miss"""
+    frame: int
+    """Place in the track"""
+    side_correct: float
+    """1 or 0; NaN for a miss or an unnamed side"""
+
+
+@dataclass
+class Rows:
+    """All rows of an evaluation."""
+
+    rows: list[Row] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    tracks: list[TrackInView] = field(default_factory=list)
+    """Those that rows refer to"""
+    pictures: int = 0
+    extra_hands: int = 0
+    """Detections in a kept track that belong to no labelled hand"""
+
+
+ReadUnit = Callable[[Unit], UnitDetections]
+
+
+def rows_of(
+    units: Sequence[Unit],
+    detect: ReadUnit,
+    *,
+    protocol: ProtocolName,
+    max_hands: int,
+    camera: str,
+) -> Rows:
+    """Detect and pair with labels. `camera` is `assumed` or `labelled`: what solvers are told."""
+    found = Rows()
+    for unit in units:
+        labels = [_labels(entry, found) for entry in unit.entries]
+        if not any(labels):
+            continue
+        detections = detect(unit)
+        _note_unreadable(unit, detections, found)
+        readable = detections.readable
+        used = [bool(readable[t]) and labels[t] is not None for t in range(len(unit.entries))]
+        if not any(used):
+            continue
+        found.pictures += sum(used)
+        first = used.index(True)
+        intrinsics = _camera(camera, labels[first], detections.sizes[first])
+        if intrinsics is None:
+            found.problems.append(Problem("camera missing: one is assumed", unit.entries[first].name))
+            intrinsics = Intrinsics.assumed(*(int(side) for side in detections.sizes[first]))
+        if protocol == "paper":
+            _paper_rows(unit, labels, detections, intrinsics, used, found)
+        else:
+            _strict_rows(unit, labels, detections, intrinsics, used, max_hands, found)
+    return found
+
+
+def _labels(entry: Entry, found: Rows) -> Labels | None:
+    try:
+        labels = entry.read_labels()
+    except DatasetError as error:
+        found.problems.append(Problem("labels cannot be read", f"{entry.name}: {error}"))
+        return None
+    if not any(_is_labelled(hand) for hand in labels.hands):
+        found.problems.append(Problem("no labelled hand", entry.name))
+        return None
+    return labels
+
+
+def _is_labelled(hand: HandLabel) -> bool:
+    return bool(np.isfinite(hand.joints_3d).any() or np.isfinite(hand.keypoints_2d).any())
+
+
+def _note_unreadable(unit: Unit, detections: UnitDetections, found: Rows) -> None:
+    for entry, readable in zip(unit.entries, detections.readable, strict=True):
+        if not readable:
+            found.problems.append(Problem("picture cannot be read", entry.name))
+
+
+def _camera(camera: str, labels: Labels | None, size: np.ndarray) -> Intrinsics | None:
+    if camera == "labelled":
+        return None if labels is None else labels.intrinsics
+    return Intrinsics.assumed(int(size[0]), int(size[1]))
+
+
+def _strict_rows(
+    unit: Unit,
+    labels: Sequence[Labels | None],
+    detections: UnitDetections,
+    intrinsics: Intrinsics,
+    used: Sequence[bool],
+    max_hands: int,
+    found: Rows,
+) -> None:
+    """Tracks as a capture makes them; every labelled hand is a row, found or not."""
+    try:
+        tracks = link_tracks(detections.frames, "auto", max_hands)
+    except NoHandFoundError:
+        tracks = ()
+    in_view = [TrackInView(track, intrinsics) for track in tracks]
+    found.tracks += in_view
+    for t, entry in enumerate(unit.entries):
+        frame_labels = labels[t]
+        if not used[t] or frame_labels is None:
+            continue
+        hands = [(i, hand) for i, hand in enumerate(frame_labels.hands) if _is_labelled(hand)]
+        pixels = [label_pixels(hand, frame_labels.intrinsics) for _, hand in hands]
+        present = [(view, d) for view in in_view if (d := view.track.detections[t]) is not None]
+        matched = match(pixels, [detection for _, detection in present])
+        found.extra_hands += len(present) - sum(m is not None for m in matched)
+        for (index, hand), label_2d, which in zip(hands, pixels, matched, strict=True):
+            track = None if which is None else present[which][0]
+            found.rows.append(
+                _row(entry, index, hand, label_2d, frame_labels.intrinsics, detections, t, track)
+            )
+
+
+def _paper_rows(
+    unit: Unit,
+    labels: Sequence[Labels | None],
+    detections: UnitDetections,
+    intrinsics: Intrinsics,
+    used: Sequence[bool],
+    found: Rows,
+) -> None:
+    """One row a picture: its first labelled hand and its first detection, whoever's it is, taken for a
+    left hand. What the published evaluation drops in silence is dropped too, and named."""
+    for t, entry in enumerate(unit.entries):
+        frame_labels = labels[t]
+        if not used[t] or frame_labels is None:
+            continue
+        hand = frame_labels.hands[0]
+        if frame_labels.intrinsics is None:
+            found.problems.append(Problem("camera missing: the paper's protocol needs it", entry.name))
+            continue
+        if not np.isfinite(hand.joints_3d[list(TIP_KEYPOINTS)]).any():
+            found.problems.append(Problem("no labelled fingertip: dropped as in the paper", entry.name))
+            continue
+        track = None
+        if detections.frames[t]:
+            track = TrackInView(DetectedTrack(PAPER_SIDE, (detections.frames[t][0],)), intrinsics)
+            found.tracks.append(track)
+        else:
+            found.problems.append(Problem("no hand detected: dropped as in the paper", entry.name))
+        label_2d = label_pixels(hand, frame_labels.intrinsics)
+        found.rows.append(
+            _row(entry, 0, hand, label_2d, frame_labels.intrinsics, detections, t, track, frame=0)
+        )
+
+
+def _row(
+    entry: Entry,
+    hand_index: int,
+    hand: HandLabel,
+    label_2d: np.ndarray,
+    intrinsics: Intrinsics | None,
+    detections: UnitDetections,
+    t: int,
+    track: TrackInView | None,
+    frame: int | None = None,
+) -> Row:
+    known = track is not None and hand.side is not None
+    return Row(
+        entry=entry,
+        hand_index=hand_index,
+        label=hand,
+        label_2d=label_2d,
+        intrinsics=intrinsics,
+        view=view_of(hand.joints_3d, hand.side),
+        detect_ms=float(detections.milliseconds[t]),
+        track=track,
+        frame=t if frame is None else frame,
+        side_correct=float(track.track.side == hand.side) if known and track else float("nan"),
+    )

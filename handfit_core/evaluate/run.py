@@ -1,0 +1,255 @@
+"""A whole evaluation as one readable function: detect, fit, score, summarise, compare."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Literal
+
+from handfit_core.errors import DatasetError, OptionError
+from handfit_core.evaluate.compare import compare
+from handfit_core.evaluate.detections import Detector, DetectorSettings, UnitDetections
+from handfit_core.evaluate.fits import Fits, FitTask
+from handfit_core.evaluate.labels import Dataset, Problem
+from handfit_core.evaluate.methods import method_names, method_title
+from handfit_core.evaluate.rows import Row, Rows, rows_of
+from handfit_core.evaluate.scores import Comparison, Evaluation, ProtocolName, Scores
+from handfit_core.evaluate.scoring import RowResult, baselines, score
+from handfit_core.evaluate.summary import summarise
+from handfit_core.evaluate.units import Unit, units_of
+from handfit_core.hand_model import OPEN_HAND
+from handfit_core.version import __version__
+
+CameraChoice = Literal["assumed", "labelled"]
+CAMERA_CHOICES: tuple[CameraChoice, ...] = ("assumed", "labelled")
+
+COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
+    "strict": ("pa_mpjpe", "epe", "error_2d"),
+    "paper": ("epe",),
+}
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """What to evaluate, and how."""
+
+    methods: tuple[str, ...]
+    """Names or groups, see `methods.method_names`"""
+    protocol: ProtocolName = "strict"
+    camera: CameraChoice = "assumed"
+    """What solvers are told about the camera: nothing, or the data set's labels"""
+    every: int = 1
+    """Use every n-th still and every n-th clip"""
+    clips: bool = True
+    """Fit clips as wholes; False takes each of their pictures for a still"""
+    jobs: int = 1
+    """Processes that fit at the same time"""
+    max_hands: int = 2
+    reference: str | None = None
+    """Every other method is compared with this one; the last of `methods` by default"""
+    model: str | None = None
+    detector: DetectorSettings = field(default_factory=DetectorSettings)
+
+
+ReportProgress = Callable[[str, int, int], None]
+"""(stage, done, total); stages are `detect`, `fit` and `score`"""
+
+
+def evaluate(
+    dataset: Dataset, options: EvaluationOptions, folder: Path, progress: ReportProgress
+) -> Evaluation:
+    """Evaluate methods on a data set; `folder` keeps fits, so that a second run goes on where one ended.
+
+    Raises OptionError for unknown methods and settings out of range, DatasetError when nothing in the
+    set can be scored.
+    """
+    names = method_names(list(options.methods))
+    reference = _checked(options, names)
+    units = units_of(
+        dataset.entries, clips=options.clips and options.protocol == "strict", every=options.every
+    )
+    settings = _detector_settings(options)
+    with Detector(settings) as detector:
+        found = _detected_rows(units, detector, options, settings.max_hands, progress)
+    if not found.rows:
+        kinds = _grouped((*dataset.problems, *found.problems))
+        listed = "; ".join(f"{kind}: {len(where)}" for kind, where in kinds.items()) or "it is empty"
+        raise DatasetError(f"{dataset.root}: nothing in this data set can be scored ({listed})")
+
+    fits = Fits(folder / "fits", options.protocol, options.model, {v.track.side for v in found.tracks})
+    _fit_all(fits, names, found, options.jobs, progress)
+
+    scores: list[Scores] = []
+    stages = len(names) + 2
+    for name, title, result_of in baselines(found.rows, options.protocol, options.model):
+        scores.append(score(name, title, found.rows, result_of, options.protocol, is_baseline=True))
+        progress("score", len(scores), stages)
+    for name in names:
+        scores.append(score(name, method_title(name), found.rows, _results(fits, name), options.protocol))
+        progress("score", len(scores), stages)
+    return Evaluation(
+        dataset=dataset.name,
+        kind=dataset.kind,
+        root=dataset.root,
+        protocol=options.protocol,
+        scores=tuple(scores),
+        summaries={s.method: summarise(s, options.protocol) for s in scores},
+        comparisons=_comparisons(scores, reference, options.protocol),
+        pictures=found.pictures,
+        labelled_hands=len(found.rows),
+        extra_hands=found.extra_hands,
+        problems=_grouped((*dataset.problems, *found.problems)),
+        notes=(*dataset.notes, *_notes(options)),
+        setup=_setup(options, names, detector, fits),
+    )
+
+
+def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
+    """The method that others are compared with. Raises OptionError."""
+    if not names:
+        raise OptionError("no solver was named; give at least one, as in --solvers raw,fused,paper-a")
+    for what, value in (("every", options.every), ("jobs", options.jobs), ("max_hands", options.max_hands)):
+        if value < 1:
+            raise OptionError(f"{what} must be at least 1, not {value}")
+    if options.camera not in CAMERA_CHOICES:
+        raise OptionError(f"camera must be one of {', '.join(CAMERA_CHOICES)}; got {options.camera!r}")
+    reference = options.reference or names[-1]
+    if reference not in names:
+        raise OptionError(
+            f"the reference '{reference}' is not among the evaluated solvers ({', '.join(names)})"
+        )
+    return reference
+
+
+def _detector_settings(options: EvaluationOptions) -> DetectorSettings:
+    given = options.detector
+    # The published evaluation looks for one hand.
+    hands = 1 if options.protocol == "paper" else options.max_hands
+    return DetectorSettings(hands, given.threshold, given.landmark_model)
+
+
+def _detected_rows(
+    units: Sequence[Unit],
+    detector: Detector,
+    options: EvaluationOptions,
+    max_hands: int,
+    progress: ReportProgress,
+) -> Rows:
+    total = sum(len(unit.entries) for unit in units)
+    done = 0
+
+    def one_more() -> None:
+        nonlocal done
+        done += 1
+        progress("detect", done, total)
+
+    def detect(unit: Unit) -> UnitDetections:
+        return detector.detect(unit, one_more)
+
+    return rows_of(units, detect, protocol=options.protocol, max_hands=max_hands, camera=options.camera)
+
+
+def _fit_all(fits: Fits, names: Sequence[str], found: Rows, jobs: int, progress: ReportProgress) -> None:
+    # Track by track and not method by method: neighbours in time saw the machine in the same mood.
+    tasks = [FitTask(name, view.track, view.intrinsics) for view in found.tracks for name in names]
+    total = sum(int(task.track.detected.sum()) for task in tasks)
+    done = 0
+    for task in fits.run(tasks, jobs):
+        done += int(task.track.detected.sum())
+        progress("fit", done, total)
+
+
+def _results(fits: Fits, name: str) -> Callable[[Row], RowResult | None]:
+    """A method's result of a row, reading each track's file once for neighbouring rows."""
+    last_view, last_result = None, None
+
+    def result_of(row: Row) -> RowResult | None:
+        nonlocal last_view, last_result
+        if row.track is None:
+            return None
+        if row.track is not last_view:
+            last_view = row.track
+            last_result = fits.result(FitTask(name, row.track.track, row.track.intrinsics))
+        assert last_result is not None
+        model = fits.models[row.track.track.side]
+        wanted = row.label.mesh is not None
+        return RowResult(
+            points_3d=last_result.points_3d[row.frame],
+            picture_points=last_result.picture_points[row.frame],
+            fit_ms=float(last_result.milliseconds[row.frame]),
+            model=model,
+            vertices=last_result.vertices(model, row.frame) if wanted else None,
+        )
+
+    return result_of
+
+
+def _comparisons(scores: Sequence[Scores], reference: str, protocol: ProtocolName) -> tuple[Comparison, ...]:
+    by_name = {s.method: s for s in scores}
+    others = [s for s in scores if not s.is_baseline and s.method != reference]
+    return tuple(
+        compare(by_name[reference], other, metric)
+        for metric in COMPARED_METRICS[protocol]
+        for other in others
+    )
+
+
+def _grouped(problems: Sequence[Problem]) -> dict[str, tuple[str, ...]]:
+    kinds: defaultdict[str, list[str]] = defaultdict(list)
+    for problem in problems:
+        kinds[problem.kind].append(problem.where)
+    return {kind: tuple(where) for kind, where in kinds.items()}
+
+
+def _notes(options: EvaluationOptions) -> list[str]:
+    if options.protocol == "paper":
+        return [
+            "The paper's protocol, faults included: fingertips only; pictures without a detection are "
+            "dropped; every hand is taken for a left one; the true camera and the true mean depth are used; "
+            "one pixel of depth counts as one millimetre; a picture with one labelled tip scores 0 mm; "
+            "'joints' mix where a tip has no label."
+        ]
+    camera = {
+        "assumed": "Solvers are told nothing about the camera: one with a 53 degree view is assumed.",
+        "labelled": "Solvers are told the data set's own camera.",
+    }[options.camera]
+    return [
+        camera,
+        "Every labelled hand counts: one that was not detected is wrong at every threshold of PCK and AUC. "
+        "Mean errors are over detected hands only; read them beside the detection rate.",
+        "The null baselines know the truth; they show what a number is worth.",
+    ]
+
+
+def _setup(
+    options: EvaluationOptions, names: Sequence[str], detector: Detector, fits: Fits
+) -> dict[str, str]:
+    setup = {
+        "handfit_core": __version__,
+        "protocol": options.protocol,
+        "solvers": ", ".join(names),
+        "camera": options.camera,
+        "clips": "as wholes" if options.clips and options.protocol == "strict" else "picture by picture",
+        "every": str(options.every),
+        "jobs": str(options.jobs),
+        "hand model": options.model or OPEN_HAND,
+        "hand model digests": ", ".join(f"{side} {m.digest}" for side, m in sorted(fits.models.items())),
+        "detection threshold": f"{options.detector.threshold:g}",
+        "landmark model sha256": detector.model_sha256,
+        "Python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPU cores",
+    }
+    for package in ("numpy", "scipy", "torch", "mediapipe", "opencv-python-headless"):
+        try:
+            setup[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return setup
+
+
+__all__ = ["CAMERA_CHOICES", "CameraChoice", "EvaluationOptions", "evaluate"]

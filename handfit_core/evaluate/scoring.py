@@ -1,0 +1,185 @@
+"""A method's results against the labels, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.evaluate.baselines import collapsed_to_centroid, mean_pose_at_truth
+from handfit_core.evaluate.metrics import (
+    aligned_vertices,
+    camera_distances,
+    centroid_aligned_distances,
+    distances_2d,
+    f_score,
+    pa_mpvpe,
+    root_aligned_distances,
+    similarity_aligned_distances,
+)
+from handfit_core.evaluate.paper_protocol import published_error
+from handfit_core.evaluate.rows import PAPER_SIDE, Row
+from handfit_core.evaluate.scores import ProtocolName, Scores
+from handfit_core.hand_model import HandModel, load_model
+from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS, Side
+
+MM = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class RowResult:
+    """What one method says of one row."""
+
+    points_3d: np.ndarray
+    """(21, 3) metres, camera frame"""
+    picture_points: np.ndarray
+    """(21, 3) pixels with a relative depth in pixels"""
+    fit_ms: float = float("nan")
+    model: HandModel | None = None
+    vertices: np.ndarray | None = None
+    """(V, 3) metres in the camera frame"""
+
+
+def score(
+    method: str,
+    title: str,
+    rows: Sequence[Row],
+    result_of: Callable[[Row], RowResult | None],
+    protocol: ProtocolName,
+    *,
+    is_baseline: bool = False,
+) -> Scores:
+    """Score every row; `result_of` gives None for a miss."""
+    count = len(rows)
+    per_point = {name: np.full((count, NUM_KEYPOINTS), np.nan) for name in _PER_POINT}
+    per_hand = {name: np.full(count, np.nan) for name in ("pa_mpvpe", "f5", "f15", "fit_ms")}
+    points_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
+    points_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
+    detected = np.zeros(count, dtype=bool)
+    for i, row in enumerate(rows):
+        result = result_of(row)
+        if result is None:
+            continue
+        detected[i] = True
+        points_3d[i], points_2d[i] = result.points_3d, result.picture_points[:, :2]
+        per_hand["fit_ms"][i] = result.fit_ms
+        errors = _published(row, result) if protocol == "paper" else _strict(row, result)
+        for name, values in errors.items():
+            per_point[name][i] = values
+        if protocol == "strict":
+            for name, value in _surface(row, result).items():
+                per_hand[name][i] = value
+    return Scores(
+        method=method,
+        title=title,
+        is_baseline=is_baseline,
+        samples=tuple(row.entry.name for row in rows),
+        hands=np.array([row.hand_index for row in rows], dtype=np.int64),
+        pictures=tuple(row.entry.picture for row in rows),
+        clips=tuple(row.entry.clip for row in rows),
+        times=np.array([row.entry.time for row in rows]),
+        views=tuple(row.view for row in rows),
+        tags=tuple(row.entry.tags for row in rows),
+        detected=detected,
+        side_correct=np.array([np.nan if is_baseline else row.side_correct for row in rows]),
+        labels_3d=np.array([row.label.joints_3d for row in rows]).reshape(-1, NUM_KEYPOINTS, 3),
+        labels_2d=np.array([row.label_2d for row in rows]).reshape(-1, NUM_KEYPOINTS, 2),
+        points_3d=points_3d,
+        points_2d=points_2d,
+        detect_ms=np.array([np.nan if is_baseline else row.detect_ms for row in rows]),
+        **per_point,
+        **per_hand,
+    )
+
+
+_PER_POINT = ("camera_error", "epe", "root_error", "pa_error", "error_2d")
+
+
+def _strict(row: Row, result: RowResult) -> dict[str, np.ndarray]:
+    points, truth = MM * result.points_3d, MM * row.label.joints_3d
+    return {
+        "camera_error": camera_distances(points, truth),
+        "epe": centroid_aligned_distances(points, truth),
+        "root_error": root_aligned_distances(points, truth),
+        "pa_error": similarity_aligned_distances(points, truth),
+        "error_2d": distances_2d(result.picture_points[:, :2], row.label_2d),
+    }
+
+
+def _published(row: Row, result: RowResult) -> dict[str, np.ndarray]:
+    assert row.intrinsics is not None, "rows of the paper's protocol have a camera"
+    return {"epe": published_error(result.picture_points, row.label.joints_3d, row.intrinsics)}
+
+
+def _surface(row: Row, result: RowResult) -> dict[str, float]:
+    """PA-MPVPE and F-scores, where both sides have a surface."""
+    mesh = row.label.mesh
+    if mesh is None or result.vertices is None or result.model is None:
+        return {}
+    truth, vertices = MM * mesh.vertices(), MM * result.vertices
+    same_mesh = len(truth) == len(vertices) and mesh.digest in ("", result.model.digest)
+    points, joints = MM * result.points_3d, MM * row.label.joints_3d
+    if same_mesh:
+        aligned = aligned_vertices(vertices, truth, points, joints)
+    else:
+        # Another topology: only the labelled joints tell how the surfaces lie on each other.
+        aligned = aligned_vertices(vertices, truth[:0], points, joints)
+    scores = {"f5": f_score(aligned, truth, 5.0), "f15": f_score(aligned, truth, 15.0)}
+    return {**scores, "pa_mpvpe": pa_mpvpe(vertices, truth)} if same_mesh else scores
+
+
+def baselines(
+    rows: Sequence[Row], protocol: ProtocolName, model: str | None
+) -> list[tuple[str, str, Callable[[Row], RowResult | None]]]:
+    """The null baselines, which know the truth: (method, title, result of a row).
+
+    Under the paper's protocol they see only what was detected, as the methods do.
+    """
+    sides: set[Side] = {_side(row, protocol) for row in rows}
+    models = {side: load_model(model, side) for side in sides}
+
+    def known(row: Row) -> bool:
+        return protocol == "strict" or row.track is not None
+
+    def centroid(row: Row) -> RowResult | None:
+        if not known(row):
+            return None
+        return _from_truth(collapsed_to_centroid(_tips_only(row, protocol)), row)
+
+    def mean_pose(row: Row) -> RowResult | None:
+        posed = mean_pose_at_truth(models[_side(row, protocol)], _tips_only(row, protocol))
+        return None if posed is None or not known(row) else _from_truth(posed, row)
+
+    return [
+        ("null-centroid", "null: all points at their centroid", centroid),
+        ("null-mean-pose", "null: relaxed hand at the true orientation", mean_pose),
+    ]
+
+
+def _side(row: Row, protocol: ProtocolName) -> Side:
+    if protocol == "paper":
+        return PAPER_SIDE
+    return row.label.side or PAPER_SIDE
+
+
+def _tips_only(row: Row, protocol: ProtocolName) -> np.ndarray:
+    if protocol == "strict":
+        return row.label.joints_3d
+    tips = np.full_like(row.label.joints_3d, np.nan)
+    tips[list(TIP_KEYPOINTS)] = row.label.joints_3d[list(TIP_KEYPOINTS)]
+    return tips
+
+
+def _from_truth(points: np.ndarray, row: Row) -> RowResult:
+    return RowResult(points, in_picture(points, row.intrinsics))
+
+
+def in_picture(points: np.ndarray, intrinsics: Intrinsics | None) -> np.ndarray:
+    """(21, 3) metres -> pixels, with depths about their mean in millimetres, which the paper's protocol
+    takes pixels for; NaN without a camera."""
+    if intrinsics is None:
+        return np.full((NUM_KEYPOINTS, 3), np.nan)
+    depth = MM * (points[:, 2:] - points[:, 2:].mean())
+    return np.concatenate([intrinsics.project(points), depth], axis=-1)

@@ -1,0 +1,237 @@
+"""From scores per hand to one number per metric, by the strict protocol or by the paper's.
+
+The strict protocol counts misses: they lower the detection rate and every PCK. A mean error cannot hold
+a miss, so read it beside the detection rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
+from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
+from handfit_core.evaluate.scores import ProtocolName, Scores
+from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What a number in a table is."""
+
+    key: str
+    title: str
+    unit: str
+    """Empty for a share of 0..1"""
+    alignment: str
+    """In words: what was made to meet before measuring, and what the mean is over"""
+    lower_is_better: bool
+
+
+METRICS: Final[dict[str, Metric]] = {
+    metric.key: metric
+    for metric in (
+        Metric("detection_rate", "Detected", "%", "share of labelled hands", False),
+        Metric("handedness", "Side right", "%", "share of detected hands whose side is labelled", False),
+        Metric("epe", "EPE", "mm", "centroids of the scored points made to meet; mean over points", True),
+        Metric("epe_median", "EPE, median hand", "mm", "centroids made to meet; median over hands", True),
+        Metric("auc", "AUC 20-50 mm", "", "of EPE's PCK; points of missed hands count as wrong", False),
+        Metric("mpjpe", "MPJPE", "mm", "wrists made to meet; mean over hands, wrist included", True),
+        Metric("auc_root", "AUC 20-50 mm, wrist", "", "of MPJPE's PCK; misses count as wrong", False),
+        Metric("pa_mpjpe", "PA-MPJPE", "mm", "similarity (Procrustes); mean over hands", True),
+        Metric("pa_mpjpe_median", "PA-MPJPE, median hand", "mm", "similarity; median over hands", True),
+        Metric("pa_mpvpe", "PA-MPVPE", "mm", "similarity over vertices; mean over hands", True),
+        Metric("f5", "F@5 mm", "", "surfaces aligned by similarity; mean over hands", False),
+        Metric("f15", "F@15 mm", "", "surfaces aligned by similarity; mean over hands", False),
+        Metric("camera_error", "Camera error", "mm", "none: camera frame; mean over hands", True),
+        Metric("error_2d", "2D error", "% of hand", "none: over the hand's size; mean over hands", True),
+        Metric("bone_variation", "Bone variation", "%", "none needed; deviation over a clip", True),
+        Metric("acceleration_error", "Acceleration error", "m/s²", "wrists made to meet; clips", True),
+        Metric("jitter", "Jitter above 5 Hz", "mm", "wrists made to meet; RMS over clips", True),
+        Metric("detect_ms", "Detection", "ms", "median over pictures", True),
+        Metric("fit_ms", "Fit", "ms", "median over hands", True),
+    )
+}
+"""Every metric of the strict protocol, in the order of display. The paper's has the three of `_paper`."""
+
+_HAND_ERRORS = {
+    "epe": "epe",
+    "mpjpe": "root_error",
+    "pa_mpjpe": "pa_error",
+    "pa_mpvpe": "pa_mpvpe",
+    "camera_error": "camera_error",
+    "error_2d": "error_2d",
+}
+HAND_METRICS: Final = tuple(_HAND_ERRORS)
+"""The metrics that every hand has a value of its own of, for `hand_means` and `compare`"""
+
+
+def hand_means(scores: Scores, metric: str) -> np.ndarray:
+    """(N,) each hand's mean of one of `HAND_METRICS` over its points, in the unit that METRICS tells.
+
+    NaN for misses, and where labels are missing; EPE also where only one point is labelled.
+    """
+    errors = _counted_epe(scores) if metric == "epe" else getattr(scores, _HAND_ERRORS[metric])
+    means = errors if errors.ndim == 1 else mean_of_labelled(errors, axis=1)
+    return 100.0 * means if metric == "error_2d" else means
+
+
+def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
+    """Metric key -> value, in the units of METRICS; NaN where a metric does not apply.
+
+    `strict` gives all of METRICS. `paper` gives `epe` and `auc` as the paper's code computes them (see
+    `paper_pck`), over the fingertips, and beside them the detection rate, which it does not publish.
+    """
+    return _paper(scores) if protocol == "paper" else _strict(scores)
+
+
+def paper_pck(epe_rows: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """Mean error (mm), PCK curve (100,) and AUC (0..1) as the paper's code has them, faults included.
+
+    epe_rows: (N, P) mm, NaN where a point is not labelled or the hand was missed. Alignment: as in the
+    rows. Zimmermann and Brox 2017's `EvalUtil` keeps one list per joint; the paper (arXiv 2506.11133)
+    removes a frame's missing points before filing the others as joints 0, 1, ...: "joints" mix. Frames
+    without any point vanish. Mean, and PCK at 20..50 mm, are taken per "joint", then averaged over
+    "joints" without regard to their number of points; the AUC is the trapezoid over 30 mm. NaN without
+    any row.
+    """
+    frames = [row[~np.isnan(row)] for row in np.asarray(epe_rows, dtype=np.float64)]
+    filed = [
+        np.array([frame[joint] for frame in frames if len(frame) > joint])
+        for joint in range(max((len(frame) for frame in frames), default=0))
+    ]
+    if not filed:
+        return float("nan"), np.full(len(PCK_THRESHOLDS_MM), np.nan), float("nan")
+    curve = np.mean([pck_curve(errors, PCK_THRESHOLDS_MM) for errors in filed], axis=0)
+    return float(np.mean([errors.mean() for errors in filed])), curve, auc(curve, PCK_THRESHOLDS_MM)
+
+
+def pck(scores: Scores, protocol: ProtocolName) -> np.ndarray:
+    """(100,) PCK of EPE at `PCK_THRESHOLDS_MM`; the `auc` of `summarise` is the area under it.
+
+    `strict`: points of missed hands are wrong at every threshold; hands with a single labelled point
+    cannot be scored and are left out, detected or not. `paper`: see `paper_pck`. NaN without any point.
+    """
+    if protocol == "paper":
+        return paper_pck(_paper_rows(scores))[1]
+    labelled = labelled_points(scores.labels_3d).sum(axis=1)
+    misses = labelled[~scores.detected & (labelled >= 2)].sum()
+    return pck_curve(_counted_epe(scores), PCK_THRESHOLDS_MM, misses=int(misses))
+
+
+def pck_root(scores: Scores) -> np.ndarray:
+    """(100,) PCK of the wrist-aligned error at `PCK_THRESHOLDS_MM`, strict: misses as in `pck`.
+
+    Hands without a labelled wrist, or with nothing else, are left out; NaN where none remains.
+    """
+    labelled = labelled_points(scores.labels_3d)
+    scored = labelled[:, WRIST_KEYPOINT] & (labelled.sum(axis=1) >= 2)
+    misses = labelled[~scores.detected & scored].sum()
+    return pck_curve(scores.root_error, PCK_THRESHOLDS_MM, misses=int(misses))
+
+
+def _paper(scores: Scores) -> dict[str, float]:
+    mean, _, area = paper_pck(_paper_rows(scores))
+    return {"detection_rate": _detection_rate(scores), "epe": mean, "auc": area}
+
+
+def _paper_rows(scores: Scores) -> np.ndarray:
+    """(N, 5) mm: the fingertips' EPE; NaN for missed hands and where not labelled."""
+    return np.where(scores.detected[:, None], scores.epe, np.nan)[:, list(TIP_KEYPOINTS)]
+
+
+def _strict(scores: Scores) -> dict[str, float]:
+    _, first_rows = np.unique(np.array(scores.samples, dtype=str), return_index=True)
+    values = {
+        "detection_rate": _detection_rate(scores),
+        "handedness": 100.0 * _mean(scores.side_correct),
+        "epe": _mean(_counted_epe(scores)),
+        "epe_median": _median(hand_means(scores, "epe")),
+        "auc": auc(pck(scores, "strict"), PCK_THRESHOLDS_MM),
+        "auc_root": auc(pck_root(scores), PCK_THRESHOLDS_MM),
+        "pa_mpjpe_median": _median(hand_means(scores, "pa_mpjpe")),
+        "f5": _mean(scores.f5),
+        "f15": _mean(scores.f15),
+        # A picture is detected once, however many of its hands are labelled.
+        "detect_ms": _median(scores.detect_ms[first_rows]),
+        "fit_ms": _median(scores.fit_ms),
+        **{key: _mean(hand_means(scores, key)) for key in HAND_METRICS if key != "epe"},
+        **_of_clips(scores),
+    }
+    return {key: values[key] for key in METRICS}
+
+
+def _detection_rate(scores: Scores) -> float:
+    return 100.0 * _mean(scores.detected)
+
+
+def _counted_epe(scores: Scores) -> np.ndarray:
+    """(N, 21) EPE without hands of a single scored point, which are 0 by construction."""
+    enough = (~np.isnan(scores.epe)).sum(axis=1) >= 2
+    return np.where(enough[:, None], scores.epe, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Track:
+    """One hand through one clip. Where frames are missing from the set, one NaN frame stands for the gap."""
+
+    points: np.ndarray
+    """(T, 21, 3) metres"""
+    truth: np.ndarray
+    """(T, 21, 3) metres"""
+    times: np.ndarray
+    """(T,) seconds"""
+    step: float
+    """seconds between neighbouring frames; 0 where the set has no times"""
+
+
+def _tracks(scores: Scores) -> Iterator[_Track]:
+    rows_of: dict[tuple[str, int], list[int]] = {}
+    for row, (clip, hand) in enumerate(zip(scores.clips, scores.hands, strict=True)):
+        if clip is not None:
+            rows_of.setdefault((clip, int(hand)), []).append(row)
+    for rows in rows_of.values():
+        points, truth, times = scores.points_3d[rows], scores.labels_3d[rows], scores.times[rows]
+        steps = np.diff(times)
+        if len(steps) == 0 or not np.all(steps > 0.0):
+            yield _Track(points, truth, times, 0.0)
+            continue
+        step = float(np.median(steps))
+        gaps = np.flatnonzero(steps > 1.5 * step) + 1
+        yield _Track(
+            np.insert(points, gaps, np.nan, axis=0),
+            np.insert(truth, gaps, np.nan, axis=0),
+            np.insert(times, gaps, (times[gaps - 1] + times[gaps]) / 2.0),
+            step,
+        )
+
+
+def _of_clips(scores: Scores) -> dict[str, float]:
+    """The metrics of each hand of each clip, averaged with the number of its detected frames as weight."""
+    weights: list[int] = []
+    values: list[tuple[float, float, float]] = []
+    for track in _tracks(scores):
+        weights.append(int(labelled_points(track.points).all(axis=1).sum()))
+        acceleration = jitter = float("nan")
+        if track.step > 0.0:
+            acceleration = acceleration_error(track.points, track.truth, track.times)
+            jitter = 1000.0 * jitter_spectrum(track.points, track.truth, 1.0 / track.step)
+        values.append((bone_length_variation(track.points), acceleration, jitter))
+    table = np.array(values).reshape(-1, 3)
+    weight = np.where(np.isnan(table), 0.0, np.array(weights, dtype=np.float64)[:, None])
+    total = weight.sum(axis=0)
+    summed = (weight * np.nan_to_num(table)).sum(axis=0)
+    means = np.divide(summed, total, out=np.full(3, np.nan), where=total > 0.0)
+    return dict(zip(("bone_variation", "acceleration_error", "jitter"), means.tolist(), strict=True))
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(mean_of_labelled(values))
+
+
+def _median(values: np.ndarray) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else float("nan")

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.detect.landmark_model import landmark_model_path
+from handfit_core.errors import LandmarkModelError
+from handfit_core.evaluate.detections import Detector, DetectorSettings, UnitDetections
+from handfit_core.evaluate.labels import Entry, Labels
+from handfit_core.evaluate.units import Unit
+
+SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _landmark_model() -> None:
+    try:
+        landmark_model_path()
+    except LandmarkModelError as error:
+        pytest.skip(str(error))
+
+
+def entries(*pictures: Path) -> tuple[Entry, ...]:
+    return tuple(Entry(p.stem, p, lambda: Labels((), None), "clip", i / 25) for i, p in enumerate(pictures))
+
+
+def still(picture: Path) -> Unit:
+    return Unit(entries(picture), is_clip=False)
+
+
+def detect(unit: Unit, folder: Path, settings: DetectorSettings | None = None) -> tuple[UnitDetections, int]:
+    """And how often the caller was told of a picture."""
+    told: list[None] = []
+    with Detector(settings or DetectorSettings(), folder) as detector:
+        return detector.detect(unit, lambda: told.append(None)), len(told)
+
+
+def kept(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.npz"))
+
+
+def assert_same(a: UnitDetections, b: UnitDetections) -> None:
+    assert [len(frame) for frame in a.frames] == [len(frame) for frame in b.frames]
+    for first, second in zip(a.frames, b.frames, strict=True):
+        for one, other in zip(first, second, strict=True):
+            assert (one.side, one.score) == (other.side, other.score)
+            np.testing.assert_array_equal(one.keypoints, other.keypoints)
+            np.testing.assert_array_equal(one.world, other.world)
+    np.testing.assert_array_equal(a.sizes, b.sizes)
+    np.testing.assert_array_equal(a.milliseconds, b.milliseconds)
+
+
+def test_a_second_run_reads_what_the_first_found(tmp_path: Path) -> None:
+    unit = Unit(entries(*(SAMPLE / f"hand.{i:04}.jpg" for i in (1, 2, 3))), is_clip=True)
+    fresh, told = detect(unit, tmp_path)
+    assert told == 3
+    assert [len(frame) for frame in fresh.frames] == [1, 1, 1]
+    assert fresh.frames[0][0].side == "right"
+    assert fresh.sizes.tolist() == [[640, 480]] * 3
+    assert (fresh.milliseconds > 0).all()
+    again, told = detect(unit, tmp_path)
+    assert told == 3
+    # Times never repeat: equal ones were read.
+    assert_same(fresh, again)
+
+
+def test_content_counts_and_not_the_name(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    first = tmp_path / "first.jpg"
+    shutil.copy(SAMPLE / "hand.0001.jpg", first)
+    found, _ = detect(still(first), cache)
+    moved = tmp_path / "moved.jpg"
+    first.rename(moved)
+    assert_same(found, detect(still(moved), cache)[0])
+    assert len(kept(cache)) == 1
+    shutil.copy(SAMPLE / "hand.0009.jpg", moved)
+    other, _ = detect(still(moved), cache)
+    assert len(kept(cache)) == 2
+    assert not np.array_equal(other.frames[0][0].keypoints, found.frames[0][0].keypoints)
+
+
+def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
+    picture = SAMPLE / "hand.0001.jpg"
+    detect(still(picture), tmp_path)
+    detect(still(picture), tmp_path, DetectorSettings(threshold=0.7))
+    detect(still(picture), tmp_path, DetectorSettings(max_hands=1))
+    detect(replace(still(picture), is_clip=True), tmp_path)
+    assert len(kept(tmp_path)) == 4
+
+
+def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.jpg"
+    broken.write_bytes(b"no picture")
+    unit = Unit(entries(SAMPLE / "hand.0001.jpg", broken, tmp_path / "gone.jpg"), is_clip=True)
+    for _ in range(2):
+        found, told = detect(unit, tmp_path / "cache")
+        assert found.readable.tolist() == [True, False, False]
+        assert [len(frame) for frame in found.frames] == [1, 0, 0]
+        assert told == 3
+
+
+def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
+    picture = still(SAMPLE / "hand.0001.jpg")
+    found, _ = detect(picture, tmp_path)
+    (file,) = kept(tmp_path)
+    file.write_bytes(file.read_bytes()[:100])
+    again, _ = detect(picture, tmp_path)
+    np.testing.assert_array_equal(again.frames[0][0].keypoints, found.frames[0][0].keypoints)

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.evaluate.fits import Fits, FitTask
+from handfit_core.keypoints import DetectedTrack
+from tests.core.evaluate.hands import CAMERA, joints, seen
+
+
+def tasks(method: str, count: int) -> list[FitTask]:
+    return [
+        FitTask(method, DetectedTrack("right", (seen(joints(at=(0.1 + 0.01 * i, 0.08, 0.5))),)), CAMERA)
+        for i in range(count)
+    ]
+
+
+def fits(folder: Path) -> Fits:
+    return Fits(folder, "strict", None, {"right"})
+
+
+def times(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*.npz")}
+
+
+def test_a_run_goes_on_where_an_earlier_one_ended(tmp_path: Path) -> None:
+    wanted = tasks("fused", 3)
+    run = fits(tmp_path).run(wanted, jobs=1)
+    next(run)
+    run.close()  # stopped after the first
+    after_first = times(tmp_path)
+    assert len(after_first) == 1
+    assert len(list(fits(tmp_path).run(wanted, jobs=1))) == 3
+    after_second = times(tmp_path)
+    assert len(after_second) == 3
+    assert after_second.items() >= after_first.items()  # the first was not made again
+    list(fits(tmp_path).run(wanted, jobs=1))
+    assert times(tmp_path) == after_second
+
+
+def test_several_processes_find_the_same(tmp_path: Path) -> None:
+    wanted = tasks("paper-b", 2)
+    alone, together = fits(tmp_path / "alone"), fits(tmp_path / "together")
+    list(alone.run(wanted, jobs=1))
+    assert len(list(together.run(wanted, jobs=2))) == 2
+    for task in wanted:
+        np.testing.assert_array_equal(alone.result(task).points_3d, together.result(task).points_3d)
+
+
+def test_a_damaged_result_is_made_again(tmp_path: Path) -> None:
+    (task,) = tasks("fused", 1)
+    made = fits(tmp_path)
+    list(made.run([task], jobs=1))
+    expected = made.result(task).points_3d
+    (file,) = tmp_path.rglob("*.npz")
+    file.write_bytes(b"cut off")
+    np.testing.assert_array_equal(made.result(task).points_3d, expected)
+
+
+@pytest.mark.parametrize("change", ["side", "camera", "method", "protocol"])
+def test_whatever_decides_a_result_decides_its_file(tmp_path: Path, change: str) -> None:
+    (task,) = tasks("fused", 1)
+    list(Fits(tmp_path, "strict", None, {"left", "right"}).run([task], jobs=1))
+    other = {
+        "side": FitTask("fused", DetectedTrack("left", task.track.detections), CAMERA),
+        "camera": FitTask("fused", task.track, type(CAMERA)(900.0, 900.0, 320.0, 240.0)),
+        "method": FitTask("raw-image", task.track, CAMERA),
+        "protocol": task,
+    }[change]
+    protocol = "paper" if change == "protocol" else "strict"
+    list(Fits(tmp_path, protocol, None, {"left", "right"}).run([other], jobs=1))
+    assert len(times(tmp_path)) == 2
