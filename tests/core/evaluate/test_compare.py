@@ -1,0 +1,172 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import OptionError
+from handfit_core.evaluate.compare import compare
+from handfit_core.evaluate.scores import Scores
+from handfit_core.evaluate.summary import HAND_METRICS
+from tests.core.evaluate.factory import make_hands, make_scores
+
+
+def with_errors(per_hand: np.ndarray, **overrides) -> Scores:
+    """Scores whose PA error is (N,) mm on every point of hand n."""
+    labels = np.repeat(make_hands(1), len(per_hand), axis=0)
+    return make_scores(labels_3d=labels, pa_error=np.repeat(per_hand[:, None], 21, axis=1), **overrides)
+
+
+def test_a_known_difference_is_found() -> None:
+    rng = np.random.default_rng(0)
+    base = rng.uniform(5, 30, size=200)
+    first = with_errors(base + 2.0 + rng.normal(size=200), method="first")
+    second = with_errors(base, method="second")
+    found = compare(first, second, "pa_mpjpe")
+    assert (found.first, found.second, found.metric) == ("first", "second", "pa_mpjpe")
+    assert (found.hands, found.units) == (200, 200)
+    assert found.difference == pytest.approx((first.pa_error - second.pa_error).mean())
+    assert found.low < 2.0 < found.high
+    assert found.is_significant
+    # Single, equal observations: the normal interval, 1.96 standard errors, is as good.
+    assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(200), rel=0.15)
+    back = compare(second, first, "pa_mpjpe")
+    assert (back.difference, back.low, back.high) == pytest.approx(
+        (-found.difference, -found.high, -found.low)
+    )
+
+
+def test_the_interval_covers_the_truth_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    zero = with_errors(np.zeros(40))
+    covered = 0
+    for _ in range(200):
+        # A skewed difference whose mean is 1.
+        found = compare(with_errors(rng.gamma(2.0, 0.5, size=40)), zero, "pa_mpjpe", resamples=400)
+        covered += found.low <= 1.0 <= found.high
+    assert 0.88 <= covered / 200 <= 0.99
+
+
+def test_equal_methods_do_not_differ() -> None:
+    rng = np.random.default_rng(2)
+    base = rng.uniform(5, 30, size=100)
+    found = compare(with_errors(base + rng.normal(size=100)), with_errors(base), "pa_mpjpe")
+    assert found.low < 0.0 < found.high
+    assert not found.is_significant
+    same = compare(with_errors(base), with_errors(base), "pa_mpjpe")
+    assert (same.difference, same.low, same.high) == (0.0, 0.0, 0.0)
+    assert not same.is_significant
+
+
+def test_frames_of_a_clip_are_not_independent() -> None:
+    rng = np.random.default_rng(3)
+    # Ten clips of fifty frames, each clip with a difference of its own.
+    errors = np.repeat(10 + rng.normal(scale=3.0, size=10), 50) + 0.1 * rng.normal(size=500)
+    clips = tuple(f"clip {i // 50}" for i in range(500))
+    as_stills = compare(with_errors(errors), with_errors(np.full(500, 10.0)), "pa_mpjpe")
+    as_clips = compare(
+        with_errors(errors, clips=clips), with_errors(np.full(500, 10.0), clips=clips), "pa_mpjpe"
+    )
+    assert (as_stills.units, as_clips.units) == (500, 10)
+    assert as_clips.difference == as_stills.difference
+    assert as_clips.high - as_clips.low > 4 * (as_stills.high - as_stills.low)
+
+
+def test_hands_of_one_still_are_one_unit() -> None:
+    samples = tuple(f"{i // 2}" for i in range(20))
+    hands = np.tile([0, 1], 10)
+    rng = np.random.default_rng(4)
+    found = compare(
+        with_errors(rng.uniform(size=20), samples=samples, hands=hands),
+        with_errors(rng.uniform(size=20), samples=samples, hands=hands),
+        "pa_mpjpe",
+    )
+    assert (found.hands, found.units) == (20, 10)
+
+
+def test_a_still_and_a_clip_of_one_name_are_two_units() -> None:
+    scores = with_errors(np.arange(3.0), samples=("a", "a/0", "a/1"), clips=(None, "a", "a"))
+    assert compare(scores, scores, "pa_mpjpe").units == 2
+
+
+def test_units_of_unequal_size_by_the_exact_distribution() -> None:
+    # A clip of 3 frames with difference 4 and a still with 0: a draw of two units has means 4 (1/4),
+    # 3 (1/2: three frames and the still) and 0 (1/4).
+    clips = ("c", "c", "c", None)
+    first = with_errors(np.array([4.0, 4.0, 4.0, 0.0]), clips=clips)
+    found = compare(first, with_errors(np.zeros(4), clips=clips), "pa_mpjpe", resamples=500)
+    assert (found.difference, found.low, found.high) == (3.0, 0.0, 4.0)
+    assert found.units == 2
+
+
+def test_units_of_unequal_size_as_by_drawing_their_hands() -> None:
+    rng = np.random.default_rng(7)
+    sizes = [60, 20, 5, 5, *[1] * 12]
+    errors = [rng.normal(loc=0.05 * size, size=size) for size in sizes]
+    clips = tuple(f"clip {i}" if size > 1 else None for i, size in enumerate(sizes) for _ in range(size))
+    flat = np.concatenate(errors)
+    found = compare(
+        with_errors(flat, clips=clips),
+        with_errors(np.zeros(len(flat)), clips=clips),
+        "pa_mpjpe",
+        resamples=8000,
+    )
+    means = []
+    for _ in range(8000):
+        drawn = [errors[i] for i in rng.choice(len(sizes), size=len(sizes))]
+        means.append(np.concatenate(drawn).mean())
+    low, high = np.percentile(means, [2.5, 97.5])
+    assert found.low == pytest.approx(low, abs=0.05)
+    assert found.high == pytest.approx(high, abs=0.05)
+
+
+def test_only_hands_that_both_have() -> None:
+    first = with_errors(np.array([9.0, 1.0, 2.0, np.nan]))
+    second = with_errors(np.array([np.nan, 0.0, 0.0, 5.0]))
+    found = compare(first, second, "pa_mpjpe")
+    assert (found.hands, found.units, found.difference) == (2, 2, 1.5)
+
+
+def test_one_unit_says_nothing_and_none_less() -> None:
+    clips = ("only",) * 5
+    one = compare(
+        with_errors(np.full(5, 9.0), clips=clips), with_errors(np.zeros(5), clips=clips), "pa_mpjpe"
+    )
+    assert (one.difference, one.units) == (9.0, 1)
+    assert math.isnan(one.low)
+    assert not one.is_significant
+    none = compare(make_scores(), make_scores(), "pa_mpvpe")
+    assert math.isnan(none.difference)
+    assert (none.hands, none.units) == (0, 0)
+    assert not none.is_significant
+
+
+def test_the_seed_decides_and_chunks_do_not_show(monkeypatch) -> None:
+    rng = np.random.default_rng(6)
+    first, second = with_errors(rng.uniform(size=30)), with_errors(rng.uniform(size=30))
+    found = compare(first, second, "pa_mpjpe", seed=3)
+    assert found == compare(first, second, "pa_mpjpe", seed=3)
+    assert found != compare(first, second, "pa_mpjpe", seed=4)
+    monkeypatch.setattr("handfit_core.evaluate.compare._NUMBERS_AT_ONCE", 1000)
+    assert found == compare(first, second, "pa_mpjpe", seed=3)
+
+
+@pytest.mark.parametrize("metric", HAND_METRICS)
+def test_every_metric_of_a_hand(metric: str) -> None:
+    mesh_error = np.array([3.0, 4.0, 5.0, 6.0])
+    good = make_scores(noise=0.001, pa_mpvpe=mesh_error)
+    bad = make_scores(noise=0.02, pa_mpvpe=mesh_error + 7)
+    found = compare(bad, good, metric)
+    assert found.is_significant
+    assert 0 < found.low <= found.difference <= found.high
+    assert found.hands == 4
+
+
+def test_wrong_questions_are_refused() -> None:
+    scores = make_scores(4)
+    with pytest.raises(OptionError, match="pa_mpjpe"):
+        compare(scores, scores, "jitter")
+    with pytest.raises(ValueError, match="same pictures"):
+        compare(scores, make_scores(5), "epe")
+    with pytest.raises(ValueError, match="same pictures"):
+        compare(scores, replace(scores, hands=np.array([0, 0, 1, 0])), "epe")

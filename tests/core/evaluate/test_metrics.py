@@ -1,0 +1,230 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import procrustes
+
+from handfit_core.evaluate import metrics
+from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM
+from handfit_core.rotations import rotvec_to_rotmat
+from tests.core.evaluate.factory import make_hands
+
+RNG = np.random.default_rng(11)
+NAN = np.full(3, np.nan)
+
+
+def noisy_pair() -> tuple[np.ndarray, np.ndarray]:
+    truth = 1000.0 * make_hands(1, seed=4)[0]
+    points = truth + RNG.normal(scale=5.0, size=truth.shape) + [30.0, -10.0, 80.0]
+    truth[[3, 17]] = np.nan
+    truth[9, 2] = np.nan  # one unknown coordinate makes the point unlabelled
+    return points, truth
+
+
+def labelled_rows(truth: np.ndarray) -> list[int]:
+    return [i for i in range(len(truth)) if not any(math.isnan(x) for x in truth[i])]
+
+
+def test_camera_distances_are_plain_distances() -> None:
+    points, truth = noisy_pair()
+    found = metrics.camera_distances(points, truth)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [3, 9, 17]
+    for i in labelled_rows(truth):
+        assert found[i] == pytest.approx(math.dist(points[i], truth[i]))
+
+
+def test_centroid_alignment_by_a_loop() -> None:
+    points, truth = noisy_pair()
+    rows = labelled_rows(truth)
+    there = [sum(points[i][c] for i in rows) / len(rows) for c in range(3)]
+    here = [sum(truth[i][c] for i in rows) / len(rows) for c in range(3)]
+    found = metrics.centroid_aligned_distances(points, truth)
+    for i in range(21):
+        if i in rows:
+            assert found[i] == pytest.approx(math.dist(points[i] - there, truth[i] - here))
+        else:
+            assert math.isnan(found[i])
+
+
+def test_centroid_alignment_of_two_points_has_a_closed_form() -> None:
+    # Each of two points keeps half of the difference of their connecting vectors.
+    points = np.array([[0.0, 0, 0], [10, 0, 0], [7, 7, 7]])
+    truth = np.array([[5.0, 5, 5], [5, 11, 5], NAN])
+    found = metrics.centroid_aligned_distances(points, truth)
+    np.testing.assert_allclose(found[:2], math.hypot(10, 6) / 2)
+
+
+def test_one_labelled_point_scores_nothing_unless_asked_for() -> None:
+    truth = np.array([NAN, [1.0, 2, 3], NAN])
+    points = RNG.normal(size=(3, 3))
+    assert np.isnan(metrics.centroid_aligned_distances(points, truth)).all()
+    assert metrics.centroid_aligned_distances(points, truth, min_points=1)[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_root_alignment() -> None:
+    points, truth = noisy_pair()
+    found = metrics.root_aligned_distances(points, truth)
+    assert found[0] == 0.0
+    for i in labelled_rows(truth):
+        assert found[i] == pytest.approx(math.dist(points[i] - points[0], truth[i] - truth[0]))
+    assert np.isnan(metrics.root_aligned_distances(points, truth, root=3)).all()
+    truth[1:] = np.nan
+    assert np.isnan(metrics.root_aligned_distances(points, truth)).all()
+
+
+def test_similarity_alignment_agrees_with_scipy() -> None:
+    truth, points = RNG.normal(size=(2, 21, 3))
+    points += 3.0 * truth  # near enough for no reflection to be better
+    # SciPy's disparity is the squared error after both were centred and scaled to norm 1.
+    centred = truth - truth.mean(axis=0)
+    _, _, disparity = procrustes(truth, points)
+    found = metrics.similarity_aligned_distances(points, truth)
+    assert np.sum(found**2) == pytest.approx(disparity * np.sum(centred**2))
+
+
+def test_similarity_alignment_undoes_a_similarity_and_no_mirror() -> None:
+    truth = make_hands(1)[0]
+    rotation = rotvec_to_rotmat(np.array([0.4, -2.0, 1.0]))
+    moved = 0.3 * truth @ rotation.T + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(metrics.similarity_aligned_distances(moved, truth), 0.0, atol=1e-12)
+    mirrored = truth * [-1.0, 1.0, 1.0]
+    assert metrics.similarity_aligned_distances(mirrored, truth).mean() > 0.005
+
+
+def test_similarity_alignment_leaves_missing_labels_out() -> None:
+    points, truth = noisy_pair()
+    rows = labelled_rows(truth)
+    found = metrics.similarity_aligned_distances(points, truth)
+    np.testing.assert_allclose(found[rows], metrics.similarity_aligned_distances(points[rows], truth[rows]))
+    assert np.isnan(np.delete(found, rows)).all()
+    truth[rows[3:]] = np.nan
+    assert np.isnan(metrics.similarity_aligned_distances(points, truth)).all()
+
+
+def test_a_miss_is_nan_under_every_alignment() -> None:
+    truth = make_hands(1)[0]
+    miss = np.full((21, 3), np.nan)
+    for distances in (
+        metrics.camera_distances,
+        metrics.centroid_aligned_distances,
+        metrics.root_aligned_distances,
+        metrics.similarity_aligned_distances,
+    ):
+        assert np.isnan(distances(miss, truth)).all()
+
+
+@pytest.mark.parametrize(
+    "distances",
+    [
+        metrics.camera_distances,
+        metrics.centroid_aligned_distances,
+        metrics.root_aligned_distances,
+        metrics.similarity_aligned_distances,
+    ],
+)
+def test_a_batch_equals_a_loop(distances) -> None:
+    truth = make_hands(6).reshape(2, 3, 21, 3).copy()
+    points = truth + 0.01 * RNG.normal(size=truth.shape)
+    truth[0, 1, 5:9] = np.nan
+    truth[1, 2, 1:] = np.nan
+    found = distances(points, truth)
+    assert found.shape == (2, 3, 21)
+    for i in range(2):
+        for j in range(3):
+            np.testing.assert_array_equal(found[i, j], distances(points[i, j], truth[i, j]))
+
+
+def test_2d_error_is_over_the_longer_side_of_the_box() -> None:
+    truth = np.array([[100.0, 100], [300, 150], [200, 180], [np.nan, np.nan]])
+    points = truth + [3.0, 4.0]
+    points[3] = 0.0
+    np.testing.assert_allclose(metrics.distances_2d(points, truth), [5 / 200, 5 / 200, 5 / 200, np.nan])
+    np.testing.assert_allclose(metrics.distances_2d(10 * points, 10 * truth)[:3], 5 / 200)
+
+
+@pytest.mark.parametrize("labelled", [0, 1, 2])
+def test_2d_error_needs_a_size(labelled: int) -> None:
+    truth = np.full((21, 2), np.nan)
+    truth[:labelled] = 50.0
+    assert np.isnan(metrics.distances_2d(np.zeros((21, 2)), truth)).all()
+
+
+def test_pa_mpvpe() -> None:
+    truth = RNG.normal(size=(60, 3))
+    vertices = truth + 0.1 * RNG.normal(size=(60, 3))
+    _, _, disparity = procrustes(truth, vertices)
+    aligned = metrics.aligned_vertices(vertices, truth, vertices[:4], truth[:4])
+    rms = math.sqrt(disparity * np.sum((truth - truth.mean(axis=0)) ** 2))
+    assert np.linalg.norm(aligned - truth) == pytest.approx(rms)
+    assert metrics.pa_mpvpe(vertices, truth) == pytest.approx(
+        np.mean([math.dist(a, b) for a, b in zip(aligned, truth, strict=True)])
+    )
+    assert metrics.pa_mpvpe(5 * vertices + 1, truth) == pytest.approx(metrics.pa_mpvpe(vertices, truth))
+    with pytest.raises(ValueError, match="f_score"):
+        metrics.pa_mpvpe(vertices[1:], truth)
+
+
+def test_meshes_of_different_topology_are_aligned_by_their_labelled_joints() -> None:
+    points, truth_points = noisy_pair()
+    truth_points[:] = 2.0 * points + 7.0
+    truth_points[4] = np.nan
+    vertices = RNG.normal(size=(30, 3))
+    found = metrics.aligned_vertices(vertices, np.zeros((12, 3)), points, truth_points)
+    np.testing.assert_allclose(found, 2.0 * vertices + 7.0)
+    truth_points[3:] = np.nan
+    assert np.isnan(metrics.aligned_vertices(vertices, np.zeros((12, 3)), points, truth_points)).all()
+
+
+def test_a_missed_mesh_is_nan() -> None:
+    miss, truth, points = np.full((30, 3), np.nan), RNG.normal(size=(30, 3)), RNG.normal(size=(21, 3))
+    for true_surface in (truth, truth[:20]):
+        assert np.isnan(metrics.aligned_vertices(miss, true_surface, points, points)).all()
+    assert np.isnan(metrics.aligned_vertices(truth, truth[:20], np.full((21, 3), np.nan), points)).all()
+    assert math.isnan(metrics.pa_mpvpe(miss, truth))
+    assert math.isnan(metrics.f_score(miss, truth, 1.0))
+
+
+def test_f_score_by_brute_force() -> None:
+    vertices, truth = RNG.normal(size=(40, 3)), RNG.normal(size=(25, 3))
+    for threshold in (0.2, 0.6, 1.5):
+        precision = np.mean([min(math.dist(v, t) for t in truth) < threshold for v in vertices])
+        recall = np.mean([min(math.dist(v, t) for v in vertices) < threshold for t in truth])
+        expected = 2 / (1 / precision + 1 / recall) if precision and recall else 0.0
+        assert metrics.f_score(vertices, truth, threshold) == pytest.approx(expected)
+
+
+def test_f_score_at_its_ends() -> None:
+    truth = RNG.normal(size=(25, 3))
+    assert metrics.f_score(truth, truth, 1e-9) == 1.0
+    assert metrics.f_score(truth + 100.0, truth, 1.0) == 0.0
+    # All of half a surface is right, and half of the surface is found: 2 * 1 * 0.5 / 1.5.
+    line = np.column_stack([np.arange(10.0), np.zeros((10, 2))])
+    assert metrics.f_score(line[:5], line, 0.5) == pytest.approx(2 / 3)
+
+
+def test_pck_counts_points_and_misses() -> None:
+    errors = np.array([[10.0, 20.0], [30.0, np.nan]])
+    thresholds = np.array([5.0, 20.0, 29.0, 30.0])
+    np.testing.assert_allclose(metrics.pck_curve(errors, thresholds), [0, 2 / 3, 2 / 3, 1])
+    np.testing.assert_allclose(metrics.pck_curve(errors, thresholds, misses=3), [0, 2 / 6, 2 / 6, 3 / 6])
+    assert np.isnan(metrics.pck_curve(np.full((2, 2), np.nan), thresholds)).all()
+    np.testing.assert_array_equal(metrics.pck_curve(np.full((2, 2), np.nan), thresholds, misses=5), 0.0)
+
+
+def test_auc_has_closed_forms() -> None:
+    thresholds = PCK_THRESHOLDS_MM
+    assert (thresholds[0], thresholds[-1], len(thresholds)) == (20.0, 50.0, 100)
+    assert metrics.auc(np.ones(100), thresholds) == pytest.approx(1.0)
+    assert metrics.auc(np.linspace(0, 1, 100), thresholds) == pytest.approx(0.5)
+    # Errors spread evenly over 0..100 mm: PCK is t/100, whose mean over 20..50 is 0.35.
+    even = (np.arange(100_000) + 0.5) / 1000
+    assert metrics.auc(metrics.pck_curve(even, thresholds), thresholds) == pytest.approx(0.35, abs=1e-4)
+
+
+def test_mean_of_labelled() -> None:
+    errors = np.array([[1.0, np.nan, 5.0], [np.nan, np.nan, np.nan]])
+    np.testing.assert_array_equal(metrics.mean_of_labelled(errors, axis=1), [3.0, np.nan])
+    assert metrics.mean_of_labelled(errors) == 3.0
+    assert np.isnan(metrics.mean_of_labelled(np.zeros((0, 21))))
+    # An infinite error is an error, not a missing label.
+    assert metrics.mean_of_labelled(np.array([1.0, np.inf])) == np.inf

@@ -1,0 +1,372 @@
+import math
+from itertools import chain, pairwise
+
+import numpy as np
+import pytest
+
+from handfit_core.evaluate.baselines import collapsed_to_centroid
+from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
+from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, centroid_aligned_distances
+from handfit_core.evaluate.summary import (
+    HAND_METRICS,
+    METRICS,
+    hand_means,
+    paper_pck,
+    pck,
+    pck_root,
+    summarise,
+)
+from handfit_core.skeleton import TIP_KEYPOINTS
+from tests.core.evaluate.factory import make_hands, make_scores, project
+
+TIPS = list(TIP_KEYPOINTS)
+RNG = np.random.default_rng(8)
+
+
+def tips_only(n: int, seed: int = 0) -> np.ndarray:
+    """(n, 21, 3) labels as EgoDexter's and Dexter+Object's: five fingertips."""
+    labels = np.full((n, 21, 3), np.nan)
+    labels[:, TIPS] = make_hands(n, seed)[:, TIPS]
+    return labels
+
+
+def area_by_loop(errors: list[float], misses: int = 0) -> float:
+    """AUC of PCK at 20..50 mm as a plain sum of trapezoids."""
+    steps = [20 + 30 * i / 99 for i in range(100)]
+    shares = [sum(e <= t for e in errors) / (len(errors) + misses) for t in steps]
+    return sum((a + b) / 2 for a, b in pairwise(shares)) / 99
+
+
+# The strict protocol
+
+
+def test_strict_values_by_a_loop() -> None:
+    labels = make_hands(5)
+    labels[1, 4:9] = np.nan
+    labels[2, 0] = np.nan
+    labels[3, 1:] = np.nan
+    detected = np.array([True, True, True, True, False])
+    scores = make_scores(labels_3d=labels, detected=detected, noise=0.02)
+    found = summarise(scores, "strict")
+
+    def hands(errors: np.ndarray) -> list[list[float]]:
+        """Errors of each hand that has any."""
+        rows = [[float(e) for e in row if not math.isnan(e)] for row in errors]
+        return [row for row in rows if row]
+
+    epe, root, pa = hands(scores.epe), hands(scores.root_error), hands(scores.pa_error)
+    assert [len(hand) for hand in epe] == [21, 16, 20]  # a wrist alone is no hand
+    assert [len(hand) for hand in root] == [21, 16]
+    assert [len(hand) for hand in pa] == [21, 16, 20]
+    assert found["detection_rate"] == pytest.approx(80.0)
+    assert found["epe"] == pytest.approx(np.mean(list(chain(*epe))))
+    assert found["epe_median"] == pytest.approx(np.median([np.mean(hand) for hand in epe]))
+    assert found["mpjpe"] == pytest.approx(np.mean([np.mean(hand) for hand in root]))
+    assert found["pa_mpjpe"] == pytest.approx(np.mean([np.mean(hand) for hand in pa]))
+    assert found["pa_mpjpe_median"] == pytest.approx(np.median([np.mean(hand) for hand in pa]))
+    assert found["auc"] == pytest.approx(area_by_loop(list(chain(*epe)), misses=21))
+    assert found["auc_root"] == pytest.approx(area_by_loop(list(chain(*root)), misses=21))
+    camera = hands(scores.camera_error)
+    assert found["camera_error"] == pytest.approx(np.mean([np.mean(hand) for hand in camera]))
+    in_2d = hands(scores.error_2d)
+    assert found["error_2d"] == pytest.approx(100 * np.mean([np.mean(hand) for hand in in_2d]))
+
+
+def test_strict_gives_every_metric_in_the_order_of_display() -> None:
+    assert list(summarise(make_scores(), "strict")) == list(METRICS)
+    assert set(HAND_METRICS) <= set(METRICS)
+    for key, metric in METRICS.items():
+        assert metric.key == key
+        assert metric.title
+        assert metric.alignment
+
+
+def test_surfaces_sides_and_times() -> None:
+    nan = np.nan
+    scores = make_scores(
+        4,
+        detected=np.array([True, True, True, False]),
+        pa_mpvpe=np.array([4.0, nan, 8.0, nan]),
+        f5=np.array([0.5, nan, 0.7, nan]),
+        f15=np.array([0.9, nan, 1.0, nan]),
+        side_correct=np.array([1.0, 0.0, nan, nan]),
+        # The first picture has two hands; it was detected once.
+        samples=("a", "a", "b", "c"),
+        hands=np.array([0, 1, 0, 0]),
+        detect_ms=np.array([10.0, 10.0, 30.0, 50.0]),
+        fit_ms=np.array([1.0, 2.0, 9.0, nan]),
+    )
+    found = summarise(scores, "strict")
+    assert found["pa_mpvpe"] == 6.0
+    assert found["f5"] == pytest.approx(0.6)
+    assert found["f15"] == pytest.approx(0.95)
+    assert found["handedness"] == 50.0
+    assert found["detect_ms"] == 30.0
+    assert found["fit_ms"] == 2.0
+
+
+@pytest.mark.parametrize("protocol", ["strict", "paper"])
+def test_no_hands_and_no_detections_are_values(protocol) -> None:
+    nothing = summarise(make_scores(labels_3d=np.zeros((0, 21, 3))), protocol)
+    assert all(math.isnan(value) for value in nothing.values())
+    missed = summarise(make_scores(3, detected=np.zeros(3, dtype=bool)), protocol)
+    assert missed["detection_rate"] == 0.0
+    assert math.isnan(missed["epe"])
+    if protocol == "strict":
+        assert missed["auc"] == missed["auc_root"] == 0.0
+    else:
+        assert math.isnan(missed["auc"])
+
+
+def test_without_wrist_labels_wrist_metrics_do_not_apply() -> None:
+    found = summarise(
+        make_scores(labels_3d=tips_only(4), detected=np.array([True, True, True, False])), "strict"
+    )
+    assert math.isnan(found["mpjpe"])
+    assert math.isnan(found["auc_root"])
+    assert found["epe"] > 0.0
+    assert found["auc"] > 0.0
+
+
+@pytest.mark.parametrize("protocol", ["strict", "paper"])
+def test_the_curve_is_the_one_that_auc_tells_of(protocol) -> None:
+    scores = make_scores(6, noise=0.03, detected=np.array([True] * 5 + [False]))
+    found = summarise(scores, protocol)
+    assert 0.0 < found["auc"] < 1.0
+    assert pck(scores, protocol).shape == PCK_THRESHOLDS_MM.shape
+    assert auc(pck(scores, protocol), PCK_THRESHOLDS_MM) == pytest.approx(found["auc"])
+    if protocol == "strict":
+        assert auc(pck_root(scores), PCK_THRESHOLDS_MM) == pytest.approx(found["auc_root"])
+        assert pck(scores, protocol)[99] == pytest.approx(np.sum(scores.epe <= 50) / (6 * 21))
+
+
+# Planted errors
+
+
+def test_swapped_joints_show() -> None:
+    labels = make_hands(4)
+    good = summarise(make_scores(labels_3d=labels, points_3d=labels), "strict")
+    swapped = labels.copy()
+    swapped[:, [8, 20]] = labels[:, [20, 8]]
+    bad = summarise(make_scores(labels_3d=labels, points_3d=swapped), "strict")
+    for key in ("epe", "mpjpe", "pa_mpjpe", "camera_error"):
+        assert good[key] == pytest.approx(0.0, abs=1e-6)
+        assert bad[key] > 4.0
+    assert bad["error_2d"] > good["error_2d"] + 1.0
+    assert bad["auc"] < good["auc"] == 1.0
+
+
+def test_a_mirrored_hand_shows_even_after_procrustes() -> None:
+    labels = make_hands(4)
+    centre = labels.mean(axis=1, keepdims=True)
+    mirrored = centre + (labels - centre) * [1.0, 1.0, -1.0]
+    found = summarise(make_scores(labels_3d=labels, points_3d=mirrored), "strict")
+    assert found["pa_mpjpe"] > 5.0
+    assert found["error_2d"] < found["epe"]  # a mirror along the line of sight hides in the picture
+
+
+def test_a_hand_of_the_wrong_size_shows_before_procrustes_only() -> None:
+    labels = make_hands(4)
+    wrist = labels[:, :1]
+    found = summarise(make_scores(labels_3d=labels, points_3d=wrist + 1.2 * (labels - wrist)), "strict")
+    assert found["mpjpe"] > 10.0
+    assert found["epe"] > 5.0
+    assert found["pa_mpjpe"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_wrong_depth_shows_in_the_camera_only() -> None:
+    labels = make_hands(4)
+    found = summarise(make_scores(labels_3d=labels, points_3d=labels + [0.0, 0.0, 0.1]), "strict")
+    assert found["camera_error"] == pytest.approx(100.0)
+    assert found["epe"] == pytest.approx(0.0, abs=1e-6)
+    assert found["mpjpe"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_missing_frame_lowers_detection_and_auc_and_no_mean() -> None:
+    labels = np.repeat(make_hands(1), 4, axis=0)
+    points = labels + 0.01 * RNG.normal(size=(1, 21, 3))  # the same error in every frame
+    whole = summarise(make_scores(labels_3d=labels, points_3d=points), "strict")
+    detected = np.array([True, False, True, True])
+    missing = summarise(make_scores(labels_3d=labels, points_3d=points, detected=detected), "strict")
+    assert (whole["detection_rate"], missing["detection_rate"]) == (100.0, 75.0)
+    assert missing["auc"] == pytest.approx(0.75 * whole["auc"])
+    assert missing["auc_root"] == pytest.approx(0.75 * whole["auc_root"])
+    assert missing["epe"] == pytest.approx(whole["epe"])
+    # The paper's protocol does not notice.
+    paper = summarise(make_scores(labels_3d=labels, points_3d=points, detected=detected), "paper")
+    assert paper["auc"] == pytest.approx(
+        summarise(make_scores(labels_3d=labels, points_3d=points), "paper")["auc"]
+    )
+    assert paper["detection_rate"] == 75.0
+
+
+# The paper's protocol and its faults
+
+
+def test_one_visible_tip_scores_zero_in_the_paper_and_nothing_in_strict() -> None:
+    labels = np.full((2, 21, 3), np.nan)
+    labels[:, 8] = make_hands(2)[:, 8]
+    points = make_hands(2) + RNG.normal(size=(2, 21, 3))  # a metre off
+    # EPE as each protocol fills it.
+    found = summarise(make_scores(labels_3d=labels, points_3d=points, min_points=1), "paper")
+    assert found["epe"] == pytest.approx(0.0, abs=1e-9)
+    assert found["auc"] == 1.0
+    strict = summarise(make_scores(labels_3d=labels, points_3d=points), "strict")
+    assert math.isnan(strict["epe"])
+    assert math.isnan(strict["auc"])
+    # Not even if somebody fills the zeros in.
+    assert math.isnan(
+        summarise(make_scores(labels_3d=labels, points_3d=points, min_points=1), "strict")["auc"]
+    )
+
+
+def test_a_missed_hand_with_one_label_counts_in_no_pck() -> None:
+    labels = make_hands(2)
+    labels[1, 1:] = np.nan
+    scores = make_scores(labels_3d=labels, noise=0.0, detected=np.array([True, False]))
+    assert summarise(scores, "strict")["auc"] == 1.0
+    assert summarise(scores, "strict")["auc_root"] == 1.0
+
+
+def test_collapsing_the_tips_scores_in_the_paper() -> None:
+    labels = tips_only(200)
+    collapsed = np.array([collapsed_to_centroid(hand) for hand in labels])
+    scores = make_scores(labels_3d=labels, points_3d=collapsed, min_points=1)
+    assert 0.05 < summarise(scores, "paper")["auc"] < 1.0
+    labels[:, TIPS[1:]] = np.nan
+    collapsed = np.array([collapsed_to_centroid(hand) for hand in labels])
+    scores = make_scores(labels_3d=labels, points_3d=collapsed, min_points=1)
+    assert summarise(scores, "paper")["auc"] == 1.0
+
+
+def test_missing_tips_mix_the_joints() -> None:
+    nan = np.nan
+    # thumb, index, ...: without its thumb, the second frame files its index under the thumb.
+    rows = np.array([[10.0, 30.0], [nan, 40.0], [nan, nan]])
+    mean, curve, area = paper_pck(rows)
+    assert mean == pytest.approx(((10 + 40) / 2 + 30) / 2)
+    assert mean != pytest.approx((10 + (30 + 40) / 2) / 2)  # what true joints give
+    assert mean != pytest.approx((10 + 30 + 40) / 3)  # what points give
+    assert curve[0] == 0.25  # at 20 mm: half of "joint 0", none of "joint 1"
+    assert area == pytest.approx((area_by_loop([10, 40]) + area_by_loop([30])) / 2)
+
+
+def test_paper_pck_by_lists() -> None:
+    rows = RNG.uniform(0, 80, size=(40, 5))
+    rows[RNG.uniform(size=rows.shape) < 0.3] = np.nan
+    joints: list[list[float]] = [[] for _ in range(5)]
+    for row in rows:
+        for joint, error in enumerate(e for e in row if not math.isnan(e)):
+            joints[joint].append(error)
+    mean, curve, area = paper_pck(rows)
+    used = [joint for joint in joints if joint]
+    assert mean == pytest.approx(np.mean([np.mean(joint) for joint in used]))
+    assert area == pytest.approx(np.mean([area_by_loop(joint) for joint in used]))
+    shares = [np.mean([e <= PCK_THRESHOLDS_MM[50] for e in joint]) for joint in used]
+    assert curve[50] == pytest.approx(np.mean(shares))
+
+
+def test_the_paper_scores_fingertips_of_detected_hands() -> None:
+    scores = make_scores(6, noise=0.02, detected=np.array([True] * 4 + [False] * 2))
+    epe = centroid_aligned_distances(scores.points_3d[:, TIPS], scores.labels_3d[:, TIPS])
+    filled = np.full((6, 21), 1e6)
+    filled[:, TIPS] = 1000 * epe
+    filled[4:] = 1e6
+    found = summarise(make_scores(6, noise=0.02, detected=scores.detected, epe=filled), "paper")
+    assert list(found) == ["detection_rate", "epe", "auc"]
+    assert found["epe"] == pytest.approx(1000 * epe[:4].mean())
+    assert found["detection_rate"] == pytest.approx(100 * 4 / 6)
+
+
+# Clips
+
+
+def clip_scores(lengths: dict[str, int], **overrides):
+    """Scores of clips at 25 fps: one hand each, still, with noise that differs from clip to clip."""
+    rng = np.random.default_rng(5)
+    labels = np.concatenate([np.repeat(make_hands(1), n, axis=0) for n in lengths.values()])
+    noise = np.concatenate(
+        [rng.normal(scale=0.001 * (i + 1), size=(n, 21, 3)) for i, n in enumerate(lengths.values())]
+    )
+    clips = tuple(clip for clip, n in lengths.items() for _ in range(n))
+    times = np.concatenate([np.arange(n) / 25.0 for n in lengths.values()])
+    return make_scores(
+        **{"labels_3d": labels, "points_3d": labels + noise, "clips": clips, "times": times, **overrides}
+    )
+
+
+def test_clips_are_averaged_by_their_detected_frames() -> None:
+    detected = np.ones(140, dtype=bool)
+    detected[70:100] = False
+    scores = clip_scores({"a": 40, "b": 100}, detected=detected)
+    found = summarise(scores, "strict")
+    expected = np.zeros(3)
+    for rows, weight in ((slice(0, 40), 40), (slice(40, 140), 70)):
+        points, truth, times = scores.points_3d[rows], scores.labels_3d[rows], scores.times[rows]
+        values = (
+            bone_length_variation(points),
+            acceleration_error(points, truth, times),
+            1000 * jitter_spectrum(points, truth, 25.0),
+        )
+        expected += weight / 110 * np.array(values)
+    assert [found[k] for k in ("bone_variation", "acceleration_error", "jitter")] == pytest.approx(expected)
+
+
+def test_two_hands_of_a_clip_are_two_tracks() -> None:
+    one = clip_scores({"a": 30})
+    labels = np.repeat(one.labels_3d, 2, axis=0)
+    labels[1::2] += [0.2, 0, 0]
+    points = np.repeat(one.points_3d, 2, axis=0)
+    points[1::2] += [0.2, 0, 0]
+    two = make_scores(
+        labels_3d=labels,
+        points_3d=points,
+        hands=np.tile([0, 1], 30),
+        clips=("a",) * 60,
+        times=np.repeat(one.times, 2),
+    )
+    for key in ("bone_variation", "acceleration_error", "jitter"):
+        assert summarise(two, "strict")[key] == pytest.approx(summarise(one, "strict")[key])
+
+
+def test_frames_that_the_set_lacks_are_a_gap() -> None:
+    whole = clip_scores({"a": 100})
+    jump = whole.points_3d.copy()
+    jump[50:, 1:] += 0.1
+    times = whole.times.copy()
+    found = summarise(clip_scores({"a": 100}, points_3d=jump, times=times), "strict")
+    times[50:] += 10.0
+    apart = summarise(clip_scores({"a": 100}, points_3d=jump, times=times), "strict")
+    usual = summarise(whole, "strict")
+    for key in ("acceleration_error", "jitter"):
+        assert apart[key] == pytest.approx(usual[key], rel=0.05)
+        assert found[key] > 1.5 * apart[key]
+
+
+def test_stills_and_clips_without_times() -> None:
+    stills = summarise(make_scores(30), "strict")
+    assert all(math.isnan(stills[key]) for key in ("bone_variation", "acceleration_error", "jitter"))
+    timeless = summarise(clip_scores({"a": 30}, times=np.zeros(30)), "strict")
+    assert timeless["bone_variation"] > 0.0
+    assert math.isnan(timeless["acceleration_error"])
+    assert math.isnan(timeless["jitter"])
+
+
+# Per hand
+
+
+@pytest.mark.parametrize("metric", HAND_METRICS)
+def test_hand_means_agree_with_the_summary(metric: str) -> None:
+    detected = np.array([True, True, False])
+    scores = make_scores(3, detected=detected, pa_mpvpe=np.array([3.0, 5.0, np.nan]))
+    means = hand_means(scores, metric)
+    assert means.shape == (3,)
+    assert math.isnan(means[2])
+    assert means[:2].mean() == pytest.approx(summarise(scores, "strict")[metric])
+
+
+def test_error_2d_is_percent_of_the_hand() -> None:
+    labels_2d = project(make_hands(1))
+    size = max(np.ptp(labels_2d[0, :, 0]), np.ptp(labels_2d[0, :, 1]))
+    scores = make_scores(1, points_2d=labels_2d + [0.03 * size, 0.04 * size])
+    assert summarise(scores, "strict")["error_2d"] == pytest.approx(5.0)
