@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
 RUN_TIME = ["torch", "scipy", "opencv-python-headless", "mediapipe"]
+EVALUATION = ["matplotlib", "jinja2"]
+"""What the reports of `evaluate` need on top."""
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
 
@@ -44,11 +46,29 @@ def demo(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHON)
+def benchmark(session: nox.Session) -> None:
+    """Render labelled pictures, evaluate solvers on them, and write a report: a handful, or `-- full`.
+
+    Into out/benchmark/. The full set, 500 stills and 10 clips of 100 frames with every solver, takes
+    hours on two cores; both halves go on where they were stopped.
+    """
+    full = "full" in session.posargs
+    install(session, *RUN_TIME, *EVALUATION, DEMO_BPY)
+    fetch_landmark_model(session)
+    size = "full" if full else "small"
+    pictures, report = f"out/benchmark/{size}", f"out/benchmark/{size}-report"
+    counts = [] if full else ["--stills", "10", "--clips", "1", "--frames", "10"]
+    solvers = "raw,fused,paper,paper-a-plus" if full else "raw,fused,paper-a,paper-a-plus"
+    session.run("python", "scripts/render_benchmark.py", pictures, *counts)
+    session.run("python", "-m", "handfit_core", "evaluate", pictures, "--solvers", solvers, "-o", report)
+
+
+@nox.session(python=PYTHON)
 @nox.parametrize("part", ["core", "open-hand", "bpy-4.5", "bpy-5.0"])
 def tests(session: nox.Session, part: str) -> None:
     """All tests: the core without Blender, the open hand's rebuild, and Blender's side per bpy wheel."""
     if part == "core":
-        install(session, *RUN_TIME, CORE_NUMPY, "pytest")
+        install(session, *RUN_TIME, *EVALUATION, CORE_NUMPY, "pytest")
         fetch_landmark_model(session)
         run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx")
     elif part == "open-hand":
@@ -98,7 +118,7 @@ def run_pytest(
 @nox.session(python=PYTHON)
 def lint(session: nox.Session) -> None:
     """ruff (lint and format) and pyright."""
-    install(session, "ruff", "pyright[nodejs]", "nox", "pytest", CORE_NUMPY, *RUN_TIME)
+    install(session, "ruff", "pyright[nodejs]", "nox", "pytest", CORE_NUMPY, *RUN_TIME, *EVALUATION)
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("pyright")

@@ -93,10 +93,13 @@ class Fits:
 
 
 def _code() -> str:
-    from handfit_core import align, camera, hand_model, rotations, skeleton, solvers
+    """Of all that turns a track into a result. How models are read is not in it: their content counts."""
+    from handfit_core import align, camera, rotations, skeleton, solvers
     from handfit_core.evaluate import methods, raw_landmarks
+    from handfit_core.hand_model import anatomy, data, layer
 
-    return code_digest(solvers, hand_model, align, camera, rotations, skeleton, methods, raw_landmarks)
+    of_models = (anatomy, data, layer)
+    return code_digest(solvers, align, camera, rotations, skeleton, methods, raw_landmarks, *of_models)
 
 
 def _load_models(model: str | None, sides: Iterable[Side]) -> Mapping[Side, HandModel]:

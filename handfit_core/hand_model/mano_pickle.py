@@ -1,19 +1,17 @@
 """MANO's own `.pkl` files: read without running anything in them, and written for other tools.
 
 A pickle is a program. MANO's asks for NumPy, SciPy and chumpy objects; chumpy does not even import
-on current Python. Here every name that such a file may ask for becomes an inert stand-in that only
-remembers what it was given, any other name is refused, and the arrays are read from the stand-ins'
-raw bytes afterwards. So nothing of NumPy, SciPy or chumpy runs on the file's behalf.
+on current Python. They are read through `safe_pickle`: everything that a file may ask for becomes an
+inert stand-in, so nothing of NumPy, SciPy or chumpy runs on the file's behalf.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import pickle
 import re
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +19,7 @@ from handfit_core.errors import HandModelError
 from handfit_core.files import written_whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
+from handfit_core.safe_pickle import STAND_INS, NotAnArray, Refused, StandIn, array_of, load, reshaped
 from handfit_core.skeleton import MANO_TIP_VERTICES, NUM_JOINTS, PARENTS, Side
 
 MAX_FILE_BYTES = 64_000_000
@@ -182,10 +181,6 @@ class _Unfit(Exception):
     """What is wrong with the content of a file that could be read."""
 
 
-class _Refused(Exception):
-    """The name that a pickle asked for, which no MANO file needs."""
-
-
 def _unpickled(path: Path) -> Any:
     try:
         size = path.stat().st_size
@@ -199,8 +194,8 @@ def _unpickled(path: Path) -> Any:
             f"{path}: cannot be read ({error.strerror or error}); give the path of a MANO .pkl file"
         ) from error
     try:
-        return _Reader(data).load()
-    except _Refused as error:
+        return load(data, _stand_in)
+    except Refused as error:
         raise HandModelError(
             f"{path}: refused: the file asks to run {error}; a MANO file never does, do not trust it"
         ) from error
@@ -210,56 +205,15 @@ def _unpickled(path: Path) -> Any:
         ) from error
 
 
-class _StandIn:
-    """Remembers what a pickle gives it. Subclasses stand for the classes and functions it names."""
-
-    __slots__ = ("args", "state")
-
-    def __init__(self, *args: Any) -> None:
-        self.args = args
-        self.state: Any = None
-
-    def __new__(cls, *_args: Any) -> Any:
-        made = object.__new__(cls)
-        made.args, made.state = (), None
-        return made
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state
-
-    def fields(self) -> dict[str, Any]:
-        """The attributes that the real object would have."""
-        state = self.state[0] if isinstance(self.state, tuple) and self.state else self.state
-        return state if isinstance(state, dict) else {}
-
-
-class _Array(_StandIn):
-    """numpy.core.multiarray._reconstruct: args (class, shape, code); its contents are the state."""
-
+class _CscMatrix(StandIn):
     __slots__ = ()
 
 
-class _ArrayFromBuffer(_StandIn):
-    """numpy.core.numeric._frombuffer: args (buffer, dtype, shape, order), pickle protocol 5."""
-
+class _CsrMatrix(StandIn):
     __slots__ = ()
 
 
-class _Dtype(_StandIn):
-    """numpy.dtype: args (code, align, copy), byte order in its state."""
-
-    __slots__ = ()
-
-
-class _CscMatrix(_StandIn):
-    __slots__ = ()
-
-
-class _CsrMatrix(_StandIn):
-    __slots__ = ()
-
-
-class _Chumpy(_StandIn):
+class _Chumpy(StandIn):
     """Any chumpy object; plain ones (`Ch`) hold their array as x."""
 
     __slots__ = ()
@@ -271,50 +225,7 @@ class _ChumpySelect(_Chumpy):
     __slots__ = ()
 
 
-class _Unused(_StandIn):
-    """Names that occur around the arrays but carry nothing that is read."""
-
-    __slots__ = ()
-
-
-class _Encode(_StandIn):
-    """_codecs.encode(text, "latin1"), which is how protocol 2 writes bytes from Python 3."""
-
-    __slots__ = ()
-
-    def __new__(cls, text: Any, encoding: Any) -> Any:
-        if type(text) is not str or encoding not in ("latin1", "latin-1"):
-            raise _Refused("_codecs.encode in a way that no array needs")
-        return text.encode("latin1")
-
-
-class _Reconstructor(_StandIn):
-    """copy_reg._reconstructor(class, object, None), which is how protocols 0 and 1 make instances."""
-
-    __slots__ = ()
-
-    def __new__(cls, made: Any, *_args: Any) -> Any:
-        if not (isinstance(made, type) and issubclass(made, _StandIn)):
-            raise _Refused("copy_reg._reconstructor in a way that no array needs")
-        return _StandIn.__new__(made)
-
-
-_STAND_INS: dict[str, type[_StandIn]] = {
-    "numpy.ndarray": _Unused,
-    "numpy.dtype": _Dtype,
-    "__builtin__.object": _Unused,
-    "builtins.object": _Unused,
-    "__builtin__.set": _Unused,
-    "builtins.set": _Unused,
-    "_codecs.encode": _Encode,
-    "copy_reg._reconstructor": _Reconstructor,
-    "copyreg._reconstructor": _Reconstructor,
-    "chumpy.reordering.Select": _ChumpySelect,
-}
-for _core in ("numpy.core", "numpy._core"):
-    _STAND_INS[f"{_core}.multiarray._reconstruct"] = _Array
-    _STAND_INS[f"{_core}.multiarray.scalar"] = _Unused
-    _STAND_INS[f"{_core}.numeric._frombuffer"] = _ArrayFromBuffer
+_STAND_INS: dict[str, type[StandIn]] = {**STAND_INS, "chumpy.reordering.Select": _ChumpySelect}
 for _module in ("csc", "_csc"):
     _STAND_INS[f"scipy.sparse.{_module}.csc_matrix"] = _CscMatrix
     _STAND_INS[f"scipy.sparse.{_module}.csc_array"] = _CscMatrix
@@ -323,116 +234,38 @@ for _module in ("csr", "_csr"):
     _STAND_INS[f"scipy.sparse.{_module}.csr_array"] = _CsrMatrix
 
 
-class _WholeReads(io.BytesIO):
-    """Bytes whose end is an error at once, not a shorter answer: a cut-off name is no other name."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        data = super().read(size)
-        if size is not None and len(data) < size:
-            raise EOFError
-        return data
-
-    def readline(self, size: int | None = -1, /) -> bytes:
-        line = super().readline(size)
-        if not line.endswith(b"\n"):
-            raise EOFError
-        return line
-
-
-class _Reader(pickle._Unpickler):
-    """An unpickler that makes stand-ins only.
-
-    The Python implementation rather than the C one, for two reasons: the C one allocates whatever
-    memo size a file names, and here those opcodes that reach outside the file
-    (persistent ids, the extension registry, buffers) are gone, and none allocates ahead of reading.
-    """
-
-    dispatch: ClassVar[dict[int, Any]] = {
-        code: method
-        for code, method in pickle._Unpickler.dispatch.items()
-        if bytes([code])
-        not in (
-            pickle.PERSID,
-            pickle.BINPERSID,
-            pickle.EXT1,
-            pickle.EXT2,
-            pickle.EXT4,
-            pickle.NEXT_BUFFER,
-            pickle.READONLY_BUFFER,
-        )
-    }
-
-    def _load_bytearray8(self) -> None:
-        size = int.from_bytes(self.read(8), "little")  # type: ignore[attr-defined]
-        self.append(self.read(size))  # type: ignore[attr-defined]
-
-    dispatch[pickle.BYTEARRAY8[0]] = _load_bytearray8
-
-    def __init__(self, data: bytes) -> None:
-        super().__init__(_WholeReads(data), encoding="latin1")
-
-    def find_class(self, module: Any, name: Any) -> type[_StandIn]:
-        """The stand-in for a name that MANO files use; _Refused for all others."""
-        asked = f"{module}.{name}"
-        if asked in _STAND_INS:
-            return _STAND_INS[asked]
-        if re.fullmatch(r"chumpy(\.\w+)*\.[A-Za-z]\w*", asked, re.ASCII):
-            return _Chumpy
-        raise _Refused(re.sub(r"[^\x20-\x7e]", "?", asked)[:80])
+def _stand_in(asked: str) -> type[StandIn] | None:
+    """The stand-in for a name that MANO files use; None for all others."""
+    if re.fullmatch(r"chumpy(\.\w+)*\.[A-Za-z]\w*", asked, re.ASCII):
+        return _STAND_INS.get(asked, _Chumpy)
+    return _STAND_INS.get(asked)
 
 
 def _array_of(key: str, value: Any, depth: int = 0) -> np.ndarray:
     """The plain array behind a stand-in; J_regressor's sparse matrix becomes dense. Raises _Unfit."""
     if depth > 4:
         raise _Unfit(f"{key} is nested too deeply")
-    if isinstance(value, _ChumpySelect):
-        fields = value.fields()
-        whole = _array_of(key, fields.get("a"), depth + 1).reshape(-1)
-        chosen = _array_of(key, fields.get("idxs"), depth + 1)
-        if chosen.dtype.kind not in "iu" or np.any((chosen < 0) | (chosen >= whole.size)):
-            raise _Unfit(f"{key} selects elements that do not exist")
-        shape = fields.get("preferred_shape")
-        return _reshaped(key, whole[chosen], chosen.shape if shape is None else shape, "C")
-    if isinstance(value, _Chumpy):
+    if isinstance(value, _Chumpy) and not isinstance(value, _ChumpySelect):
         return _array_of(key, value.fields().get("x"), depth + 1)
     if isinstance(value, (_CscMatrix, _CsrMatrix)):
         return _dense(key, value, depth)
-    if isinstance(value, _Array) and isinstance(value.state, tuple) and len(value.state) in (4, 5):
-        shape, dtype, fortran, raw = value.state[-4:]
-    elif isinstance(value, _ArrayFromBuffer) and len(value.args) == 4:
-        raw, dtype, shape, order = value.args
-        fortran = order == "F"
-    else:
-        raise _Unfit(f"{key} is not an array")
-    raw = raw.encode("latin1") if isinstance(raw, str) else raw  # Python 2's bytes are read as text
-    numpy_dtype = _dtype_of(key, dtype)
-    if not isinstance(raw, bytes) or len(raw) % numpy_dtype.itemsize:
-        raise _Unfit(f"{key} is not an array of numbers")
-    array = np.frombuffer(raw, dtype=numpy_dtype)
-    return _reshaped(key, array, shape, "F" if fortran else "C")
+    try:
+        return _selected(key, value, depth) if isinstance(value, _ChumpySelect) else array_of(value)
+    except NotAnArray as error:
+        raise _Unfit(f"{key} {error}") from error
 
 
-def _reshaped(key: str, array: np.ndarray, shape: Any, order: Any) -> np.ndarray:
-    sizes = shape if isinstance(shape, (tuple, list)) else None
-    if (
-        sizes is None
-        or len(sizes) > 4
-        or not all(isinstance(n, int) and 0 <= n <= array.size for n in sizes)
-        or int(np.prod(sizes, dtype=object)) != array.size
-    ):
-        raise _Unfit(f"{key} holds {array.size} numbers, which do not fill its shape")
-    return array.reshape(tuple(sizes), order=order).astype(array.dtype.newbyteorder("="))
+def _selected(key: str, value: _ChumpySelect, depth: int) -> np.ndarray:
+    fields = value.fields()
+    whole = _array_of(key, fields.get("a"), depth + 1).reshape(-1)
+    chosen = _array_of(key, fields.get("idxs"), depth + 1)
+    if chosen.dtype.kind not in "iu" or np.any((chosen < 0) | (chosen >= whole.size)):
+        raise _Unfit(f"{key} selects elements that do not exist")
+    shape = fields.get("preferred_shape")
+    return reshaped(whole[chosen], chosen.shape if shape is None else shape, "C")
 
 
-def _dtype_of(key: str, dtype: Any) -> np.dtype[Any]:
-    code = dtype.args[0] if isinstance(dtype, _Dtype) and dtype.args else None
-    order = dtype.state[1] if isinstance(dtype, _Dtype) and isinstance(dtype.state, tuple) else "<"
-    if not (isinstance(code, str) and re.fullmatch(r"[<>|=]?[fiu][1248]", code) and code[-2:] != "f1"):
-        raise _Unfit(f"{key} is not an array of numbers")
-    return np.dtype((">" if order == ">" else "<") + code[-2:])
-
-
-def _dense(key: str, matrix: _StandIn, depth: int) -> np.ndarray:
+def _dense(key: str, matrix: StandIn, depth: int) -> np.ndarray:
     fields = matrix.fields()
     data, minor, starts = (_array_of(key, fields.get(k), depth + 1) for k in ("data", "indices", "indptr"))
     shape = fields.get("_shape", fields.get("shape"))

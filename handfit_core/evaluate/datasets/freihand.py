@@ -1,0 +1,137 @@
+"""FreiHAND (Zimmermann et al. 2019): single right hands, 224x224, MANO meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from handfit_core.errors import DatasetError
+from handfit_core.evaluate.datasets import orders, reading
+from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel
+from handfit_core.media import pictures_in
+from handfit_core.skeleton import NUM_KEYPOINTS
+
+KIND = "freihand"
+LAYOUT = (
+    "FreiHAND's layout: training/rgb/00000000.jpg ..., training_K.json, training_xyz.json, and likewise "
+    "evaluation/rgb, evaluation_K.json, evaluation_xyz.json (also *_scale.json, *_verts.json)"
+)
+SPLITS = ("evaluation", "training")
+
+TRAINING_LABELS = 32560
+"""The released training set shows each of them four times, before other backgrounds."""
+
+_COPIES = 4
+
+
+def recognises(root: Path) -> bool:
+    """Whether the folder has any part of this layout."""
+    return any(
+        (root / split / "rgb").is_dir() or (root / f"{split}_{name}.json").is_file()
+        for split in SPLITS
+        for name in ("K", "xyz", "scale")
+    )
+
+
+def read(root: Path, split: str | None = None) -> Dataset:
+    """List `evaluation` or `training`; by default evaluation where its labels are there.
+
+    Only K is read now: it is small, and tells how many labels there are. Raises DatasetError,
+    OptionError.
+    """
+    with_labels = [name for name in SPLITS if (root / f"{name}_xyz.json").is_file()]
+    if split is None and not with_labels:
+        shown = [name for name in SPLITS if (root / name / "rgb").is_dir()] or ["training"]
+        raise reading.lacks(root, f"{shown[0]}_xyz.json", LAYOUT)
+    if split in SPLITS and split not in with_labels:
+        raise reading.lacks(root, f"{split}_xyz.json", LAYOUT)
+    split = reading.choice(root, "split", split, with_labels, SPLITS)
+    folder = root / split / "rgb"
+    if not folder.is_dir() and (root / "rgb").is_dir():
+        folder = root / "rgb"
+    if not folder.is_dir():
+        raise reading.lacks(root, f"{split}/rgb", LAYOUT)
+    labels = _Labels(root, split)
+    count = len(labels.cameras)
+
+    numbers = {picture: reading.number_of(picture) for picture in pictures_in(folder)}
+    limit = _picture_limit(split, count, (n for n in numbers.values() if n is not None))
+    entries: list[Entry] = []
+    lonely: list[Path] = []
+    unused = set(range(count))
+    for picture, number in numbers.items():
+        if number is None or number >= limit:
+            lonely.append(picture)
+            continue
+        index, where = number % count, str(picture)
+        unused.discard(index)
+        entries.append(
+            Entry(
+                f"{split}/{picture.stem}",
+                picture,
+                lambda index=index, where=where: labels.of(index, where),
+            )
+        )
+    problems = [
+        *reading.unpaired(reading.NO_LABEL, lonely),
+        *reading.unpaired(
+            reading.UNPAIRED_LABEL, (f"{root / f'{split}_xyz.json'}: label {i}" for i in sorted(unused))
+        ),
+    ]
+    return Dataset(
+        name=f"FreiHAND ({split})",
+        kind=KIND,
+        root=root,
+        entries=entries,
+        problems=tuple(problems),
+        notes=(
+            "FreiHAND's labels are MANO's joints, inside the hand; a detector's landmarks sit on the skin.",
+            "Where its *_verts.json is there, meshes are MANO's (778 vertices).",
+        ),
+    )
+
+
+def _picture_limit(split: str, count: int, numbers: Iterable[int]) -> int:
+    """The first picture number that has no label.
+
+    Label i belongs to pictures i, i + n, i + 2n, i + 3n of the training set. With a label missing, n would
+    be wrong and pair pictures with others' labels, so copies are trusted only where they are complete.
+    """
+    last = max(numbers, default=-1) + 1
+    complete = count == TRAINING_LABELS or (count > 0 and last % count == 0 and last <= _COPIES * count)
+    return _COPIES * count if split == "training" and complete else count
+
+
+class _Labels:
+    """The files of one split; all but the cameras are read when first needed, and once."""
+
+    def __init__(self, root: Path, split: str) -> None:
+        self._files = {name: root / f"{split}_{name}.json" for name in ("K", "xyz", "verts")}
+        self.cameras = reading.read_json_arrays(self._files["K"], LAYOUT)
+        self._joints = reading.Once(self._read_joints)
+        # In single precision, as thousands of meshes stay in memory.
+        self._vertices = reading.Once(
+            lambda: reading.read_json_arrays(self._files["verts"], LAYOUT, np.float32)
+        )
+
+    def _read_joints(self) -> list[np.ndarray | None]:
+        joints = reading.read_json_arrays(self._files["xyz"], LAYOUT)
+        if len(joints) != len(self.cameras):
+            raise DatasetError(
+                f"{self._files['xyz']}: {len(joints)} labels, but {len(self.cameras)} cameras in "
+                f"{self._files['K'].name}; copy both again"
+            )
+        return joints
+
+    def of(self, index: int, where: str) -> Labels:
+        intrinsics = reading.intrinsics_of(where, self.cameras[index])
+        joints = reading.shaped(where, "xyz", self._joints()[index], (NUM_KEYPOINTS, 3))
+        mesh = MeshLabel(lambda: self._mesh(index, where)) if self._files["verts"].is_file() else None
+        hand = reading.hand_label("right", joints[list(orders.FREIHAND)], intrinsics, mesh=mesh)
+        return Labels((hand,), intrinsics)
+
+    def _mesh(self, index: int, where: str) -> np.ndarray:
+        meshes = self._vertices()
+        return reading.vertices(where, meshes[index] if index < len(meshes) else None)

@@ -1,0 +1,119 @@
+"""The forearm that a hand sits on, and a sleeve: tubes that start at the mesh's open wrist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.hand_model import ShapedHand
+from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.skeleton import Side
+
+from .kinematics import model_of
+from .meshes import Mesh, tube
+
+LENGTH: Final = 0.6
+"""metres; long enough to leave the picture"""
+_BEND: Final = 0.06
+"""metres behind the wrist over which the arm turns into its own direction"""
+RADIUS: Final = 0.042
+"""metres, the arm's thickest"""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A forearm in the hand's model frame, metres; it moves with the wrist."""
+
+    axis: np.ndarray
+    """(N, 3) points along its middle"""
+    radii: np.ndarray
+    """(N,)"""
+    skin: Mesh
+    sleeve: Mesh | None
+
+
+def wrist_ring(side: Side) -> np.ndarray:
+    """Vertices of the mesh's open edge, in order around the wrist."""
+    polygons = model_of(side).polygons
+    ahead = np.roll(polygons, -1, axis=1)
+    edges = set(zip(polygons.ravel().tolist(), ahead.ravel().tolist(), strict=True))
+    # An open edge is one that no neighbour walks the other way.
+    following = {a: b for a, b in edges if (b, a) not in edges}
+    start = min(following)
+    ring = [start]
+    while (after := following[ring[-1]]) != start:
+        ring.append(after)
+    return np.array(ring)
+
+
+def forearm_direction(flexion: float, deviation: float, side: Side) -> np.ndarray:
+    """(3,) unit vector from the wrist to the elbow, model frame; angles in radians, as a right hand's."""
+    turn = rotvec_to_rotmat(np.array([0.0, deviation, 0.0])) @ rotvec_to_rotmat(np.array([0.0, 0.0, flexion]))
+    direction = turn @ np.array([1.0, 0.0, 0.0])
+    return direction if side == "right" else direction * np.array([-1.0, 1.0, 1.0])
+
+
+def build_arm(
+    shaped: ShapedHand, side: Side, direction: np.ndarray, sleeve: tuple[float, float] | None
+) -> Arm:
+    """The arm of a hand whose forearm points along `direction` (3,).
+
+    sleeve: where it starts behind the wrist and how wide it stands off, metres; None is a bare arm.
+    """
+    edge = shaped.vertices[wrist_ring(side)]
+    centre = edge.mean(axis=0)
+    back = np.array([1.0 if side == "right" else -1.0, 0.0, 0.0])
+    s = np.concatenate([np.linspace(0.0, _BEND, 9), np.linspace(_BEND, LENGTH, 12)[1:]])
+    axis, frames = _course(centre, back, direction, s)
+
+    offsets = edge - centre
+    depth = offsets @ back
+    flat = offsets - np.outer(depth, back)
+    angle = np.arctan2(flat @ frames[0, :, 1], flat @ frames[0, :, 2])
+    size = float(np.linalg.norm(flat, axis=1).mean())
+    blend = np.clip(s / 0.05, 0.0, 1.0)
+    blend = blend**2 * (3 - 2 * blend)
+    # Flat at the wrist, round and thick towards the elbow.
+    grown = size + (1.35 * size - size) * np.clip(s / 0.22, 0.0, 1.0) ** 1.2
+    squash = 1 - 0.22 * (1 - np.clip(s / 0.2, 0.0, 1.0))
+
+    def rings(wider: np.ndarray) -> np.ndarray:
+        made = []
+        for i in range(len(s)):
+            up, side_ = frames[i, :, 1], frames[i, :, 2]
+            round_ = (grown[i] + wider[i]) * (
+                squash[i] * np.outer(np.sin(angle), up) + np.outer(np.cos(angle), side_)
+            )
+            own = flat @ frames[0] @ frames[i].T * (1 + wider[i] / size) + np.outer(depth, frames[i, :, 0])
+            made.append(axis[i] + (1 - blend[i]) * own + blend[i] * round_)
+        return np.array(made)
+
+    skin_rings = rings(np.zeros(len(s)))
+    cover = None
+    if sleeve is not None:
+        start, wide = sleeve
+        outside = rings(wide + 0.04 * np.maximum(s - start, 0.0))
+        keep = s >= start
+        # The hem is turned in, so that the sleeve has a thickness.
+        first = int(keep.argmax())
+        hem = skin_rings[first] + 0.35 * (outside[first] - skin_rings[first])
+        cover = tube(np.concatenate([hem[None], outside[keep]]), closed=False)
+    return Arm(axis, grown, tube(skin_rings, closed=False), cover)
+
+
+def _course(
+    start: np.ndarray, back: np.ndarray, direction: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) and frames (N, 3, 3; columns along, up, across) of a bend from `back` to `direction`."""
+    turn = np.cross(back, direction)
+    sine = float(np.linalg.norm(turn))
+    angle = float(np.arctan2(sine, back @ direction))
+    turn = turn / sine if sine > 1e-9 else np.array([0.0, 0.0, 1.0])
+    up = np.array([0.0, 1.0, 0.0])
+    first = np.stack([back, up, np.cross(back, up)], axis=-1)
+    parts = np.clip(s / _BEND, 0.0, 1.0)
+    frames = rotvec_to_rotmat(parts[:, None] * angle * turn) @ first
+    steps = np.diff(s)[:, None] * 0.5 * (frames[1:, :, 0] + frames[:-1, :, 0])
+    return start + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]), frames

@@ -1,0 +1,145 @@
+"""Single pictures: one or two hands, whole or cut by the frame, with or without things before them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from handfit_core.rotations import rotmat_to_rotvec
+from handfit_core.skeleton import SIDES, other_side
+
+from .contact import capsules
+from .meshes import Mesh
+from .occluders import random_occluder
+from .people import Placed, arm_capsules, beside, random_betas, random_hand
+from .poses import POSES
+from .shots import Shot, ShotHand
+from .views import (
+    COVERAGE,
+    hidden_by,
+    intrinsics_of,
+    lens_tags,
+    place_cut,
+    place_whole,
+    random_focal_mm,
+    random_standpoint,
+    view_name,
+)
+
+STILLS: Final = 0
+"""The kind in a still's seed; `clips.CLIPS` is the other"""
+_MOST_HIDDEN: Final = 9
+"""Of a hand's 21 keypoints behind an arm or the other hand"""
+_KINDS: Final = (*POSES, "grasp")
+
+
+def still_shot(seed: int, number: int, size: int) -> Shot:
+    """The still of that number, always the same: it depends on nothing but these three.
+
+    Focal length, distance and place are scaled with `size` (pixels a side), so that the labels in
+    millimetres are the same in every size.
+    """
+    rng = np.random.default_rng([seed, STILLS, number])
+    while True:
+        shot = _draw(rng, seed, number, size)
+        if shot is not None:
+            return shot
+
+
+def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot | None:
+    hands = _hands(rng)
+    if hands is None:
+        return None
+    cut = len(hands) == 1 and rng.random() < 0.18
+    focal_mm = random_focal_mm(rng)
+    camera = intrinsics_of(focal_mm, size)
+    points = np.concatenate([hand.points for hand in hands])
+    coverage = rng.uniform(max(COVERAGE[0], 0.45 if cut else 0.6 if len(hands) > 1 else 0.0), COVERAGE[1])
+    find = place_cut if cut else place_whole
+    for _ in range(30):
+        standpoint, view, roll = random_standpoint([hand.rotation @ hand.elbow for hand in hands], rng)
+        placed = find(points, view, roll, camera, coverage, rng)
+        if placed is not None and not _hides_too_much(hands, *placed):
+            break
+    else:
+        return None
+    rotation, translation = placed
+
+    seen = [hand.points @ rotation.T + translation for hand in hands]
+    props: list[Mesh] = []
+    occluder = "none"
+    if hands[0].held is not None:
+        occluder = f"held {hands[0].held.kind}"
+        props.append(hands[0].held.mesh.moved(rotation, translation))
+        if props[0].vertices[:, 2].min() < 0.03:
+            return None
+    elif rng.random() < 0.3:
+        nearest = float(min(p[:, 2].min() for p in seen))
+        found = random_occluder(seen[0], camera, nearest, rng)
+        if found is not None:
+            occluder = found[0]
+            props.append(found[1])
+    # `view` is in the first hand's frame, where both stand.
+    tags = {
+        "pose": hands[0].kind,
+        "hands": "one" if len(hands) == 1 else "two",
+        "occluder": occluder,
+        "framing": "cut" if cut else "whole",
+        "view": view_name(view, hands[0].side),
+        "camera": standpoint,
+        **lens_tags(focal_mm),
+    }
+    return Shot(
+        files=(f"stills/{number:05d}.jpg",),
+        clip=None,
+        size=size,
+        focal_mm=focal_mm,
+        camera=camera,
+        hands=tuple(shot_hand(h, rotation[None], translation[None]) for h in hands),
+        props=tuple(props),
+        surroundings=np.eye(4)[None],
+        tags=(tags,),
+        look_seed=(seed, STILLS, number, 1),
+    )
+
+
+def _hands(rng: np.random.Generator) -> list[Placed] | None:
+    side = SIDES[rng.integers(2)]
+    betas = random_betas(rng)
+    if rng.random() >= 0.2:
+        return [random_hand(side, betas, rng, kinds=_KINDS)]
+    first = random_hand(side, betas, rng)
+    second = beside(first, random_hand(other_side(side), betas, rng), rng.uniform(0.003, 0.05), rng)
+    return None if second is None else [first, second]
+
+
+def shot_hand(hand: Placed, rotations: np.ndarray, translations: np.ndarray) -> ShotHand:
+    """A hand seen by a camera that is p -> R p + t, for F rows (F, 3, 3) and (F, 3)."""
+    wrist = hand.shaped.joints[0]
+    at = (wrist + hand.translation) @ np.swapaxes(rotations, -1, -2) + translations
+    return ShotHand(
+        side=hand.side,
+        betas=hand.betas,
+        global_orient=rotmat_to_rotvec(rotations @ hand.rotation),
+        hand_pose=np.repeat(hand.pose[None], len(rotations), axis=0),
+        transl=at - wrist,
+        arm=hand.arm,
+    )
+
+
+def _hides_too_much(hands: list[Placed], rotation: np.ndarray, translation: np.ndarray) -> bool:
+    """Whether arms or the other hand hide most of a hand, or an arm comes up to the lens."""
+
+    def seen(parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return parts[0] @ rotation.T + translation, parts[1] @ rotation.T + translation, parts[2]
+
+    for hand in hands:
+        points = hand.points @ rotation.T + translation
+        for other in hands:
+            arm = seen(arm_capsules(other))
+            close = np.linalg.norm(arm[0], axis=1).min() < 0.07
+            parts = [arm] if other is hand else [arm, seen(capsules(other.points, other.scale))]
+            if close or any(hidden_by(points, *part) > _MOST_HIDDEN for part in parts):
+                return True
+    return False

@@ -1,0 +1,235 @@
+"""Where the camera stands: the whole sphere of views, roll, focal lengths, and the hand in the frame.
+
+Camera frame: OpenCV's, metres. Pictures are square, the principal point is their centre.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.skeleton import Side
+
+from .contact import segment_distance
+
+FOCAL_MM: Final = (20.0, 85.0)
+"""Full-frame equivalent: over a sensor 36 mm wide"""
+COVERAGE: Final = (0.25, 0.80)
+"""Longer side of the keypoints' box over the picture's side"""
+CUT_OUTSIDE: Final = (3, 8)
+"""How many keypoints of a cut hand lie outside of the picture"""
+LEAST_ANGLE_TO_ARM: Final = np.radians(35.0)
+"""Between the directions to the camera and to the elbow, so that the camera is not in the sleeve"""
+_MARGIN: Final = 0.03
+_NEAREST: Final = 0.04
+"""metres from the camera to the nearest keypoint, at least"""
+
+
+def random_focal_mm(rng: np.random.Generator) -> float:
+    """As many wide-angle as long lenses: uniform in the logarithm."""
+    return float(np.exp(rng.uniform(*np.log(FOCAL_MM))))
+
+
+def lens_tags(focal_mm: float) -> dict[str, str]:
+    """What a picture's tags say about its lens."""
+    lens = "wide" if focal_mm < 30 else "normal" if focal_mm < 55 else "long"
+    return {"lens": lens, "focal_mm": f"{focal_mm:.0f}"}
+
+
+def intrinsics_of(focal_mm: float, size: int) -> Intrinsics:
+    """The camera of a picture `size` pixels square."""
+    focal = focal_mm / 36.0 * size
+    return Intrinsics(focal, focal, size / 2.0, size / 2.0)
+
+
+def random_direction(rng: np.random.Generator) -> np.ndarray:
+    """(3,) uniform on the sphere."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def random_view(arms: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+    """(3,) direction from the hand to the camera in the hand's frame, away from all `arms` (3,)."""
+    for _ in range(1000):
+        view = random_direction(rng)
+        if all(view @ arm < np.cos(LEAST_ANGLE_TO_ARM) for arm in arms):
+            return view
+    raise AssertionError("the arms leave no room for a camera")
+
+
+def usual_view(arms: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+    """(3,) as `random_view`, but onto the first hand's palm or back, where people film hands from."""
+    while True:
+        view = np.array([0.0, rng.choice([-1.0, 1.0]), 0.0]) + rng.normal(0.0, 0.45, 3)
+        view /= np.linalg.norm(view)
+        if all(view @ arm < np.cos(LEAST_ANGLE_TO_ARM) for arm in arms):
+            return view
+
+
+def usual_roll(view: np.ndarray, elbow: np.ndarray, rng: np.random.Generator) -> float:
+    """Roll that lets the arm come from below, more or less; `elbow` (3,) is its direction."""
+    x, y, _ = facing(view, np.array([0.0, 0.0, 1.0]), 0.0) @ elbow
+    return float(np.arctan2(y, x) - np.pi / 2 + rng.normal(0.0, 0.6))
+
+
+def random_standpoint(arms: list[np.ndarray], rng: np.random.Generator) -> tuple[str, np.ndarray, float]:
+    """Where the camera is: `sphere`, any view and roll, or as often `usual`; view (3,); roll in radians."""
+    if rng.random() < 0.5:
+        return "sphere", random_view(arms, rng), float(rng.uniform(-np.pi, np.pi))
+    view = usual_view(arms, rng)
+    return "usual", view, usual_roll(view, arms[0], rng)
+
+
+def facing(view: np.ndarray, ray: np.ndarray, roll: float) -> np.ndarray:
+    """(3, 3) rotation from the hand's frame to the camera's that turns `view` (3,) against `ray` (3,)."""
+    ahead = np.array([0.0, 0.0, 1.0])
+    straight = _frame(-ahead) @ rotvec_to_rotmat(np.array([0.0, 0.0, roll])) @ _frame(view).T
+    # The shortest turn from straight ahead, so that neighbouring rays see the hand upright alike.
+    axis = np.cross(ahead, ray)
+    sine = float(np.linalg.norm(axis))
+    return rotvec_to_rotmat(axis * (np.arctan2(sine, ray[2]) / max(sine, 1e-12))) @ straight
+
+
+def _frame(z: np.ndarray) -> np.ndarray:
+    helper = np.eye(3)[int(np.abs(z).argmin())]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def stand_off(turned: np.ndarray, camera: Intrinsics, ray: np.ndarray, coverage: float) -> np.ndarray | None:
+    """Translation (3,) that puts points (N, 3), turned already, along `ray` at the distance where their
+    box covers `coverage` of the picture; None where the camera would have to stand among them."""
+    size = 2 * camera.cx
+    low_corner, high_corner = turned.min(axis=0), turned.max(axis=0)
+    centre = 0.5 * (low_corner + high_corner)
+
+    def extent(distance: float) -> float:
+        pixels = camera.project(turned - centre + distance * ray)
+        return float(np.ptp(pixels, axis=0).max() / size)
+
+    nearest = (_NEAREST - (turned - centre)[:, 2].min()) / ray[2]
+    low, high = max(nearest, 0.05), 6.0
+    if extent(low) < coverage:
+        return None
+    for _ in range(45):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if extent(middle) > coverage else (low, middle)
+    return high * ray - centre
+
+
+def place(
+    points: np.ndarray,
+    view: np.ndarray,
+    roll: float,
+    camera: Intrinsics,
+    coverage: float,
+    pixel: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Rotation (3, 3) and translation (3,) that show points (N, 3) from `view` about `pixel` (2,)."""
+    ray = camera.rays(pixel)
+    ray = ray / np.linalg.norm(ray)
+    rotation = facing(view, ray, roll)
+    translation = stand_off(points @ rotation.T, camera, ray, coverage)
+    return None if translation is None else (rotation, translation)
+
+
+def outside(pixels: np.ndarray, size: float) -> np.ndarray:
+    """(..., N, 2) pixels -> (...) how many lie outside of the picture."""
+    return np.any((pixels < 0) | (pixels > size), axis=-1).sum(axis=-1)
+
+
+def place_whole(
+    points: np.ndarray,
+    view: np.ndarray,
+    roll: float,
+    camera: Intrinsics,
+    coverage: float,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """As `place`, somewhere in the picture with all points inside; None where that fails."""
+    size = 2 * camera.cx
+    pixel = np.array([camera.cx, camera.cy])
+    margin = _MARGIN * size
+    for _ in range(12):
+        placed = place(points, view, roll, camera, coverage, pixel)
+        if placed is None:
+            return None
+        pixels = camera.project(points @ placed[0].T + placed[1])
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        if np.all(low >= margin) and np.all(high <= size - margin) and not np.allclose(pixel, camera.cx):
+            return placed
+        slack = np.maximum(size - 2 * margin - (high - low), 0.0)
+        corner = margin + slack * rng.uniform(0.0, 1.0, 2)
+        pixel = np.clip(pixel + 0.95 * (corner - low), 0.0, size)
+    return None
+
+
+def place_cut(
+    points: np.ndarray,
+    view: np.ndarray,
+    roll: float,
+    camera: Intrinsics,
+    coverage: float,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """As `place`, with 3 to 8 of the points outside of the picture; None where that fails."""
+    size = 2 * camera.cx
+    angle = rng.uniform(0, 2 * np.pi)
+    towards = np.array([np.cos(angle), np.sin(angle)])
+    found = []
+    for away in np.linspace(0.05, 0.6, 24):
+        placed = place(points, view, roll, camera, coverage, camera.cx + away * size * towards)
+        if placed is None:
+            continue
+        count = int(outside(camera.project(points @ placed[0].T + placed[1]), size))
+        if CUT_OUTSIDE[0] <= count <= CUT_OUTSIDE[1]:
+            found.append(placed)
+    return found[rng.integers(len(found))] if found else None
+
+
+def hidden_by(points: np.ndarray, starts: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> int:
+    """How many of the points (N, 3) lie behind capsules (M, 3), (M, 3), (M,), all in the camera frame."""
+    eye = np.zeros_like(points)[:, None]
+    distance = segment_distance(eye, 0.96 * points[:, None], starts[None], ends[None])
+    return int(np.any(distance < radii, axis=1).sum())
+
+
+def covered_by(pixels: np.ndarray, outline: np.ndarray) -> int:
+    """How many of the pixels (N, 2) lie within the convex hull of `outline` (M, 2)."""
+    hull = _convex_hull(outline)
+    edges = np.roll(hull, -1, axis=0) - hull
+    towards = pixels[:, None] - hull[None]
+    return int(np.all(edges[:, 0] * towards[..., 1] - edges[:, 1] * towards[..., 0] >= 0, axis=1).sum())
+
+
+def _convex_hull(points: np.ndarray) -> np.ndarray:
+    """Corners of the convex hull of (M, 2) points by Andrew's monotone chain."""
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
+
+    def chain(sequence: np.ndarray) -> list[np.ndarray]:
+        corners: list[np.ndarray] = []
+        for p in sequence:
+            while len(corners) > 1 and _turn(corners[-2], corners[-1], p) <= 0:
+                corners.pop()
+            corners.append(p)
+        return corners[:-1]
+
+    return np.array(chain(ordered) + chain(ordered[::-1]))
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+_SIDES: Final = (("palm", (0, -1, 0)), ("back", (0, 1, 0)), ("tips", (-1, 0, 0)), ("wrist", (1, 0, 0)))
+
+
+def view_name(view: np.ndarray, side: Side) -> str:
+    """Which face of the hand the camera sees most of: palm, back, tips, wrist, or edge."""
+    as_right = view if side == "right" else view * np.array([-1.0, 1.0, 1.0])
+    name, cosine = max(((n, float(as_right @ np.array(d))) for n, d in _SIDES), key=lambda pair: pair[1])
+    return name if cosine >= abs(as_right[2]) else "edge"

@@ -1,0 +1,57 @@
+"""Tiny data sets for tests, in the layouts of the released ones."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+K = [[500.0, 0.0, 160.0], [0.0, 510.0, 120.0], [0.0, 0.0, 1.0]]
+
+
+def touch(*files: Path) -> None:
+    """Pictures that no reader may open: listing and labels need none of their pixels."""
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"no picture")
+
+
+def write_json(path: Path, content: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def write_pickle(path: Path, content: Any) -> Path:
+    """As Python 2 and NumPy 1 name things."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data = pickle.dumps(content, protocol=2)
+    path.write_bytes(data.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n"))
+    return path
+
+
+def hand(seed: int = 0, points: int = 21) -> np.ndarray:
+    """(points, 3) metres, half a metre before the camera."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-0.1, 0.1, (points, 3)) + [0.0, 0.0, 0.5]
+
+
+def pixels(points: np.ndarray, matrix: Any = K) -> np.ndarray:
+    """Projection by the matrix itself, not by our camera."""
+    homogeneous = points @ np.array(matrix).T
+    return homogeneous[:, :2] / homogeneous[:, 2:]
+
+
+def write_tips(path: Path, frames: np.ndarray, *, blank: str = "") -> Path:
+    """(N, 5, 3) numbers -> the `x, y, z;` lines of EgoDexter and Dexter+Object; NaN as `blank`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+    def number(value: float) -> str:
+        return blank if np.isnan(value) else f"{value:.6f}"
+
+    lines = ["".join(", ".join(map(number, tip)) + "; " for tip in frame) for frame in frames]
+    path.write_text("\n".join(lines) + "\n")
+    return path

@@ -1,0 +1,277 @@
+"""What the rendered benchmark draws, before anything is rendered: poses, views, framing, clips."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from handfit_core.camera import Intrinsics
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
+from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.skeleton import FINGER_JOINTS, SIDES, TIP_KEYPOINTS
+from scripts.benchmark.arm import wrist_ring
+from scripts.benchmark.clips import clip_shot
+from scripts.benchmark.contact import penetration, segment_distance
+from scripts.benchmark.grasp import random_grasp
+from scripts.benchmark.index import entries
+from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
+from scripts.benchmark.poses import POSES, random_pose
+from scripts.benchmark.shots import Shot
+from scripts.benchmark.stills import still_shot
+from scripts.benchmark.views import (
+    COVERAGE,
+    FOCAL_MM,
+    covered_by,
+    facing,
+    hidden_by,
+    outside,
+    random_focal_mm,
+    random_view,
+    view_name,
+)
+
+SIZE = 256
+SLACK = 1e-6
+"""radians"""
+
+
+@pytest.fixture(scope="module")
+def stills() -> list[Shot]:
+    return [still_shot(0, i, SIZE) for i in range(60)]
+
+
+@pytest.fixture(scope="module")
+def clip() -> Shot:
+    return clip_shot(0, 0, 40, SIZE)
+
+
+def poses(kind: str, count: int = 8) -> list[tuple[RightHand, np.ndarray]]:
+    found = []
+    for i in range(count):
+        rng = np.random.default_rng([7, i])
+        hand = RightHand(np.clip(rng.normal(size=10), -2, 2))
+        found.append((hand, random_pose(kind, hand, rng)))
+    return found
+
+
+def angles_of(shot: Shot) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Per hand the (F, 15, 3) anatomical angles of its labels, and the side's limits."""
+    found = []
+    for hand in shot.hands:
+        limits = joint_limits(hand.side)
+        rotmats = rotvec_to_rotmat(hand.hand_pose.reshape(-1, 15, 3))
+        angles = anatomical_angles(rotmats, anatomical_axes(load_model(None, hand.side)))
+        found.append((angles, limits.lower, limits.upper))
+    return found
+
+
+def test_every_label_lies_within_the_active_ranges(stills: list[Shot], clip: Shot) -> None:
+    for shot in (*stills, clip):
+        for angles, lower, upper in angles_of(shot):
+            assert np.all(angles >= lower - SLACK)
+            assert np.all(angles <= upper + SLACK)
+
+
+@pytest.mark.parametrize("kind", POSES)
+def test_fingers_do_not_cut_through_each_other(kind: str) -> None:
+    depths = [penetration(hand.keypoints(angles), hand.scale) for hand, angles in poses(kind)]
+    assert max(depths) < 0.0055
+
+
+def test_penetration_sees_a_thumb_inside_a_finger() -> None:
+    hand = RightHand(np.zeros(10))
+    points = hand.keypoints(np.zeros((15, 3)))
+    assert penetration(points) == 0.0
+    points[3:5] = points[7:9]
+    assert penetration(points) > 0.01
+
+
+def test_pinching_fingertips_meet() -> None:
+    for side in SIDES:
+        model = load_model(None, side)
+        for hand, angles in poses("pinch"):
+            pose = hand_pose_from_angles(angles, side)
+            points = model.keypoints(hand.betas, np.zeros(3), pose, np.zeros(3))
+            tips = points[list(TIP_KEYPOINTS)]
+            assert np.linalg.norm(tips[1:] - tips[0], axis=1).min() < 0.008
+
+
+def test_fists_are_closed_and_points_point() -> None:
+    reach = np.array([[f, f - 3] for f in TIP_KEYPOINTS[1:]])
+    for hand, angles in poses("fist"):
+        points = hand.keypoints(angles)
+        assert np.all(np.linalg.norm(points[reach[:, 0]] - points[reach[:, 1]], axis=1) < 0.065)
+    for hand, angles in poses("point"):
+        points = hand.keypoints(angles)
+        length = np.linalg.norm(points[reach[:, 0]] - points[reach[:, 1]], axis=1)
+        assert length[0] > 0.07
+        assert np.all(length[1:] < 0.065)
+
+
+def test_last_joints_follow_the_middle_ones() -> None:
+    slopes = {"index": (0.87, -25.0), "middle": (0.79, -18.0), "ring": (0.73, -20.5)}
+    for _, angles in poses("random", 20):
+        bends = np.degrees(angles[:, 2])
+        for finger, (slope, offset) in slopes.items():
+            _, pip, dip = (j - 1 for j in FINGER_JOINTS[finger])
+            expected = max(slope * bends[pip] + offset, 0.03 * bends[pip])
+            assert abs(bends[dip] - expected) < 15.0
+
+
+def test_left_poses_mirror_right_ones() -> None:
+    for hand, angles in poses("random", 3):
+        zero = np.zeros(3)
+        right, left = (
+            load_model(None, side).keypoints(hand.betas, zero, hand_pose_from_angles(angles, side), zero)
+            for side in ("right", "left")
+        )
+        np.testing.assert_allclose(left * [-1, 1, 1], right, atol=1e-9)
+        np.testing.assert_allclose(hand.keypoints(angles), right, atol=1e-9)
+
+
+def test_held_things_are_touched_and_not_cut() -> None:
+    for i in range(8):
+        rng = np.random.default_rng(i)
+        hand = RightHand(np.zeros(10))
+        angles, held = random_grasp(hand, rng)
+        points = hand.keypoints(angles)
+        tips = points[list(TIP_KEYPOINTS)]
+        along = held.end - held.start
+        t = np.clip((tips - held.start) @ along / max(along @ along, 1e-12), 0, 1)
+        gaps = np.linalg.norm(tips - held.start - t[:, None] * along, axis=1) - held.radius
+        assert gaps.min() > -0.004
+        assert np.sort(gaps)[1] < 0.03
+
+
+def test_segment_distance_equals_a_dense_search() -> None:
+    rng = np.random.default_rng(0)
+    p1, q1, p2, q2 = rng.normal(size=(4, 30, 3))
+    t = np.linspace(0, 1, 201)[:, None, None]
+    first, second = p1 + t * (q1 - p1), p2 + t * (q2 - p2)
+    dense = np.linalg.norm(first[:, None] - second[None], axis=-1).min(axis=(0, 1))
+    np.testing.assert_allclose(segment_distance(p1, q1, p2, q2), dense, atol=2e-3)
+
+
+def test_the_same_number_gives_the_same_picture_alone_and_in_every_size(stills: list[Shot]) -> None:
+    for number in (41, 5):
+        again = entries(still_shot(0, number, SIZE))
+        assert again == entries(stills[number])
+        double = entries(still_shot(0, number, 2 * SIZE))
+        for hand, large in zip(again[0]["hands"], double[0]["hands"], strict=True):
+            np.testing.assert_allclose(large["joints_3d_mm"], hand["joints_3d_mm"], atol=0.01)
+    assert entries(still_shot(1, 5, SIZE)) != entries(stills[5])
+    assert entries(stills[4]) != entries(stills[5])
+
+
+def test_clips_are_the_same_every_time(clip: Shot) -> None:
+    assert entries(clip_shot(0, 0, 40, SIZE)) == entries(clip)
+    assert entries(clip_shot(0, 1, 40, SIZE)) != entries(clip)
+
+
+def test_framing_is_what_the_tag_says(stills: list[Shot]) -> None:
+    assert {s.tags[0]["framing"] for s in stills} == {"whole", "cut"}
+    for shot in stills:
+        pixels = np.concatenate([shot.camera.project(hand.keypoints()[0]) for hand in shot.hands])
+        count = outside(pixels, SIZE)
+        if shot.tags[0]["framing"] == "whole":
+            assert count == 0
+            assert COVERAGE[0] - 0.01 < np.ptp(pixels, axis=0).max() / SIZE < COVERAGE[1] + 0.01
+        else:
+            assert 3 <= count <= 8
+
+
+def test_everything_asked_for_is_there(stills: list[Shot]) -> None:
+    tags = [s.tags[0] for s in stills]
+    assert {t["pose"] for t in tags} == {*POSES, "grasp"}
+    assert {t["hands"] for t in tags} == {"one", "two"}
+    assert {t["view"] for t in tags} == {"palm", "back", "edge", "tips", "wrist"}
+    assert len({t["occluder"] for t in tags}) >= 5
+    assert {hand.side for s in stills for hand in s.hands} == set(SIDES)
+    assert {len(s.hands) for s in stills if s.tags[0]["hands"] == "two"} == {2}
+    assert all(np.abs(hand.betas).max() <= 2 for s in stills for hand in s.hands)
+    assert {hand.arm.sleeve is None for s in stills for hand in s.hands} == {True, False}
+
+
+def test_focal_lengths_fill_their_range() -> None:
+    rng = np.random.default_rng(0)
+    found = np.array([random_focal_mm(rng) for _ in range(400)])
+    assert FOCAL_MM[0] <= found.min() < 22
+    assert 78 < found.max() <= FOCAL_MM[1]
+
+
+def test_views_cover_the_sphere_but_for_the_arm() -> None:
+    rng = np.random.default_rng(0)
+    arm = np.array([1.0, 0.0, 0.0])
+    views = np.array([random_view([arm], rng) for _ in range(3000)])
+    np.testing.assert_allclose(np.linalg.norm(views, axis=1), 1.0)
+    assert np.all(views @ arm < np.cos(np.radians(34.9)))
+    grid = np.array([rng.normal(size=3) for _ in range(300)])
+    grid /= np.linalg.norm(grid, axis=1, keepdims=True)
+    grid = grid[grid @ arm < np.cos(np.radians(40))]
+    nearest = np.degrees(np.arccos(np.clip((grid @ views.T).max(axis=1), -1, 1)))
+    assert nearest.max() < 12
+
+
+def test_facing_turns_the_view_against_the_ray() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        view, ray = rng.normal(size=(2, 3))
+        view, ray = view / np.linalg.norm(view), ray / np.linalg.norm(ray)
+        rotation = facing(view, ray, rng.uniform(-3, 3))
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(np.linalg.det(rotation), 1.0)
+        np.testing.assert_allclose(rotation @ view, -ray, atol=1e-12)
+
+
+def test_views_are_named_after_the_face_that_is_seen() -> None:
+    assert view_name(np.array([0.1, -1.0, 0.2]), "right") == "palm"
+    assert view_name(np.array([0.1, 1.0, 0.2]), "left") == "back"
+    assert view_name(np.array([-1.0, 0.1, 0.2]), "right") == "tips"
+    assert view_name(np.array([-1.0, 0.1, 0.2]), "left") == "wrist"
+    assert view_name(np.array([0.1, 0.1, -1.0]), "right") == "edge"
+
+
+def test_what_stands_before_a_point_hides_it() -> None:
+    points = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.0, 0.0, 0.3]])
+    start, end = np.array([[-0.1, 0.0, 0.5]]), np.array([[0.1, 0.0, 0.5]])
+    assert hidden_by(points, start, end, np.array([0.05])) == 1
+    square = np.array([[0.0, 0.0], [10, 0], [10, 10], [0, 10], [5, 5]])
+    assert covered_by(np.array([[5.0, 9.0], [11, 5], [1, 1]]), square) == 2
+
+
+def test_the_wrist_ring_is_the_mesh_s_open_edge() -> None:
+    model = load_model(None, "right")
+    edges: dict[tuple[int, ...], int] = {}
+    for polygon in model.polygons.tolist():
+        for pair in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+            key = tuple(sorted(pair))
+            edges[key] = edges.get(key, 0) + 1
+    ring = wrist_ring("right").tolist()
+    around = {tuple(sorted(pair)) for pair in zip(ring, ring[1:] + ring[:1], strict=True)}
+    assert around == {key for key, count in edges.items() if count == 1}
+
+
+def test_clips_move_smoothly_and_at_a_hand_s_speed(clip: Shot) -> None:
+    assert len(clip.files) == 40
+    points = clip.hands[0].keypoints()
+    assert len(points) == 42
+    speed = np.linalg.norm(np.diff(points, axis=0), axis=-1) * 25.0
+    assert 0.05 < speed.max() < 3.0
+    # No jump: a frame moves no point by more than a little beyond what its neighbours do.
+    assert np.abs(np.diff(speed, axis=0)).max() < 0.5
+    turned = clip.surroundings[:, :3, :3] @ np.swapaxes(clip.surroundings[:, :3, :3], -1, -2)
+    np.testing.assert_allclose(turned, np.broadcast_to(np.eye(3), (42, 3, 3)), atol=1e-9)
+
+
+def test_clip_labels_are_of_their_own_moments(clip: Shot) -> None:
+    made = entries(clip)
+    assert [e["time"] for e in made[:3]] == [0.0, 0.04, 0.08]
+    assert {e["clip"] for e in made} == {"00"}
+    inner = clip.hands[0].keypoints()[1:-1] * 1000
+    np.testing.assert_allclose([e["hands"][0]["joints_3d_mm"] for e in made], inner, atol=1e-4)
+    k = np.array(made[0]["K"])
+    camera = Intrinsics(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+    np.testing.assert_allclose(
+        camera.project(inner[5] / 1000), made[5]["hands"][0]["keypoints_2d_px"], atol=1e-3
+    )

@@ -1,0 +1,183 @@
+"""FreiHAND's layout: training shown four times, lazily read JSON, meshes only when asked for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import DatasetError, OptionError
+from handfit_core.evaluate.datasets import open_dataset
+from tests.core.evaluate.dataset_files import K, hand, pixels, touch, write_json
+
+
+def write_split(root: Path, split: str, labels: int, pictures: list[int], **replaced: Any) -> Path:
+    files = {
+        "K": [K] * labels,
+        "xyz": [hand(i).tolist() for i in range(labels)],
+        "scale": [0.028] * labels,
+        "verts": [hand(100 + i, 778).tolist() for i in range(labels)],
+    } | replaced
+    for name, content in files.items():
+        if content is not None:
+            write_json(root / f"{split}_{name}.json", content)
+    touch(*(root / split / "rgb" / f"{n:08d}.jpg" for n in pictures))
+    return root
+
+
+def test_evaluation_comes_first_where_it_has_labels(tmp_path: Path) -> None:
+    write_split(tmp_path, "training", 3, list(range(12)))
+    assert open_dataset(tmp_path).name == "FreiHAND (training)"
+    write_split(tmp_path, "evaluation", 2, [0, 1])
+    dataset = open_dataset(tmp_path)
+    assert (dataset.kind, dataset.name, len(dataset.entries)) == ("freihand", "FreiHAND (evaluation)", 2)
+    assert [e.name for e in dataset.entries] == ["evaluation/00000000", "evaluation/00000001"]
+    assert dataset.problems == ()
+    assert len(open_dataset(tmp_path, split="training").entries) == 12
+
+
+def test_numbers(tmp_path: Path) -> None:
+    dataset = open_dataset(write_split(tmp_path, "evaluation", 2, [0, 1]), "freihand")
+    labels = dataset.entries[1].read_labels()
+    (label,) = labels.hands
+    assert label.side == "right"
+    np.testing.assert_allclose(label.joints_3d, hand(1), atol=1e-12)
+    np.testing.assert_allclose(label.keypoints_2d, pixels(hand(1)), atol=1e-9)
+    assert labels.intrinsics is not None
+    assert (labels.intrinsics.fx, labels.intrinsics.cy) == (500.0, 120.0)
+    assert label.mesh is not None
+    np.testing.assert_allclose(label.mesh.vertices(), hand(101, 778), atol=1e-7)
+    assert label.mesh.digest == ""
+    assert label.joints_3d.dtype == label.mesh.vertices().dtype == np.float64
+
+
+def test_pictures_may_stand_beside_the_labels(tmp_path: Path) -> None:
+    write_split(tmp_path, "evaluation", 1, [0])
+    (tmp_path / "evaluation" / "rgb").rename(tmp_path / "rgb")
+    (entry,) = open_dataset(tmp_path).entries
+    assert entry.picture == tmp_path / "rgb" / "00000000.jpg"
+    np.testing.assert_allclose(entry.read_labels().hands[0].joints_3d, hand(0), atol=1e-12)
+
+
+def test_training_labels_serve_four_pictures_each(tmp_path: Path) -> None:
+    dataset = open_dataset(write_split(tmp_path, "training", 3, list(range(12)), verts=None))
+    assert dataset.problems == ()
+    for number, entry in enumerate(dataset.entries):
+        label = entry.read_labels().hands[0]
+        np.testing.assert_allclose(label.joints_3d, hand(number % 3), atol=1e-7)
+        assert label.mesh is None
+
+
+def test_counts_that_do_not_fit_pair_no_picture_with_anothers_label(tmp_path: Path) -> None:
+    dataset = open_dataset(write_split(tmp_path, "training", 3, [0, 2, 3, 4, 5, 6, 7]))
+    assert [int(e.picture.stem) for e in dataset.entries] == [0, 2]
+    kinds = [p.kind for p in dataset.problems]
+    assert kinds.count("picture without a label") == 5
+    assert kinds.count("label without a picture") == 1
+    assert "label 1" in dataset.problems[-1].where
+
+
+def test_evaluation_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1, 2])
+    touch(root / "evaluation" / "rgb" / "sheet.jpg")
+    dataset = open_dataset(root)
+    assert [e.picture.name for e in dataset.entries] == ["00000000.jpg", "00000001.jpg"]
+    assert sorted(Path(p.where).name for p in dataset.problems) == ["00000002.jpg", "sheet.jpg"]
+
+
+def test_one_damaged_label_harms_no_other(tmp_path: Path) -> None:
+    xyz = [hand(0).tolist(), hand(1)[:20].tolist(), None, hand(3).tolist()]
+    cameras = [K, K, K, None]
+    entries = open_dataset(write_split(tmp_path, "evaluation", 4, [0, 1, 2, 3], xyz=xyz, K=cameras)).entries
+    assert entries[0].read_labels().hands
+    with pytest.raises(DatasetError, match=r"00000001.jpg: xyz has shape 20x3, expected 21x3"):
+        entries[1].read_labels()
+    with pytest.raises(DatasetError, match=r"00000002.jpg: xyz is not an array of 21x3"):
+        entries[2].read_labels()
+    last = entries[3].read_labels()
+    assert last.intrinsics is None
+    assert np.isnan(last.hands[0].keypoints_2d).all()
+    assert np.isfinite(last.hands[0].joints_3d).all()
+
+
+def test_missing_points_stay_missing(tmp_path: Path) -> None:
+    xyz: list[Any] = hand(0).tolist()
+    xyz[4] = [0.1, float("nan"), 0.5]
+    xyz[8][2] = None
+    label = open_dataset(write_split(tmp_path, "evaluation", 1, [0], xyz=[xyz])).entries[0].read_labels()
+    assert np.flatnonzero(np.isnan(label.hands[0].joints_3d).all(axis=1)).tolist() == [4, 8]
+    assert np.flatnonzero(np.isnan(label.hands[0].keypoints_2d).any(axis=1)).tolist() == [4, 8]
+
+
+def test_labels_are_read_once_and_only_when_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1])
+    opened: list[str] = []
+    real = Path.read_bytes
+
+    def counted(path: Path) -> bytes:
+        opened.append(path.name)
+        return real(path)
+
+    monkeypatch.setattr(Path, "read_bytes", counted)
+    entries = open_dataset(root).entries
+    assert opened == ["evaluation_K.json"]
+    labels = [entry.read_labels() for entry in entries] + [entries[0].read_labels()]
+    assert opened == ["evaluation_K.json", "evaluation_xyz.json"]
+    for label in labels:
+        assert label.hands[0].mesh is not None
+        label.hands[0].mesh.vertices()
+    assert opened == ["evaluation_K.json", "evaluation_xyz.json", "evaluation_verts.json"]
+
+
+@pytest.mark.parametrize("damage", ["[[1, 2", "{}", "", "[[1] [2]]", "no json", "[" * 100_000])
+def test_damaged_files_are_named(tmp_path: Path, damage: str) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1])
+    (root / "evaluation_xyz.json").write_text(damage)
+    entry = open_dataset(root).entries[0]
+    for _ in range(2):  # the second time from memory
+        with pytest.raises(DatasetError, match=r"evaluation_xyz\.json: damaged") as caught:
+            entry.read_labels()
+        assert "\n" not in str(caught.value)
+    (root / "evaluation_K.json").write_text(damage)
+    with pytest.raises(DatasetError, match=r"evaluation_K\.json: damaged"):
+        open_dataset(root)
+
+
+def test_labels_and_cameras_of_different_number(tmp_path: Path) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
+    with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
+        open_dataset(root).entries[0].read_labels()
+
+
+@pytest.mark.parametrize("name", ["K", "xyz"])
+def test_a_missing_file_is_named_with_the_layout(tmp_path: Path, name: str) -> None:
+    root = write_split(tmp_path, "training", 1, [0], **{name: None})
+    with pytest.raises(DatasetError, match=rf"training_{name}\.json is missing; expected FreiHAND's layout"):
+        open_dataset(root)
+
+
+def test_other_missing_things(tmp_path: Path) -> None:
+    write_split(tmp_path, "training", 1, [])
+    with pytest.raises(DatasetError, match=r"training/rgb is missing"):
+        open_dataset(tmp_path)
+    with pytest.raises(DatasetError, match=r"evaluation_xyz\.json is missing"):
+        open_dataset(tmp_path, split="evaluation")
+    with pytest.raises(OptionError, match=r"'test' does not exist here; choose from evaluation, training"):
+        open_dataset(tmp_path, split="test")
+
+
+def test_a_list_of_arrays_reads_as_json_does(tmp_path: Path) -> None:
+    from handfit_core.evaluate.datasets.reading import read_json_arrays
+
+    content = [[1, 2.5], [[1, None]], [], [1e-3]]
+    for indent in (None, 2):
+        path = tmp_path / "list.json"
+        path.write_text(" " + json.dumps(content, indent=indent) + "\n")
+        arrays = read_json_arrays(path, "")
+        assert [None if a is None else a.shape for a in arrays] == [(2,), (1, 2), (0,), (1,)]
+    assert read_json_arrays(write_json(path, []), "") == []

@@ -1,0 +1,165 @@
+"""HO-3D's layout: OpenGL's axes, MANO's order, pickled labels, the evaluation's held-back ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import DatasetError
+from handfit_core.evaluate.datasets import open_dataset
+from tests.core.evaluate.dataset_files import K, hand, pixels, touch, write_json, write_pickle
+
+MANO_TO_MEDIAPIPE = [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
+"""The authors' own list."""
+
+
+def opengl(points: np.ndarray) -> np.ndarray:
+    """From the camera frame to OpenGL's: half a turn about x."""
+    half_turn = np.array([[1, 0, 0], [0, np.cos(np.pi), -np.sin(np.pi)], [0, np.sin(np.pi), np.cos(np.pi)]])
+    return points @ half_turn.T
+
+
+def meta(points: np.ndarray | None, **changes: Any) -> dict[str, Any]:
+    return {
+        "handJoints3D": None if points is None else opengl(points),
+        "camMat": np.array(K),
+        "handPose": np.zeros(48, dtype=np.float32),
+        "handBeta": np.zeros(10),
+        "handTrans": np.zeros(3),
+        "objName": "004_sugar_box",
+        "objLabel": np.int64(3),
+        "objRot": np.zeros((3, 1)),
+        "handVertContact": np.zeros(778, dtype=bool),
+    } | changes
+
+
+def write_frame(root: Path, split: str, name: str, content: dict[str, Any], suffix: str = ".png") -> None:
+    sequence, frame = name.split("/")
+    touch(root / split / sequence / "rgb" / f"{frame}{suffix}")
+    write_pickle(root / split / sequence / "meta" / f"{frame}.pkl", content)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"], ids=["v2", "v3"])
+def test_train(tmp_path: Path, suffix: str) -> None:
+    for i, name in enumerate(["SM1/0010", "SM1/0002", "ABF10/0007"]):
+        write_frame(tmp_path, "train", name, meta(hand(i)), suffix)
+    dataset = open_dataset(tmp_path)
+    assert (dataset.kind, dataset.name, dataset.problems) == ("ho3d", "HO-3D (train)", ())
+    assert [e.name for e in dataset.entries] == ["ABF10/0007", "SM1/0002", "SM1/0010"]
+    assert [e.clip for e in dataset.entries] == ["ABF10", "SM1", "SM1"]
+    assert [e.time for e in dataset.entries] == [0.0, 0.0, 8 / 30]
+    labels = dataset.entries[1].read_labels()
+    (label,) = labels.hands
+    expected = hand(1)[MANO_TO_MEDIAPIPE]
+    assert label.side == "right"
+    np.testing.assert_allclose(label.joints_3d, expected, atol=1e-12)
+    np.testing.assert_allclose(label.keypoints_2d, pixels(expected), atol=1e-9)
+    assert label.mesh is None
+
+
+def test_the_list_decides_and_what_it_misses_is_reported(tmp_path: Path) -> None:
+    for name in ("SM1/0000", "SM1/0001", "SM1/0002"):
+        write_frame(tmp_path, "train", name, meta(hand()))
+    (tmp_path / "train" / "SM1" / "meta" / "0002.pkl").unlink()
+    lines = ["SM1/0002", "SM1/0000", "SM1/0005", "SM9/0000", "SM1/0000", "../secret/0001", "nonsense"]
+    (tmp_path / "train.txt").write_text("\n".join(lines) + "\n\n")
+    dataset = open_dataset(tmp_path)
+    assert [e.name for e in dataset.entries] == ["SM1/0000"]
+    assert sorted((p.kind, p.where.rsplit("/", 3)[-1]) for p in dataset.problems) == [
+        ("line is not sequence/frame", "0001"),
+        ("line is not sequence/frame", "train.txt: nonsense"),
+        ("listed twice", "0000"),
+        ("picture missing", "0000.*"),
+        ("picture missing", "0005.*"),
+        ("picture without a label", "0002.png"),
+    ]
+
+
+def test_without_a_list_every_frame_counts(tmp_path: Path) -> None:
+    for name in ("SM1/0000", "SM1/0001", "SM1/0002"):
+        write_frame(tmp_path, "train", name, meta(hand()))
+    (tmp_path / "train" / "SM1" / "meta" / "0001.pkl").unlink()
+    (tmp_path / "train" / "SM1" / "rgb" / "0002.png").unlink()
+    dataset = open_dataset(tmp_path)
+    assert [e.name for e in dataset.entries] == ["SM1/0000"]
+    assert [p.kind for p in dataset.problems] == ["picture without a label", "picture missing"]
+
+
+def test_a_frame_without_joints_is_a_missing_label(tmp_path: Path) -> None:
+    write_frame(tmp_path, "train", "SM1/0000", meta(None))
+    write_frame(tmp_path, "train", "SM1/0001", meta(hand(), camMat=None))
+    first, second = (entry.read_labels() for entry in open_dataset(tmp_path).entries)
+    assert np.isnan(first.hands[0].joints_3d).all()
+    assert np.isnan(first.hands[0].keypoints_2d).all()
+    assert second.intrinsics is None
+
+
+def test_evaluation_takes_its_labels_by_line(tmp_path: Path) -> None:
+    names = ["SM1/0003", "AP10/0000", "SM1/0001"]
+    for name in names:
+        write_frame(tmp_path, "evaluation", name, meta(None, handJoints3D=np.zeros(3)))
+    with pytest.raises(DatasetError, match=r"evaluation_xyz\.json is missing; expected HO-3D's layout"):
+        open_dataset(tmp_path)
+    (tmp_path / "evaluation.txt").write_text("\n".join(names))
+    write_json(tmp_path / "evaluation_xyz.json", [opengl(hand(i)).tolist() for i in range(3)])
+    write_json(tmp_path / "evaluation_verts.json", [opengl(hand(50 + i, 778)).tolist() for i in range(3)])
+    dataset = open_dataset(tmp_path)
+    assert (dataset.kind, dataset.name) == ("ho3d", "HO-3D (evaluation)")
+    assert [e.name for e in dataset.entries] == ["SM1/0001", "SM1/0003", "AP10/0000"]
+    for entry in dataset.entries:
+        row = names.index(entry.name)
+        (label,) = entry.read_labels().hands
+        np.testing.assert_allclose(label.joints_3d, hand(row)[MANO_TO_MEDIAPIPE], atol=1e-7)
+        assert label.mesh is not None
+        np.testing.assert_allclose(label.mesh.vertices(), hand(50 + row, 778), atol=1e-7)
+
+
+def test_evaluation_of_another_length_is_no_label(tmp_path: Path) -> None:
+    write_frame(tmp_path, "evaluation", "SM1/0000", meta(None, handJoints3D=np.zeros(3)))
+    write_json(tmp_path / "evaluation_xyz.json", [opengl(hand()).tolist()] * 2)
+    with pytest.raises(DatasetError, match=r"evaluation\.txt is missing"):
+        open_dataset(tmp_path)
+    (tmp_path / "evaluation.txt").write_text("SM1/0000")
+    with pytest.raises(DatasetError, match=r"2 labels, but evaluation\.txt has 1 lines"):
+        open_dataset(tmp_path).entries[0].read_labels()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"cos\nsystem\n(Vtouch here\ntR.", "refused: the file asks to run os.system"),
+        (b"cbuiltins\neval\n(V1\ntR.", "refused: the file asks to run builtins.eval"),
+        (b"half a pick", "not a pickle, or a damaged"),
+        (b"", "not a pickle, or a damaged"),
+        (b"].", "holds no labels"),
+        (b"}.", "there is no handJoints3D"),
+    ],
+)
+def test_bad_pickles_raise_only_when_read(tmp_path: Path, content: bytes, says: str) -> None:
+    write_frame(tmp_path, "train", "SM1/0000", meta(hand()))
+    path = tmp_path / "train" / "SM1" / "meta" / "0000.pkl"
+    path.write_bytes(content)
+    dataset = open_dataset(tmp_path)
+    with pytest.raises(DatasetError) as caught:
+        dataset.entries[0].read_labels()
+    assert says in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"handJoints3D": np.zeros((16, 3))}, "handJoints3D has shape 16x3, expected 21x3"),
+        ({"handJoints3D": np.array([[None]])}, "handJoints3D is not an array of numbers"),
+        ({"handJoints3D": "text"}, "handJoints3D is not an array"),
+        ({"camMat": np.zeros((3, 3))}, "K is no camera matrix"),
+        ({"camMat": np.zeros((4, 4))}, "camMat has shape 4x4"),
+    ],
+)
+def test_wrong_arrays_are_named(tmp_path: Path, changes: dict[str, Any], says: str) -> None:
+    write_frame(tmp_path, "train", "SM1/0000", meta(hand(), **changes))
+    with pytest.raises(DatasetError, match=says):
+        open_dataset(tmp_path).entries[0].read_labels()

@@ -1,0 +1,77 @@
+"""Which reader a folder gets, and what is said where none fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from handfit_core.errors import DatasetError, OptionError
+from handfit_core.evaluate.datasets import DATASET_KINDS, open_dataset
+from tests.core.evaluate.dataset_files import touch, write_json
+
+
+def test_a_folder_that_fits_nothing_is_told_every_layout(tmp_path: Path) -> None:
+    touch(tmp_path / "holiday.jpg")
+    with pytest.raises(DatasetError) as caught:
+        open_dataset(tmp_path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for words in (
+        "index.json", "training/rgb/00000000.jpg", "train/ABF10/meta/0000.pkl",
+        "anno_training.pickle", "my_annotation.txt_3D.txt", "my_Grasp13D.txt",
+    ):  # fmt: skip
+        assert words in message
+
+
+@pytest.mark.parametrize(
+    ("kind", "file"),
+    [
+        ("freihand", "training/rgb/00000000.jpg"),
+        ("freihand", "training_K.json"),
+        ("ho3d", "train/ABF10/rgb/0000.png"),
+        ("ho3d", "evaluation/AP10/meta/0000.pkl"),
+        ("ho3d", "evaluation.txt"),
+        ("rhd", "training/color/00000.png"),
+        ("rhd", "evaluation/anno_evaluation.pickle"),
+        ("egodexter", "data/Rotunda/color/image_00000_color.png"),
+        ("dexter-object", "data/Pinch/color/image_00000_color.png"),
+    ],
+)
+def test_a_part_of_a_layout_is_enough_to_name_what_is_missing(tmp_path: Path, kind: str, file: str) -> None:
+    """Recognised or named, the message is the same: one reader's, with its layout."""
+    touch(tmp_path / file)
+    messages = []
+    for asked in (None, kind):
+        with pytest.raises(DatasetError) as caught:
+            open_dataset(tmp_path, asked)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]
+    assert "\n" not in messages[0]
+    if not file.endswith(".pickle"):  # this one is there, but no pickle
+        assert "is missing; expected" in messages[0]
+
+
+@pytest.mark.parametrize("kind", DATASET_KINDS)
+def test_an_empty_folder_of_a_named_kind(tmp_path: Path, kind: str) -> None:
+    with pytest.raises(DatasetError, match="is missing; expected"):
+        open_dataset(tmp_path, kind)
+
+
+def test_options_that_do_not_exist(tmp_path: Path) -> None:
+    write_json(tmp_path / "index.json", [])
+    with pytest.raises(OptionError, match="there is no data set kind 'stb'; choose from plain, freihand"):
+        open_dataset(tmp_path, "stb")
+    with pytest.raises(OptionError, match="a plain data set has no splits"):
+        open_dataset(tmp_path, split="training")
+    with pytest.raises(OptionError, match="a plain data set has one set of labels"):
+        open_dataset(tmp_path, labels="cleaned")
+    assert open_dataset(str(tmp_path)).entries == []
+
+
+def test_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="there is no such folder"):
+        open_dataset(tmp_path / "nowhere")
+    touch(tmp_path / "file.zip")
+    with pytest.raises(DatasetError, match="there is no such folder"):
+        open_dataset(tmp_path / "file.zip")

@@ -1,0 +1,116 @@
+"""RHD's layout: two hands in one array, fingers from the tip to the palm, pickled labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import DatasetError
+from handfit_core.evaluate.datasets import open_dataset
+from tests.core.evaluate.dataset_files import K, hand, pixels, touch, write_pickle
+
+SEEN = np.ones(42)
+
+
+def annotation(seed: int = 0, visible: np.ndarray = SEEN) -> dict[str, Any]:
+    points = hand(seed, 42)
+    uv_vis = np.concatenate([pixels(points), visible[:, None]], axis=1)
+    return {"xyz": points.astype(np.float32), "uv_vis": uv_vis, "K": np.array(K)}
+
+
+def write(root: Path, split: str, annotations: dict[Any, Any], pictures: list[str] | None = None) -> Path:
+    names = pictures if pictures is not None else [f"{key:05d}.png" for key in annotations]
+    touch(*(root / split / "color" / name for name in names))
+    write_pickle(root / split / f"anno_{split}.pickle", annotations)
+    return root
+
+
+def in_mediapipes_order(one_hand: np.ndarray) -> np.ndarray:
+    """Fingers turned round one by one."""
+    return np.concatenate([one_hand[:1], *(one_hand[1 + 4 * f : 5 + 4 * f][::-1] for f in range(5))])
+
+
+def test_both_hands(tmp_path: Path) -> None:
+    write(tmp_path, "training", {0: annotation()})
+    assert open_dataset(tmp_path).name == "RHD (training)"
+    write(tmp_path, "evaluation", {0: annotation(), 1: annotation(1)})
+    dataset = open_dataset(tmp_path)
+    assert (dataset.kind, dataset.name, dataset.problems) == ("rhd", "RHD (evaluation)", ())
+    labels = dataset.entries[1].read_labels()
+    assert [h.side for h in labels.hands] == ["left", "right"]
+    points = hand(1, 42).astype(np.float32)
+    for label, own in zip(labels.hands, (points[:21], points[21:]), strict=True):
+        np.testing.assert_allclose(label.joints_3d, in_mediapipes_order(own), atol=1e-9)
+        np.testing.assert_allclose(label.keypoints_2d, in_mediapipes_order(pixels(own)), atol=1e-2)
+    assert labels.intrinsics is not None
+    assert labels.intrinsics.fy == 510.0
+
+
+def test_a_hand_that_nobody_sees_is_no_labelled_hand(tmp_path: Path) -> None:
+    only_right = np.r_[np.zeros(21), np.ones(1), np.zeros(20)]
+    annotations = {0: annotation(visible=only_right), 1: annotation(visible=np.zeros(42))}
+    first, second = (
+        e.read_labels() for e in open_dataset(write(tmp_path, "evaluation", annotations)).entries
+    )
+    assert [h.side for h in first.hands] == ["right"]
+    # Hidden points of a hand that is seen have exact labels.
+    assert np.isfinite(first.hands[0].joints_3d).all()
+    assert second.hands == ()
+
+
+def test_what_does_not_pair_is_reported(tmp_path: Path) -> None:
+    annotations = {0: annotation(), 1: annotation(), 2: annotation()}
+    dataset = open_dataset(write(tmp_path, "evaluation", annotations, ["00000.png", "00003.png", "x.png"]))
+    assert [e.name for e in dataset.entries] == ["evaluation/00000"]
+    found = [(p.kind, p.where.rsplit("/")[-1]) for p in dataset.problems]
+    assert found == [
+        ("picture without a label", "00003.png"),
+        ("picture without a label", "x.png"),
+        ("label without a picture", "anno_evaluation.pickle: label 1"),
+        ("label without a picture", "anno_evaluation.pickle: label 2"),
+    ]
+
+
+def test_a_damaged_label_raises_only_when_read(tmp_path: Path) -> None:
+    lame = annotation() | {"xyz": np.zeros((21, 3))}
+    no_camera = {key: value for key, value in annotation().items() if key != "K"}
+    annotations = {0: annotation(), 1: lame, 2: None, 3: no_camera}
+    entries = open_dataset(write(tmp_path, "evaluation", annotations)).entries
+    assert len(entries[0].read_labels().hands) == 2
+    with pytest.raises(DatasetError, match=r"00001\.png: xyz has shape 21x3, expected 42x3"):
+        entries[1].read_labels()
+    with pytest.raises(DatasetError, match=r"00002\.png: there is no xyz in its labels"):
+        entries[2].read_labels()
+    assert entries[3].read_labels().intrinsics is None
+
+
+def test_a_pickle_that_runs_code_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, "evaluation", {0: annotation()})
+    trace = tmp_path / "trace"
+    path = tmp_path / "evaluation" / "anno_evaluation.pickle"
+    path.write_bytes(f"cbuiltins\nexec\n(Vopen({str(trace)!r}, 'w')\ntR.".encode())
+    with pytest.raises(DatasetError, match=r"refused: the file asks to run builtins\.exec"):
+        open_dataset(tmp_path)
+    assert not trace.exists()
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    write(tmp_path, "evaluation", {0: annotation()})
+    with (tmp_path / "evaluation" / "anno_evaluation.pickle").open("wb") as stream:
+        stream.truncate(2_000_000_000)  # sparse, takes no room
+    with pytest.raises(DatasetError, match=r"2000 MB is too large"):
+        open_dataset(tmp_path)
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    touch(tmp_path / "training" / "color" / "00000.png")
+    with pytest.raises(DatasetError, match=r"training/anno_training\.pickle is missing; expected RHD's"):
+        open_dataset(tmp_path)
+    write(tmp_path / "b", "training", {}, [])
+    with pytest.raises(DatasetError, match=r"training/color is missing"):
+        open_dataset(tmp_path / "b")
+    with pytest.raises(DatasetError, match=r"evaluation/anno_evaluation\.pickle is missing"):
+        open_dataset(tmp_path / "b", split="evaluation")

@@ -1,0 +1,245 @@
+"""EgoDexter and Dexter+Object: their lines of fingertips, markers of missing tips, axes and cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import DatasetError, OptionError
+from handfit_core.evaluate.datasets import dexter_object, egodexter, open_dataset
+from handfit_core.evaluate.datasets.tips import DepthToColor
+from tests.core.evaluate.dataset_files import touch, write_tips
+
+TIPS = [4, 8, 12, 16, 20]
+EGO = ("Desk", "Fruits", "Kitchen", "Rotunda")
+DEXTER = ("Grasp1", "Grasp2", "Occlusion", "Rigid", "Pinch", "Rotate")
+
+# The calibrations, as the sets' other readers have them: pixel = M (x, y, z, 1) with points in mm.
+EGO_M = np.array([[617.173, 0, 315.453], [0, 617.173, 242.259], [0, 0, 1]]) @ np.array(
+    [
+        [1.0, 0.00090442, -0.0074, 20.2365],
+        [-0.00071933, 0.9997, 0.0248, 1.2846],
+        [0.0075, -0.0248, 0.9997, 5.736],
+    ]
+)
+DEXTER_M = np.array([[587.45209, 0, 325], [0, 600.67456, 249], [0, 0, 1]]) @ np.array(
+    [[0.9999, 0.0034, 0.0161, 19.0473], [-0.0033, 1.0, -0.0079, -1.8514], [-0.0162, 0.0079, 0.9998, -4.7501]]
+)
+
+
+def frames(count: int, seed: int = 0) -> np.ndarray:
+    """(count, 5, 3) mm in the depth camera's frame."""
+    return np.random.default_rng(seed).uniform(-80, 80, (count, 5, 3)).round(4) + [0, 0, 450]
+
+
+def pictures(root: Path, sequence: str, numbers: range | list[int]) -> None:
+    touch(*(root / "data" / sequence / "color" / f"image_{n:05d}_color.png" for n in numbers))
+
+
+def write_ego(root: Path, truth: np.ndarray, name: str = "annotation.txt_3D.txt", blank: str = "") -> Path:
+    for sequence in EGO:
+        pictures(root, sequence, range(len(truth)))
+        write_tips(root / "data" / sequence / name, truth, blank=blank)
+    return root
+
+
+def write_dexter(root: Path, truth: np.ndarray, *, cleaned: bool = False, inside: bool = True) -> Path:
+    for sequence in DEXTER:
+        pictures(root, sequence, range(len(truth)))
+        folder = root / "data" / sequence if inside else root
+        name = f"{'my_' if cleaned else ''}{sequence}3D.txt"
+        write_tips(folder / "annotations" / name, truth * [-1, -1, 1])
+    return root
+
+
+def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    homogeneous = np.c_[points, np.ones(len(points))] @ matrix.T
+    return homogeneous[:, :2] / homogeneous[:, 2:]
+
+
+def test_egodexter(tmp_path: Path) -> None:
+    truth = frames(3)
+    dataset = open_dataset(write_ego(tmp_path, truth))
+    assert (dataset.kind, dataset.name, dataset.problems) == ("egodexter", "EgoDexter (original labels)", ())
+    assert len(dataset.entries) == 12
+    assert [e.clip for e in dataset.entries[::3]] == list(EGO)
+    entry = dataset.entries[5]
+    assert (entry.name, entry.time) == ("Fruits/image_00002_color", 2 / 30)
+    labels = entry.read_labels()
+    (label,) = labels.hands
+    assert label.side == "left"
+    np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(EGO_M, truth[2]), atol=1e-6)
+    assert np.isnan(np.delete(label.joints_3d, TIPS, axis=0)).all()
+    assert labels.intrinsics == egodexter.CALIBRATION.color
+    # Metres, and within the calibration's turn and shift of where they were written.
+    shift = label.joints_3d[TIPS] * 1000 - truth[2]
+    np.testing.assert_allclose(shift, np.tile([20 - 3.3, 1 + 11, 6], (5, 1)), atol=4)
+
+
+def test_dexter_object_is_written_with_the_opposite_sign(tmp_path: Path) -> None:
+    truth = frames(2)
+    dataset = open_dataset(write_dexter(tmp_path, truth))
+    assert (dataset.kind, dataset.problems) == ("dexter-object", ())
+    assert [e.clip for e in dataset.entries[::2]] == list(DEXTER)
+    labels = dataset.entries[1].read_labels()
+    (label,) = labels.hands
+    assert label.side == "left"
+    np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(DEXTER_M, truth[1]), atol=1e-6)
+    assert labels.intrinsics == dexter_object.CALIBRATION.color
+    shift = label.joints_3d[TIPS] * 1000 - truth[1]
+    np.testing.assert_allclose(shift, np.tile([19 + 7.2, -1.9 - 3.6, -4.8], (5, 1)), atol=3)
+
+
+@pytest.mark.parametrize("calibration", [egodexter.CALIBRATION, dexter_object.CALIBRATION])
+def test_a_calibration_keeps_distances(calibration: DepthToColor) -> None:
+    np.testing.assert_allclose(calibration.rotation @ calibration.rotation.T, np.eye(3), atol=6e-4)
+    assert np.linalg.det(calibration.rotation) == pytest.approx(1.0, abs=1e-3)
+    points = frames(1)[0]
+    moved = calibration(points) * 1000
+    np.testing.assert_allclose(
+        np.linalg.norm(moved[1:] - moved[:-1], axis=1), np.linalg.norm(points[1:] - points[:-1], axis=1),
+        rtol=1e-3,
+    )  # fmt: skip
+
+
+def missing_of(dataset_root: Path) -> list[list[int]]:
+    labels = [entry.read_labels().hands[0] for entry in open_dataset(dataset_root).entries]
+    for label in labels:
+        np.testing.assert_array_equal(np.isnan(label.joints_3d).any(1), np.isnan(label.keypoints_2d).any(1))
+    return [[i for i, k in enumerate(TIPS) if np.isnan(label.joints_3d[k]).all()] for label in labels]
+
+
+def test_missing_tips_of_egodexter(tmp_path: Path) -> None:
+    truth = frames(3)
+    truth[0, 2] = 0.0
+    truth[1, 4] = np.nan
+    truth[2] = 1e-7
+    assert missing_of(write_ego(tmp_path, truth))[:3] == [[2], [4], [0, 1, 2, 3, 4]]
+    # 32001 is Dexter+Object's marker; nothing but zeros and blanks is missing here.
+    truth = frames(1)
+    assert missing_of(write_ego(tmp_path / "all", truth, blank="nan"))[0] == []
+
+
+def test_missing_tips_of_dexter_object(tmp_path: Path) -> None:
+    truth = frames(3)
+    truth[0, 1, 2] = 32001
+    truth[1, 3] = np.nan
+    truth[2, 0, 0] = 0.0  # on the optical axis, and there
+    assert missing_of(write_dexter(tmp_path, truth))[:3] == [[1], [3], []]
+
+
+@pytest.mark.parametrize("inside", [True, False], ids=["in the sequences", "in one folder"])
+def test_both_variants_of_dexter_object(tmp_path: Path, inside: bool) -> None:
+    original, cleaned = frames(2, seed=1), frames(2, seed=2)
+    write_dexter(tmp_path, original, inside=inside)
+    assert open_dataset(tmp_path).name == "Dexter+Object (original labels)"
+    with pytest.raises(DatasetError, match=r"my_Grasp13D\.txt \(cleaned labels\) is missing"):
+        open_dataset(tmp_path, labels="cleaned")
+    write_dexter(tmp_path, cleaned, cleaned=True, inside=inside)
+    for labels, truth in ((None, cleaned), ("cleaned", cleaned), ("original", original)):
+        label = open_dataset(tmp_path, labels=labels).entries[0].read_labels().hands[0]
+        np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(DEXTER_M, truth[0]), atol=1e-6)
+    (tmp_path / ("data/Rigid" if inside else "") / "annotations" / "my_Rigid3D.txt").unlink()
+    # Labels are not mixed: one sequence without cleaned labels, and the original ones are taken.
+    assert open_dataset(tmp_path).name == "Dexter+Object (original labels)"
+    with pytest.raises(DatasetError, match=r"my_Rigid3D\.txt \(cleaned labels\) is missing"):
+        open_dataset(tmp_path, labels="cleaned")
+    with pytest.raises(OptionError, match=r"'my' does not exist here; choose from cleaned, original"):
+        open_dataset(tmp_path, labels="my")
+
+
+def test_both_variants_of_egodexter(tmp_path: Path) -> None:
+    original, cleaned = frames(2, seed=1), frames(2, seed=2)
+    write_ego(tmp_path, original)
+    write_ego(tmp_path, cleaned, "my_annotation.txt_3D.txt")
+    for labels, truth in ((None, cleaned), ("cleaned", cleaned), ("original", original)):
+        label = open_dataset(tmp_path, labels=labels).entries[0].read_labels().hands[0]
+        np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(EGO_M, truth[0]), atol=1e-6)
+
+
+def test_pixels_of_the_depth_picture_are_not_taken_for_points(tmp_path: Path) -> None:
+    for sequence in EGO:
+        pictures(tmp_path, sequence, range(1))
+        (tmp_path / "data" / sequence / "annotation.txt").write_text("1, 2; 3, 4; 5, 6; 7, 8; -1, -1;\n")
+    with pytest.raises(DatasetError, match=r"annotation\.txt_3D\.txt \(original labels\) is missing"):
+        open_dataset(tmp_path)
+    # Where it does hold points, it is the label file.
+    truth = frames(1)
+    label = open_dataset(write_ego(tmp_path, truth, "annotation.txt")).entries[0].read_labels().hands[0]
+    np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(EGO_M, truth[0]), atol=1e-6)
+
+
+def test_a_missing_picture_shifts_no_label(tmp_path: Path) -> None:
+    truth = frames(4)
+    for first in (0, 1):
+        root = tmp_path / str(first)
+        write_ego(root, truth)
+        for file in (root / "data" / "Desk" / "color").iterdir():
+            file.unlink()
+        pictures(root, "Desk", [first, first + 2, first + 3])
+        dataset = open_dataset(root)
+        desk = [e for e in dataset.entries if e.clip == "Desk"]
+        assert [e.time for e in desk] == pytest.approx([0, 2 / 30, 3 / 30])
+        for entry, row in zip(desk, (0, 2, 3), strict=True):
+            label = entry.read_labels().hands[0]
+            np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(EGO_M, truth[row]), atol=1e-6)
+        assert [(p.kind, p.where.split(": ")[-1]) for p in dataset.problems] == [
+            ("label without a picture", "line 2")
+        ]
+
+
+def test_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
+    write_ego(tmp_path, frames(2))
+    pictures(tmp_path, "Kitchen", [2, 3])
+    dataset = open_dataset(tmp_path)
+    assert len(dataset.entries) == 8
+    assert [(p.kind, Path(p.where).stem) for p in dataset.problems] == [
+        ("picture without a label", "image_00002_color"),
+        ("picture without a label", "image_00003_color"),
+    ]
+
+
+def test_unnumbered_pictures_of_another_count_say_that_they_are_paired_in_order(tmp_path: Path) -> None:
+    write_ego(tmp_path, frames(2))
+    touch(tmp_path / "data" / "Desk" / "color" / "copy of a picture.png")
+    kinds = [p.kind for p in open_dataset(tmp_path).problems]
+    assert kinds == ["pictures and labels differ in number, paired in order", "picture without a label"]
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("1, 2, 3; 4, 5, 6;", "line 1: 2 fingertips of 3 numbers"),
+        ("1, 2, 3; 4, 5, 6; 7, 8, 9; 1, 2, 3; 1, 2;", "line 1: 5 fingertips of 2/3 numbers"),
+        ("1, 2, x; 4, 5, 6; 7, 8, 9; 1, 2, 3; 1, 2, 3;", "line 1: could not convert"),
+        ("", "line 1: 0 fingertips"),
+    ],
+)
+def test_a_damaged_line_raises_only_when_read(tmp_path: Path, line: str, says: str) -> None:
+    root = write_ego(tmp_path, frames(2))
+    path = root / "data" / "Desk" / "annotation.txt_3D.txt"
+    path.write_text(line + "\n" + path.read_text().splitlines()[1] + "\n")
+    entries = open_dataset(root).entries
+    assert entries[1].read_labels().hands
+    with pytest.raises(DatasetError) as caught:
+        entries[0].read_labels()
+    assert says in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_part_of_a_set(tmp_path: Path) -> None:
+    truth = frames(1)
+    pictures(tmp_path, "Rotate", range(1))
+    with pytest.raises(DatasetError, match=r"Rotate3D\.txt \(original labels\) is missing; expected Dexter"):
+        open_dataset(tmp_path)
+    write_tips(tmp_path / "data" / "Rotate" / "annotations" / "Rotate3D.txt", truth)
+    dataset = open_dataset(tmp_path)
+    assert [e.name for e in dataset.entries] == ["Rotate/image_00000_color"]
+    assert [Path(p.where).name for p in dataset.problems] == list(DEXTER[:-1])
+    assert {p.kind for p in dataset.problems} == {"sequence missing"}
+    # The folder of the sequences will do as well.
+    assert len(open_dataset(tmp_path / "data").entries) == 1
+    with pytest.raises(DatasetError, match=r"data/Desk/color is missing; expected EgoDexter's layout"):
+        open_dataset(tmp_path, "egodexter")
