@@ -107,7 +107,13 @@ def _evaluate(args: argparse.Namespace) -> int:
         model=args.model,
         detector=DetectorSettings(threshold=args.threshold, landmark_model=args.landmark_model),
     )
-    dataset = open_dataset(args.dataset, args.kind, split=args.split, labels=args.labels)
+    dataset = open_dataset(
+        args.dataset,
+        args.kind,
+        split=args.split,
+        labels=args.labels,
+        published_frame=args.protocol == "paper",
+    )
     folder = args.output or Path("out", "evaluation", f"{args.dataset.resolve().name}-{args.protocol}")
     if folder.is_file():
         raise OptionError(f"{folder}: this is a file; name a folder for the report")

@@ -25,6 +25,7 @@ def open_dataset(
     *,
     split: str | None = None,
     labels: str | None = None,
+    published_frame: bool = False,
 ) -> Dataset:
     """List a data set on disk.
 
@@ -36,6 +37,9 @@ def open_dataset(
     labels
         EgoDexter and Dexter+Object: `original` or `cleaned` (the `my_*` files). None is the cleaned
         ones where they are there, else the original ones.
+    published_frame
+        EgoDexter and Dexter+Object: leave labels in the depth camera's frame, as the paper's
+        evaluation does.
 
     Raises DatasetError where the folder or a file in it is missing or damaged, or fits no layout;
     OptionError for a kind, split or labels that does not exist.
@@ -53,7 +57,7 @@ def open_dataset(
     if kind in _WITH_SPLITS:
         return _WITH_SPLITS[kind].read(root, split)
     if kind in _OF_TIPS:
-        return _OF_TIPS[kind].read(root, labels)
+        return _OF_TIPS[kind].read(root, labels, published_frame=published_frame)
     return plain.read(root)
 
 

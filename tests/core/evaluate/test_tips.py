@@ -92,6 +92,14 @@ def test_dexter_object_is_written_with_the_opposite_sign(tmp_path: Path) -> None
     np.testing.assert_allclose(shift, np.tile([19 + 7.2, -1.9 - 3.6, -4.8], (5, 1)), atol=3)
 
 
+@pytest.mark.parametrize("write", [write_ego, write_dexter])
+def test_the_published_frame_is_the_depth_cameras(tmp_path: Path, write) -> None:
+    truth = frames(1)
+    dataset = open_dataset(write(tmp_path, truth), published_frame=True)
+    (label,) = dataset.entries[0].read_labels().hands
+    np.testing.assert_allclose(label.joints_3d[TIPS] * 1000, truth[0])
+
+
 @pytest.mark.parametrize("calibration", [egodexter.CALIBRATION, dexter_object.CALIBRATION])
 def test_a_calibration_keeps_distances(calibration: DepthToColor) -> None:
     np.testing.assert_allclose(calibration.rotation @ calibration.rotation.T, np.eye(3), atol=6e-4)
