@@ -202,9 +202,10 @@ def _suffixes(suffixes: frozenset[str]) -> str:
     return " ".join(sorted(suffixes))
 
 
-def read_picture(path: Path) -> tuple[np.ndarray, int]:
+def read_picture(path: Path, *, as_stored: bool = False) -> tuple[np.ndarray, int]:
     """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
 
+    `as_stored` leaves the orientation alone, for pictures whose labels are in stored pixels.
     Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. Raises InputError.
     """
     import cv2
@@ -223,7 +224,7 @@ def read_picture(path: Path) -> tuple[np.ndarray, int]:
         raise InputError(f"{path}: the picture is too large or damaged; save it again, smaller") from error
     if pixels is None:
         raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
-    orientation = read_orientation(data)
+    orientation = 1 if as_stored else read_orientation(data)
     rgb = _rgb8(pixels)
     if not is_tiff(data):  # OpenCV has turned those already
         rgb = upright(rgb, orientation)

@@ -27,8 +27,10 @@ sys.path.insert(0, str(ROOT))
 
 from handfit_core.errors import HandfitError, OptionError, OutputError
 from handfit_core.files import written_whole
+from handfit_core.skeleton import SIDES
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.index import entries, save
+from scripts.benchmark.kinematics import model_of
 from scripts.benchmark.shots import Shot
 from scripts.benchmark.stills import still_shot
 
@@ -128,18 +130,23 @@ def _agree_on_settings(output: Path, plan: Plan, samples: int, overwrite: bool) 
         "size": plan.size,
         "samples": samples,
         "frames": plan.frames,
+        "hands": {side: model_of(side).digest for side in SIDES},
     }
     path = output / SETTINGS
-    if path.is_file() and not overwrite:
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            found = None
-        if found != wanted:
+    there = [*output.glob("stills/*.jpg"), *output.glob("clips/*/*.jpg")]
+    try:
+        found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    except ValueError:
+        found = None
+    if there and found != wanted:
+        if not overwrite:
             raise OutputError(
                 f"{output}: its pictures were made with {found}, not {wanted}; choose another folder, or add "
                 "--overwrite to render all of them again"
             )
+        # All of them, also those that this run does not come to: their labels would be the new ones.
+        for old in (output / "index.json", *there):
+            old.unlink(missing_ok=True)
     with written_whole(path) as beside:
         beside.write_text(json.dumps(wanted), encoding="utf-8")
 

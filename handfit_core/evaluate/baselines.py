@@ -26,10 +26,10 @@ def mean_pose_at_truth(model: HandModel, labels_3d: np.ndarray) -> np.ndarray | 
 
     The relaxed hand is `model.hands_mean` with betas 0; rotation and translation are the best in the
     least-squares sense (Umeyama 1991), without scale and without mirroring, so take the model of the
-    labelled side. None with fewer than three labelled points, which leave the rotation open.
+    labelled side. With one or two labelled points some rotation that meets them best. None without any.
     """
     labelled = ~np.isnan(labels_3d).any(axis=-1)
-    if labelled.sum() < 3:
+    if not labelled.any():
         return None
     relaxed = model.keypoints(None, np.zeros(3), model.hands_mean, np.zeros(3))
     return align(relaxed[labelled], labels_3d[labelled], with_scale=False).apply(relaxed)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core import detect
+from handfit_core import detect, exif, keypoints, media
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
@@ -70,7 +70,8 @@ class Detector:
                 version("mediapipe"),
                 str(settings.max_hands),
                 repr(settings.threshold),
-                code_digest(detect),
+                version("opencv-python-headless"),
+                code_digest(detect, exif, keypoints, media),
             )
         )
         self._stills = None
@@ -130,7 +131,7 @@ def _detected(unit: Unit, detector, on_picture: Callable[[], None]) -> UnitDetec
         found: tuple[HandDetection, ...] = ()
         size, started = UNREADABLE, time.perf_counter()
         try:
-            rgb, _ = read_picture(entry.picture)
+            rgb, _ = read_picture(entry.picture, as_stored=True)
         except InputError:
             pass
         else:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -39,8 +42,9 @@ class Fits:
         self._protocol: ProtocolName = protocol
         self._model = model
         self.models: Mapping[Side, HandModel] = _load_models(model, sides)
-        digests = "|".join(self.models[side].digest for side in sorted(self.models))
-        self._made_with = f"{protocol}|{digests}|{_code()}"
+        libraries = "|".join(version(name) for name in ("numpy", "scipy", "torch"))
+        self._made_with = f"{protocol}|{libraries}|{_code()}"
+        self._of_model = {side: _content(model) for side, model in self.models.items()}
 
     def run(self, tasks: Sequence[FitTask], jobs: int) -> Iterator[FitTask]:
         """Run what is not kept yet; yields each task when its result is there."""
@@ -56,12 +60,15 @@ class Fits:
                 save_kept(self._path(task), _arrays(method(self.models, task.track, task.intrinsics)))
                 yield task
             return
-        with ProcessPoolExecutor(
-            jobs,
-            get_context("spawn"),
-            initializer=_set_up,
-            initargs=(self._protocol, self._model, tuple(self.models)),
-        ) as pool:
+        with (
+            _one_thread_per_child(),
+            ProcessPoolExecutor(
+                jobs,
+                get_context("spawn"),
+                initializer=_set_up,
+                initargs=(self._protocol, self._model, tuple(self.models)),
+            ) as pool,
+        ):
             running = {pool.submit(_run_one, task, self._path(task)): task for task in missing}
             try:
                 for finished in as_completed(running):
@@ -82,7 +89,10 @@ class Fits:
         return TrackResult(**arrays)
 
     def _path(self, task: FitTask) -> Path:
-        sha = hashlib.sha256(f"{self._made_with}|{task.method}|{task.track.side}|{task.intrinsics}".encode())
+        side = task.track.side
+        sha = hashlib.sha256(
+            f"{self._made_with}|{task.method}|{side}|{self._of_model[side]}|{task.intrinsics}".encode()
+        )
         for detection in task.track.detections:
             if detection is None:
                 sha.update(b"none")
@@ -90,6 +100,11 @@ class Fits:
                 sha.update(np.ascontiguousarray(detection.keypoints).tobytes())
                 sha.update(np.ascontiguousarray(detection.world).tobytes())
         return self._folder / task.method / f"{sha.hexdigest()[:32]}.npz"
+
+
+def _content(model: HandModel) -> str:
+    """Its digest, and the relaxed pose, which the digest leaves out and a pose prior uses."""
+    return f"{model.digest}|{hashlib.sha256(np.ascontiguousarray(model.hands_mean).tobytes()).hexdigest()}"
 
 
 def _code() -> str:
@@ -108,6 +123,23 @@ def _load_models(model: str | None, sides: Iterable[Side]) -> Mapping[Side, Hand
 
 def _arrays(result: TrackResult) -> dict[str, np.ndarray]:
     return dict(vars(result))
+
+
+@contextlib.contextmanager
+def _one_thread_per_child() -> Iterator[None]:
+    """Children started meanwhile get one thread each: more than there are cores only wait for each other,
+    five times slower on two cores. Libraries read these variables when they load."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 _method_settings: tuple[ProtocolName, Mapping[Side, HandModel]] | None = None

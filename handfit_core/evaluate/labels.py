@@ -22,8 +22,9 @@ class MeshLabel:
 
     vertices: Callable[[], np.ndarray]
     """() -> (V, 3) metres, camera frame"""
-    digest: str = ""
-    """`HandModel.digest` of the model whose vertices these are; empty where unknown (a MANO of someone's)"""
+    digests: frozenset[str] = frozenset()
+    """`HandModel.digest` of every model that has these vertices in this order, as a hand's mirror image
+    does; empty where unknown (a MANO of someone's)"""
 
 
 @dataclass(frozen=True, eq=False)

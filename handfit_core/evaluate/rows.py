@@ -97,6 +97,15 @@ def rows_of(
         if intrinsics is None:
             found.problems.append(Problem("camera missing: one is assumed", unit.entries[first].name))
             intrinsics = Intrinsics.assumed(*(int(side) for side in detections.sizes[first]))
+        elif camera == "labelled":
+            changed = [
+                entry.name
+                for entry, one, is_used in zip(unit.entries, labels, used, strict=True)
+                if is_used and one is not None and one.intrinsics != intrinsics
+            ]
+            if changed:
+                kind = "camera changes within the clip: its first one is used throughout"
+                found.problems.append(Problem(kind, changed[0]))
         if protocol == "paper":
             _paper_rows(unit, labels, detections, intrinsics, used, found)
         else:
@@ -110,7 +119,8 @@ def _labels(entry: Entry, found: Rows) -> Labels | None:
     except DatasetError as error:
         found.problems.append(Problem("labels cannot be read", f"{entry.name}: {error}"))
         return None
-    if not any(_is_labelled(hand) for hand in labels.hands):
+    # A picture that is said to show no hand is a label too: whatever is found in it is a stray.
+    if labels.hands and not any(_is_labelled(hand) for hand in labels.hands):
         found.problems.append(Problem("no labelled hand", entry.name))
         return None
     return labels
@@ -178,14 +188,16 @@ def _paper_rows(
         frame_labels = labels[t]
         if not used[t] or frame_labels is None:
             continue
-        hand = frame_labels.hands[0]
+        tips = list(TIP_KEYPOINTS)
+        with_tips = [i for i, h in enumerate(frame_labels.hands) if np.isfinite(h.joints_3d[tips]).any()]
         if frame_labels.intrinsics is None:
             found.problems.append(Problem("camera missing: the paper's protocol needs it", entry.name))
             continue
-        if not np.isfinite(hand.joints_3d[list(TIP_KEYPOINTS)]).any():
+        if not with_tips:
             found.problems.append(Problem("no labelled fingertip: dropped as in the paper", entry.name))
             continue
-        track = None
+        index, track = with_tips[0], None
+        hand = frame_labels.hands[index]
         if detections.frames[t]:
             track = TrackInView(DetectedTrack(PAPER_SIDE, (detections.frames[t][0],)), intrinsics)
             found.tracks.append(track)
@@ -193,7 +205,7 @@ def _paper_rows(
             found.problems.append(Problem("no hand detected: dropped as in the paper", entry.name))
         label_2d = label_pixels(hand, frame_labels.intrinsics)
         found.rows.append(
-            _row(entry, 0, hand, label_2d, frame_labels.intrinsics, detections, t, track, frame=0)
+            _row(entry, index, hand, label_2d, frame_labels.intrinsics, detections, t, track, frame=0)
         )
 
 

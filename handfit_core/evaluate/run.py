@@ -65,6 +65,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate methods on a data set; `folder` keeps fits, so that a second run goes on where one ended.
 
+    For the paper's protocol on EgoDexter and Dexter+Object, open the set with `published_frame=True`.
+
     Raises OptionError for unknown methods and settings out of range, DatasetError when nothing in the
     set can be scored.
     """
@@ -85,12 +87,16 @@ def evaluate(
     _fit_all(fits, names, found, options.jobs, progress)
 
     scores: list[Scores] = []
+    of_meshes: dict[Problem, None] = {}
     stages = len(names) + 2
     for name, title, result_of in baselines(found.rows, options.protocol, options.model):
         scores.append(score(name, title, found.rows, result_of, options.protocol, is_baseline=True))
         progress("score", len(scores), stages)
     for name in names:
-        scores.append(score(name, method_title(name), found.rows, _results(fits, name), options.protocol))
+        results = _results(fits, name)
+        scores.append(
+            score(name, method_title(name), found.rows, results, options.protocol, problems=of_meshes)
+        )
         progress("score", len(scores), stages)
     return Evaluation(
         dataset=dataset.name,
@@ -103,7 +109,7 @@ def evaluate(
         pictures=found.pictures,
         labelled_hands=len(found.rows),
         extra_hands=found.extra_hands,
-        problems=_grouped((*dataset.problems, *found.problems)),
+        problems=_grouped((*dataset.problems, *found.problems, *of_meshes)),
         notes=(*dataset.notes, *_notes(options)),
         setup=_setup(options, names, detector, fits),
     )

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.camera import Intrinsics
+from handfit_core.errors import DatasetError
 from handfit_core.evaluate.baselines import collapsed_to_centroid, mean_pose_at_truth
+from handfit_core.evaluate.labels import Problem
 from handfit_core.evaluate.metrics import (
     aligned_vertices,
     camera_distances,
@@ -50,8 +52,11 @@ def score(
     protocol: ProtocolName,
     *,
     is_baseline: bool = False,
+    problems: dict[Problem, None] | None = None,
 ) -> Scores:
-    """Score every row; `result_of` gives None for a miss."""
+    """Score every row; `result_of` gives None for a miss. `problems` gets each mesh that cannot be read
+    once, in order."""
+    problems = {} if problems is None else problems
     count = len(rows)
     per_point = {name: np.full((count, NUM_KEYPOINTS), np.nan) for name in _PER_POINT}
     per_hand = {name: np.full(count, np.nan) for name in ("pa_mpvpe", "f5", "f15", "fit_ms")}
@@ -69,7 +74,7 @@ def score(
         for name, values in errors.items():
             per_point[name][i] = values
         if protocol == "strict":
-            for name, value in _surface(row, result).items():
+            for name, value in _surface(row, result, problems).items():
                 per_hand[name][i] = value
     return Scores(
         method=method,
@@ -113,13 +118,18 @@ def _published(row: Row, result: RowResult) -> dict[str, np.ndarray]:
     return {"epe": published_error(result.picture_points, row.label.joints_3d, row.intrinsics)}
 
 
-def _surface(row: Row, result: RowResult) -> dict[str, float]:
+def _surface(row: Row, result: RowResult, problems: dict[Problem, None]) -> dict[str, float]:
     """PA-MPVPE and F-scores, where both sides have a surface."""
     mesh = row.label.mesh
     if mesh is None or result.vertices is None or result.model is None:
         return {}
-    truth, vertices = MM * mesh.vertices(), MM * result.vertices
-    same_mesh = len(truth) == len(vertices) and mesh.digest in ("", result.model.digest)
+    try:
+        truth = MM * mesh.vertices()
+    except DatasetError as error:
+        problems[Problem("mesh cannot be read", f"{row.entry.name}: {error}")] = None
+        return {}
+    vertices = MM * result.vertices
+    same_mesh = len(truth) == len(vertices) and (not mesh.digests or result.model.digest in mesh.digests)
     points, joints = MM * result.points_3d, MM * row.label.joints_3d
     if same_mesh:
         aligned = aligned_vertices(vertices, truth, points, joints)

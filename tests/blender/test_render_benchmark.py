@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from pathlib import Path
 
@@ -216,6 +217,16 @@ def test_other_settings_are_refused_in_the_same_folder(rendered: Path, capsys) -
     assert main([str(rendered), *TINY, "--seed", "4"]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert jpegs(rendered) == before
+
+
+def test_overwriting_with_other_settings_leaves_no_picture_of_the_old(rendered: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(rendered, folder)
+    other = [*TINY[:-3], "64", *TINY[-2:]]
+    assert main([str(folder), *other, "--overwrite", "--only", "0"]) == 0
+    assert list(jpegs(folder)) == ["stills/00000.jpg"]
+    listed = json.loads((folder / "index.json").read_text(encoding="utf-8"))["pictures"]
+    assert [picture["file"] for picture in listed] == ["stills/00000.jpg"]
 
 
 @pytest.mark.parametrize("wrong", [["--only", "3-5"], ["--only", "2-1"], ["--size", "8"], ["--samples", "0"]])

@@ -62,6 +62,7 @@ def read(root: Path) -> Dataset:
         if not isinstance(item, dict) or not isinstance(file, str) or not file:
             problems.append(Problem("index entry without a file name", where))
             continue
+        file = Path(file).as_posix()
         clip = item.get("clip")
         if clip is not None and not isinstance(clip, str):
             problems.append(Problem("clip is no name", f"{where}: {file}"))
@@ -135,7 +136,10 @@ def _plain(value: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # JSON's integers have no end
+        return False
 
 
 def _problem_of(root: Path, file: str, item: dict[str, Any], seen: set[str]) -> str | None:
@@ -144,7 +148,10 @@ def _problem_of(root: Path, file: str, item: dict[str, Any], seen: set[str]) -> 
         return "file outside the folder"
     if file in seen:
         return "listed twice"
-    if not (root / file).is_file():
+    try:
+        if not (root / file).is_file():
+            return reading.NO_PICTURE
+    except OSError:  # a name that no file system takes
         return reading.NO_PICTURE
     return reading.NO_LABEL if not any(key in item for key in ("hands", *_HAND_KEYS)) else None
 
@@ -225,4 +232,6 @@ def _mesh(hand: dict[str, Any], side: Side | None, file: str) -> MeshLabel | Non
         for key, size in _MANO_SHAPES.items()
     }
     model = load_model(OPEN_HAND, side)
-    return MeshLabel(lambda: model.posed(**found).vertices, model.digest)
+    # The left hand is the right one's mirror image, vertex by vertex.
+    digests = frozenset(load_model(OPEN_HAND, each).digest for each in SIDES)
+    return MeshLabel(lambda: model.posed(**found).vertices, digests)

@@ -190,7 +190,8 @@ def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
     if len(pictures) == lines:
         return list(range(lines))
     numbers = sequence_numbers(pictures)
-    if not numbers:
+    # Without a picture 0 or one as high as the number of lines, nothing tells where numbers start.
+    if not numbers or (0 not in numbers and max(numbers) != lines):
         return None
-    first = 1 if max(numbers) == lines and 0 not in numbers else 0
+    first = 0 if 0 in numbers else 1
     return [number - first for number in numbers]

@@ -167,7 +167,7 @@ def _cell(scores: Scores, row: int, text: str) -> np.ndarray:
     cell[:] = _BACKGROUND
     label, prediction = scores.labels_2d[row], scores.points_2d[row]
     try:
-        picture, _ = read_picture(scores.pictures[row])
+        picture, _ = read_picture(scores.pictures[row], as_stored=True)
     except InputError:
         cell[:_SIDE] = _NOTHING
         _write(cell[:_SIDE], "picture cannot be read", 12, _SIDE // 2)

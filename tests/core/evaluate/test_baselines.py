@@ -57,11 +57,23 @@ def test_size_and_pose_stay_those_of_the_model() -> None:
         assert np.sum((other - 1.3 * fist) ** 2) > best
 
 
-def test_two_points_leave_the_rotation_open() -> None:
+def test_a_few_points_are_met_as_well_as_they_can_be() -> None:
     model = load_model("open-hand", "right")
     labels = np.full((21, 3), np.nan)
     labels[[4, 8]] = make_hands(1)[0, [4, 8]]
-    assert mean_pose_at_truth(model, labels) is None
+    posed = mean_pose_at_truth(model, labels)
+    assert posed is not None
+    relaxed = model.keypoints(None, np.zeros(3), model.hands_mean, np.zeros(3))
+    wanted, made = (np.linalg.norm(points[4] - points[8]) for points in (labels, relaxed))
+    # Only the distance between the two can differ, half of it at either end.
+    np.testing.assert_allclose(
+        np.linalg.norm((posed - labels)[[4, 8]], axis=1), abs(wanted - made) / 2, atol=1e-9
+    )
+    labels[8] = np.nan
+    one = mean_pose_at_truth(model, labels)
+    assert one is not None
+    np.testing.assert_allclose(one[4], labels[4])
+    assert mean_pose_at_truth(model, np.full((21, 3), np.nan)) is None
     labels[12] = make_hands(1)[0, 12]
     found = mean_pose_at_truth(model, labels)
     assert found is not None

@@ -12,6 +12,7 @@ from handfit_core.errors import LandmarkModelError
 from handfit_core.evaluate.detections import Detector, DetectorSettings, UnitDetections
 from handfit_core.evaluate.labels import Entry, Labels
 from handfit_core.evaluate.units import Unit
+from handfit_core.media import read_picture
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 
@@ -101,6 +102,16 @@ def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
         assert found.readable.tolist() == [True, False, False]
         assert [len(frame) for frame in found.frames] == [1, 0, 0]
         assert told == 3
+
+
+def test_pictures_are_taken_as_stored_like_their_labels(tmp_path: Path) -> None:
+    plain = (SAMPLE / "hand.0001.jpg").read_bytes()
+    tag = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    turned = tmp_path / "turned.jpg"
+    turned.write_bytes(plain[:2] + b"\xff\xe1" + (len(tag) + 2).to_bytes(2, "big") + tag + plain[2:])
+    assert read_picture(turned)[1] == 6  # a viewer turns it
+    found, _ = detect(still(turned), tmp_path / "cache")
+    assert found.sizes.tolist() == [[640, 480]]
 
 
 def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:

@@ -166,6 +166,12 @@ def test_null_baselines_score_what_facts_say(protocol: ProtocolName) -> None:
         assert np.isnan(one["auc"])
 
 
+def test_the_paper_takes_the_first_hand_whose_tips_are_labelled() -> None:
+    nothing, truth = label(np.full((21, 3), np.nan)), label(joints())
+    made = rows([entry("second", nothing, truth)], [found((seen(joints()),))], "paper")
+    assert [row.hand_index for row in made.rows] == [1]
+
+
 def test_the_papers_protocol_needs_the_camera_and_says_whose_is_missing() -> None:
     truth = joints()
     made = rows([entry("dark", label(truth), camera=None)], [found((seen(truth),))], "paper")

@@ -95,6 +95,27 @@ def test_solvers_are_told_the_true_camera_only_if_asked() -> None:
     assert [p.kind for p in unknown.problems] == ["camera missing: one is assumed"]
 
 
+def test_a_camera_that_changes_within_a_clip_is_named() -> None:
+    zoomed = Intrinsics(900.0, 900.0, 320.0, 240.0)
+    frames = [
+        entry(f"{i}", label(TRUTH), camera=camera, clip="zoom", time=i / 25)
+        for i, camera in enumerate((CAMERA, zoomed))
+    ]
+    made = strict_rows(frames, found((seen(TRUTH),), (seen(TRUTH),)), camera="labelled")
+    assert made.tracks[0].intrinsics == CAMERA
+    assert [(p.kind, p.where) for p in made.problems] == [
+        ("camera changes within the clip: its first one is used throughout", "1")
+    ]
+
+
+def test_whatever_is_found_in_a_picture_without_hands_is_extra() -> None:
+    made = strict_rows(
+        [entry("table"), entry("a", label(TRUTH))], found((seen(AWAY),)), found((seen(TRUTH),))
+    )
+    assert (made.pictures, made.extra_hands, len(made.rows)) == (2, 1, 1)
+    assert made.problems == []
+
+
 def test_swapped_joints_and_a_mirrored_hand_show_in_the_aligned_error() -> None:
     made = strict_rows([entry("a", label(TRUTH))], found((seen(TRUTH),))).rows
     swapped = TRUTH.copy()

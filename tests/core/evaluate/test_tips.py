@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +197,17 @@ def test_a_missing_picture_shifts_no_label(tmp_path: Path) -> None:
         assert [(p.kind, p.where.split(": ")[-1]) for p in dataset.problems] == [
             ("label without a picture", "line 2")
         ]
+
+
+def test_numbers_that_start_nowhere_sure_pair_in_order_and_say_so(tmp_path: Path) -> None:
+    write_ego(tmp_path, frames(4))
+    shutil.rmtree(tmp_path / "data" / "Desk" / "color")
+    pictures(tmp_path, "Desk", [1, 2, 3])
+    dataset = open_dataset(tmp_path)
+    kinds = [p.kind for p in dataset.problems]
+    assert kinds == ["pictures and labels differ in number, paired in order", "label without a picture"]
+    (label,) = dataset.entries[0].read_labels().hands
+    np.testing.assert_allclose(label.keypoints_2d[TIPS], projected(EGO_M, frames(4)[0]), atol=1e-6)
 
 
 def test_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
