@@ -212,7 +212,8 @@ def _stop_wanted() -> Iterator[threading.Event]:
         yield wanted
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            # Blender's own handlers are not Python's: they come back as None, and cannot be put back.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def _finished(output: Path, plan: Plan, labelled: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from mathutils import Matrix, Vector
 
 from blender_manient import axes
 from blender_manient.scene.build import BuiltTake, build_take
+from handfit_core.errors import OptionError
 
 from .materials import TINT, skin, skin_tone, surface
 from .meshes import Mesh, ball, box
@@ -205,7 +206,13 @@ def _set_up_render(
     cycles.seed = int(rng.integers(2**31 - 1))
     cycles.use_adaptive_sampling = False
     cycles.use_denoising = True
-    cycles.denoiser = "OPENIMAGEDENOISE"
+    try:
+        cycles.denoiser = "OPENIMAGEDENOISE"
+    except TypeError as error:
+        raise OptionError(
+            "this Blender is built without OpenImageDenoise, which the pictures need; take one from "
+            "blender.org, or the bpy wheel"
+        ) from error
     cycles.denoising_prefilter = "FAST"
     cycles.denoising_quality = "FAST"
     cycles.max_bounces = 2
