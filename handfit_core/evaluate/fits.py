@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
@@ -148,7 +149,16 @@ _method_settings: tuple[ProtocolName, Mapping[Side, HandModel]] | None = None
 
 def _set_up(protocol: ProtocolName, model: str | None, sides: tuple[Side, ...]) -> None:
     global _method_settings
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _method_settings = (protocol, _load_models(model, sides))
+
+
+def _end_with_parent() -> None:
+    """A killed parent tells its children nothing: they would wait for work for ever."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _run_one(task: FitTask, path: Path) -> None:

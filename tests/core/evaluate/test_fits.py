@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +11,7 @@ import pytest
 
 from handfit_core.evaluate.fits import Fits, FitTask
 from handfit_core.keypoints import DetectedTrack
+from tests.conftest import ROOT
 from tests.core.evaluate.hands import CAMERA, joints, seen
 
 
@@ -72,3 +77,43 @@ def test_whatever_decides_a_result_decides_its_file(tmp_path: Path, change: str)
     protocol = "paper" if change == "protocol" else "strict"
     list(Fits(tmp_path, protocol, None, {"left", "right"}).run([other], jobs=1))
     assert len(times(tmp_path)) == 2
+
+
+_KILLED = """
+import multiprocessing, sys
+from pathlib import Path
+from handfit_core.evaluate.fits import Fits
+from tests.core.evaluate.test_fits import tasks
+
+if __name__ == "__main__":
+    run = Fits(Path(sys.argv[1]), "strict", None, {"right"}).run(tasks("paper-h", 20), jobs=2)
+    next(run)
+    print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+    for _ in run:
+        pass
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="asks for processes as POSIX does")
+def test_children_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "killed.py"
+    script.write_text(_KILLED)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(script), str(tmp_path / "fits")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as parent:
+        assert parent.stdout is not None
+        children = [int(pid) for pid in parent.stdout.readline().split()]
+        parent.kill()
+    assert len(children) == 2
+    deadline = time.monotonic() + 60
+    while any(_alive(pid) for pid in children) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(_alive(pid) for pid in children)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -50,7 +50,7 @@ def test_numbers(tmp_path: Path) -> None:
     assert (labels.intrinsics.fx, labels.intrinsics.cy) == (500.0, 120.0)
     assert label.mesh is not None
     np.testing.assert_allclose(label.mesh.vertices(), hand(101, 778), atol=1e-7)
-    assert label.mesh.digest == ""
+    assert label.mesh.digests == frozenset()
     assert label.joints_3d.dtype == label.mesh.vertices().dtype == np.float64
 
 
