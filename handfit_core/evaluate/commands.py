@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 from handfit_core.errors import OptionError
+from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
 from handfit_core.solvers import DEFAULT_SOLVER
 
 DEFAULT_METHODS = ("raw", "fused", DEFAULT_SOLVER)
@@ -14,9 +15,6 @@ DEFAULT_METHODS = ("raw", "fused", DEFAULT_SOLVER)
 
 def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
     """Add `evaluate`; its handler raises HandfitError for what the user can mend."""
-    from handfit_core.evaluate.run import CAMERA_CHOICES
-    from handfit_core.evaluate.scores import ProtocolName
-
     command = subparsers.add_parser(
         "evaluate",
         help="how accurate and how fast solvers are on labelled pictures",

@@ -128,8 +128,8 @@ def _arrays(result: TrackResult) -> dict[str, np.ndarray]:
 
 @contextlib.contextmanager
 def _one_thread_per_child() -> Iterator[None]:
-    """Children started meanwhile get one thread each: more than there are cores only wait for each other,
-    five times slower on two cores. Libraries read these variables when they load."""
+    """Children started meanwhile get one thread each: more than there are cores mostly wait for each
+    other. Libraries read these variables when they load."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))

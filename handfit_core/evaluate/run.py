@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Literal
 
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.compare import compare
@@ -18,15 +17,19 @@ from handfit_core.evaluate.fits import Fits, FitTask
 from handfit_core.evaluate.labels import Dataset, Problem
 from handfit_core.evaluate.methods import method_names, method_title
 from handfit_core.evaluate.rows import Row, Rows, rows_of
-from handfit_core.evaluate.scores import Comparison, Evaluation, ProtocolName, Scores
+from handfit_core.evaluate.scores import (
+    CAMERA_CHOICES,
+    CameraChoice,
+    Comparison,
+    Evaluation,
+    ProtocolName,
+    Scores,
+)
 from handfit_core.evaluate.scoring import RowResult, baselines, score
 from handfit_core.evaluate.summary import summarise
 from handfit_core.evaluate.units import Unit, units_of
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.version import __version__
-
-CameraChoice = Literal["assumed", "labelled"]
-CAMERA_CHOICES: tuple[CameraChoice, ...] = ("assumed", "labelled")
 
 COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
     "strict": ("pa_mpjpe", "epe", "error_2d"),
@@ -256,6 +259,3 @@ def _setup(
         except PackageNotFoundError:
             continue
     return setup
-
-
-__all__ = ["CAMERA_CHOICES", "CameraChoice", "EvaluationOptions", "evaluate"]

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 ProtocolName = Literal["strict", "paper"]
+CameraChoice = Literal["assumed", "labelled"]
+"""What solvers are told about the camera: nothing, or the data set's labels"""
+CAMERA_CHOICES: Final[tuple[CameraChoice, ...]] = ("assumed", "labelled")
 
 
 @dataclass(frozen=True, eq=False)
