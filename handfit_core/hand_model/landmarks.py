@@ -1,0 +1,55 @@
+"""Where on a hand model the detector sees its 21 keypoints.
+
+A landmark is not a joint: MediaPipe's points lie where its annotators clicked, MANO's joints inside the
+hand. Each landmark is attached to one bone, at an offset from the model's own keypoint. Offsets
+are kept in anatomical axes (twist, spread, bend: back along the bone, towards the back of the hand, and
+across) in parts of the hand's length, so that one calibration serves every model in MANO's format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.hand_model.anatomy import anatomical_axes
+from handfit_core.hand_model.data import HandModel
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_KEYPOINTS
+
+LANDMARK_BONES: Final = (0, *(FINGER_JOINTS[f][min(k, 2)] for f in FINGERS for k in range(4)))
+"""The joint whose bone carries each of the 21 landmarks; a fingertip belongs to the last bone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Offsets of a model's 21 landmarks from its keypoints, in the flat pose."""
+
+    offsets: np.ndarray
+    """(21, 3) in the bone's anatomical axes (the wrist's: the model frame's, as a right hand's), as parts
+    of the length from wrist to middle knuckle"""
+
+    def in_metres(self, model: HandModel) -> np.ndarray:
+        """(21, 3) offsets in metres, in the bones' anatomical axes of `model` (the wrist's: model frame)."""
+        offsets = self.offsets * hand_length(model)
+        if model.side == "left":
+            # In a mirror image what points along the bone and towards its back stays, what points across
+            # turns round; the model frame's x turns round.
+            offsets = offsets * np.array([1.0, 1.0, -1.0])
+            offsets[0] *= np.array([-1.0, 1.0, -1.0])
+        return offsets
+
+
+def hand_length(model: HandModel) -> float:
+    """Wrist to middle knuckle of the mean shape, metres."""
+    joints = model.shaped().joints
+    return float(np.linalg.norm(joints[FINGER_JOINTS["middle"][0]] - joints[0]))
+
+
+def bone_axes(model: HandModel) -> np.ndarray:
+    """(16, 3, 3) anatomical axes of every joint in the flat pose, in columns; the wrist's: the model frame."""
+    return np.concatenate([np.eye(3)[None], anatomical_axes(model)])
+
+
+NO_OFFSETS: Final = Landmarks(np.zeros((NUM_KEYPOINTS, 3)))
+"""Landmarks that are the model's own keypoints"""

@@ -1,0 +1,37 @@
+"""How far a finger's angles lie outside of what joints can do."""
+
+from __future__ import annotations
+
+import torch
+
+from handfit_core.residuals.rows import AngleRows
+
+SPREAD, BEND = 1, 2
+SPREAD_LEFT = 0.3
+"""Of a knuckle's spread when it is bent by 90 degrees: collateral ligaments tighten"""
+
+
+def limits(
+    angles: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor, sigma: float, knuckles: torch.Tensor
+) -> AngleRows:
+    """angles (B, 5, 9) radians, finger by finger (twist, spread, bend) x 3; lower and upper (5, 9); sigma
+    in radians; knuckles (5,) 1 where a finger's first joint is a knuckle whose spread shrinks with its
+    bend (not the thumb's), else 0.
+
+    Nine rows, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma below. A knuckle's
+    range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
+    """
+    per_radian = (1.0 - SPREAD_LEFT) / (torch.pi / 2)
+    bend = angles[..., BEND]
+    shrink = (per_radian * knuckles) * bend.clamp(0.0, torch.pi / 2)  # (B, 5)
+    slope = (per_radian * knuckles) * ((bend > 0) & (bend < torch.pi / 2))
+    low, high = lower.expand_as(angles).clone(), upper.expand_as(angles).clone()
+    low[..., SPREAD] *= 1 - shrink
+    high[..., SPREAD] *= 1 - shrink
+    above, below = angles > high, angles < low
+    nearest = torch.where(above, high, torch.where(below, low, angles))
+    outside = (above | below).to(angles.dtype) / sigma
+    jacobian = torch.diag_embed(outside)
+    edge = torch.where(above, upper, lower)[..., SPREAD]
+    jacobian[..., SPREAD, BEND] = outside[..., SPREAD] * edge * slope
+    return AngleRows((angles - nearest) / sigma, jacobian)

@@ -1,0 +1,56 @@
+"""Robust kernels as weights for iteratively re-weighted least squares.
+
+A kernel rho(s) of a squared residual s (in units of its sigma squared) is minimised by weighing the
+residual with w = rho'(s). Cf. Barron, "A General and Adaptive Robust Loss Function", 2019.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+
+
+class Kernel(Protocol):
+    """rho and its derivative."""
+
+    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho(s), elementwise."""
+        ...
+
+    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho'(s), elementwise."""
+        ...
+
+
+@dataclass(frozen=True)
+class Huber:
+    """Quadratic to `delta`, linear beyond: rho = s, or 2 delta sqrt(s) - delta^2."""
+
+    delta: float
+
+    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho(s), elementwise."""
+        # The smaller of both branches touches the other at delta^2.
+        root = squared.clamp_min(self.delta**2).sqrt()
+        return torch.where(squared <= self.delta**2, squared, 2 * self.delta * root - self.delta**2)
+
+    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho'(s), elementwise."""
+        return self.delta * squared.clamp_min(self.delta**2).rsqrt()
+
+
+@dataclass(frozen=True)
+class GemanMcClure:
+    """Saturates at `scale`^2: rho = scale^2 s / (scale^2 + s)."""
+
+    scale: float
+
+    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho(s), elementwise."""
+        return self.scale**2 * squared / (self.scale**2 + squared)
+
+    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho'(s), elementwise."""
+        return (self.scale**2 / (self.scale**2 + squared)) ** 2

@@ -1,0 +1,38 @@
+"""What the solver fits to: landmarks of B detections with their expected errors, as tensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Landmarks of B pictures of one model's hand. Pixels, camera frame."""
+
+    pixels: torch.Tensor
+    """(B, 21, 2)"""
+    pixel_sigma: torch.Tensor
+    """(B, 21, 2) expected errors, pixels"""
+    depth: torch.Tensor
+    """(B, 21) along the line of sight about its mean, in pixels at the hand's distance"""
+    depth_sigma: torch.Tensor
+    """(B, 21) pixels"""
+    ray: torch.Tensor
+    """(B, 3) unit line of sight"""
+    focal: torch.Tensor
+    """(B, 2) pixels"""
+    centre: torch.Tensor
+    """(B, 2) pixels"""
+    world: torch.Tensor | None = None
+    """(B, 21, 3) world landmarks in metres; None where they are in `depth` already"""
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def select(self, index: torch.Tensor) -> Observation:
+        """The detections of that index."""
+        return replace(
+            self, **{f.name: v[index] for f in fields(self) if (v := getattr(self, f.name)) is not None}
+        )

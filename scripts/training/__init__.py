@@ -1,0 +1,1 @@
+"""Training the learned landmark correction: quick pictures, samples, the network."""

@@ -1,0 +1,121 @@
+"""Detections beside the truth, from painted pictures: what the correction network learns from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+from handfit_core.keypoints import HandDetection
+from handfit_core.skeleton import SIDES, Side, other_side
+from scripts.benchmark.shots import Shot
+from scripts.benchmark.stills import still_shot
+
+from .painter import paint
+
+SIZE = 320
+"""pixels a side"""
+VIEWS = 3
+"""Detections per picture: as it is, then turned, zoomed and mirrored at random, which moves the
+detector's errors at no cost of painting"""
+_FARTHEST = 0.5
+"""Of the hand's size; a detection that is farther from the truth is of something else"""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One detected hand and the truth about it."""
+
+    number: int
+    """of the still"""
+    view: int
+    detection: HandDetection
+    intrinsics: Intrinsics
+    size: int
+    side: Side
+    """the true one"""
+    joints_3d: np.ndarray
+    """(21, 3) metres, camera frame"""
+    betas: np.ndarray
+    """(10,)"""
+    hand_pose: np.ndarray
+    """(45,) radians, of the hand before mirroring"""
+    mirrored: bool
+
+    def row(self) -> dict[str, Any]:
+        """For an npz file."""
+        return {
+            "number": self.number,
+            "view": self.view,
+            "detected_side": SIDES.index(self.detection.side),
+            "score": self.detection.score,
+            "keypoints": self.detection.keypoints,
+            "world": self.detection.world,
+            "focal": self.intrinsics.fx,
+            "centre": np.array([self.intrinsics.cx, self.intrinsics.cy]),
+            "size": self.size,
+            "side": SIDES.index(self.side),
+            "joints_3d": self.joints_3d,
+            "betas": self.betas,
+            "hand_pose": self.hand_pose,
+            "mirrored": self.mirrored,
+        }
+
+
+def samples_of(seed: int, number: int, detector: MediaPipeHands, size: int = SIZE) -> tuple[int, list[Sample]]:
+    """How many hands stand in all views of that still, and those that were found."""
+    shot = still_shot(seed, number, size)
+    rng = np.random.default_rng([seed, number, 7])
+    picture = paint(shot, rng)
+    found: list[Sample] = []
+    for view in range(VIEWS):
+        turn, zoom = (np.eye(2), 1.0) if view == 0 else _random_view(rng)
+        seen = picture if view == 0 else _viewed(picture, turn, zoom, shot)
+        detections = detector.detect(np.ascontiguousarray(seen))
+        camera = Intrinsics(shot.camera.fx * zoom, shot.camera.fy * zoom, size / 2, size / 2)
+        mirrored = bool(np.linalg.det(turn) < 0)
+        for hand in shot.hands:
+            points = hand.keypoints()[0].copy()
+            points[:, :2] = points[:, :2] @ turn.T
+            pixels = camera.project(points)
+            extent = np.ptp(pixels, axis=0).max()
+            near = [
+                (np.linalg.norm(d.keypoints_2d - pixels, axis=1).mean() / extent, i)
+                for i, d in enumerate(detections)
+            ]
+            if not near or min(near)[0] > _FARTHEST:
+                continue
+            side = other_side(hand.side) if mirrored else hand.side
+            found.append(
+                Sample(
+                    number, view, detections[min(near)[1]], camera, size, side, points,
+                    hand.betas, hand.hand_pose[0], mirrored,
+                )
+            )  # fmt: skip
+    return VIEWS * len(shot.hands), found
+
+
+def _random_view(rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """A turn of the picture, maybe mirrored first (2, 2), and a zoom."""
+    angle = rng.uniform(-np.pi, np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    if rng.random() < 0.5:
+        turn = turn @ np.diag([-1.0, 1.0])
+    return turn, float(np.exp(rng.uniform(-0.25, 0.25)))
+
+
+def _viewed(picture: np.ndarray, turn: np.ndarray, zoom: float, shot: Shot) -> np.ndarray:
+    """The picture turned and zoomed about the principal point, which goes to the middle."""
+    size = shot.size
+    linear = zoom * turn
+    shift = size / 2 - linear @ np.array([shot.camera.cx, shot.camera.cy])
+    # OpenCV's pixel centres are whole numbers, ours lie half a pixel further.
+    shift = shift + linear @ np.array([0.5, 0.5]) - 0.5
+    matrix = np.concatenate([linear, shift[:, None]], axis=1)
+    return cv2.warpAffine(
+        picture, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
