@@ -9,6 +9,8 @@ across) in parts of the hand's length, so that one calibration serves every mode
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -16,6 +18,9 @@ import numpy as np
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_KEYPOINTS
+
+FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
+"""Landmark offsets and the pose prior that belongs to them"""
 
 LANDMARK_BONES: Final = (0, *(FINGER_JOINTS[f][min(k, 2)] for f in FINGERS for k in range(4)))
 """The joint whose bone carries each of the 21 landmarks; a fingertip belongs to the last bone."""
@@ -53,3 +58,10 @@ def bone_axes(model: HandModel) -> np.ndarray:
 
 NO_OFFSETS: Final = Landmarks(np.zeros((NUM_KEYPOINTS, 3)))
 """Landmarks that are the model's own keypoints"""
+
+
+@lru_cache(maxsize=1)
+def detector_landmarks() -> Landmarks:
+    """Where MediaPipe's hand landmarker sees its points, calibrated by scripts/train_landmarks.py."""
+    with np.load(FILE, allow_pickle=False) as arrays:
+        return Landmarks(arrays["offsets"])

@@ -9,10 +9,13 @@ from handfit_core.residuals.rows import PointRows
 
 def similarity(source: torch.Tensor, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Rotation (B, 3, 3) and scale (B,) that lay centred source (B, N, 3) over centred target (B, N, 3)
-    with the least squared distance. Umeyama, 1991."""
+    with the least squared distance. Umeyama, 1991. Points that are not finite get a meaningless rotation and
+    harm no other in the batch."""
     a = source - source.mean(dim=1, keepdim=True)
     b = target - target.mean(dim=1, keepdim=True)
-    u, s, vt = torch.linalg.svd(b.mT @ a)
+    # LAPACK raises on NaN.
+    covariance = torch.nan_to_num(b.mT @ a, posinf=0.0, neginf=0.0)
+    u, s, vt = torch.linalg.svd(covariance)
     sign = torch.ones_like(s)
     sign[:, 2] = torch.det(u @ vt).sign()
     rotation = (u * sign[:, None, :]) @ vt

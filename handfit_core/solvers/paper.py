@@ -9,8 +9,7 @@ alignment is inverted, which yields the hand in the picture without any camera.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,7 @@ from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.solvers.placement import PlacedHand, place, turn_to_ray
 from handfit_core.solvers.result import OnFrame, TrackFit
+from handfit_core.torch_threads import one_thread
 
 MM = 1000.0
 
@@ -207,7 +207,7 @@ class PaperFitter:
         from handfit_core.solvers.through_camera import refine
 
         assert self._prior is not None, "the camera stage works on the prior's variables"
-        with _one_thread():
+        with one_thread():
             return refine(
                 self._layer, self._prior, self._loss, keypoints, intrinsics, placed, fit_shape=fit_shape
             )
@@ -227,21 +227,8 @@ class PaperFitter:
         options: dict[str, float] = {"maxiter": MAX_ITERATIONS}
         if self._prior is not None:
             options["ftol"] = PRIOR_TOLERANCE
-        with _one_thread():
+        with one_thread():
             return minimize(cost, first, jac=True, method=self._options.method, options=options)
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Torch's arrays are tiny here: threads only wait for each other, many times slower on a busy machine."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _shape_of_clip(fitter: PaperFitter, keypoints: Sequence[np.ndarray]) -> np.ndarray:

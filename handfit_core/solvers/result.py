@@ -15,7 +15,8 @@ from handfit_core.keypoints import DetectedTrack
 
 @dataclass(frozen=True, eq=False)
 class TrackFit:
-    """A hand fitted to a whole track, in the camera frame; NaN in frames without a detection."""
+    """A hand fitted to a whole track, in the camera frame; NaN in frames that are neither detected nor
+    filled."""
 
     betas: np.ndarray
     """(10,)"""
@@ -27,6 +28,15 @@ class TrackFit:
     """(T, 3) metres"""
     converged: np.ndarray
     """(T,) bool: False where the optimiser stopped for another reason, or nothing was detected"""
+    filled: np.ndarray | None = None
+    """(T,) bool: frames of short gaps that were bridged from their neighbours; None: there are none"""
+    doubtful: np.ndarray | None = None
+    """(T,) bool: frames whose landmarks fit no hand well; None where the solver does not tell"""
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T,) bool: frames with a hand, detected or filled."""
+        return np.isfinite(self.transl).all(axis=1)
 
 
 OnFrame = Callable[[], None]

@@ -11,6 +11,7 @@ Rotations change by increments on the right, Q <- Q exp(w), so that a point beyo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,11 @@ class State:
             return torch.where(chosen.view(-1, *[1] * (mine.ndim - 1)), mine, theirs)
 
         return State(*(pick(name) for name in self.__dataclass_fields__))
+
+
+def joined(states: Sequence[State]) -> State:
+    """The hands of all states, one after the other."""
+    return State(*(torch.cat([getattr(s, name) for s in states]) for name in State.__dataclass_fields__))
 
 
 @dataclass(frozen=True, eq=False)

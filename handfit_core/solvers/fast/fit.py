@@ -1,0 +1,241 @@
+"""The fast solver: single frames in one batch, clips with one shape and over all frames at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import torch
+
+from handfit_core.camera import Intrinsics
+from handfit_core.hand_model.anatomy import joint_limits
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.landmarks import FILE, detector_landmarks
+from handfit_core.keypoints import DetectedTrack, HandDetection
+from handfit_core.skeleton import NUM_BETAS
+from handfit_core.solvers.fast.chain import Chain, State, joined
+from handfit_core.solvers.fast.energy import Energy, PosePrior, Weights
+from handfit_core.solvers.fast.gaps import bridged, spans
+from handfit_core.solvers.fast.levenberg import Solution, solve
+from handfit_core.solvers.fast.observation import Observation
+from handfit_core.solvers.fast.observe import Trust, landmarked
+from handfit_core.solvers.fast.smooth import Motion, smoothed
+from handfit_core.solvers.fast.start import relaxed_start
+from handfit_core.solvers.result import OnFrame, TrackFit
+from handfit_core.torch_threads import one_thread
+
+TRUST: Final = Trust()
+WEIGHTS: Final = Weights()
+MAX_ITERATIONS: Final = 30
+TOLERANCE: Final = 1e-3
+
+SHAPE_FRAMES: Final = 48
+"""So many frames, evenly spread over a clip, decide the hand's one shape"""
+CHUNK: Final = 512
+"""Frames fitted at once; bounds the memory"""
+DOUBTFUL_COST: Final = 60.0
+"""A hand whose residuals cost more than this (most cost 10 to 30) is not what the picture shows"""
+
+SMOOTH_ROTATION: Final = 18.0
+"""radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
+SMOOTH_PLACE: Final = 1.5
+"""metres per second squared, of the wrist"""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFits:
+    """B independent fits, in the camera frame."""
+
+    betas: np.ndarray
+    """(B, 10)"""
+    global_orient: np.ndarray
+    """(B, 3) radians"""
+    hand_pose: np.ndarray
+    """(B, 45) radians"""
+    transl: np.ndarray
+    """(B, 3) metres"""
+    cost: np.ndarray
+    """(B,) of all terms, in squared sigmas"""
+    iterations: np.ndarray
+    """(B,) int"""
+    converged: np.ndarray
+    """(B,) bool"""
+    doubtful: np.ndarray
+    """(B,) bool: not converged, or the landmarks fit no hand well"""
+
+
+class FastFitter:
+    """One hand model, ready to be fitted."""
+
+    def __init__(self, model: HandModel, dtype: torch.dtype, device: torch.device | str = "cpu") -> None:
+        self.model, self.dtype, self.device = model, dtype, device
+        self.chain = Chain(model, detector_landmarks(), dtype, device)
+        with np.load(FILE, allow_pickle=False) as arrays:
+            prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"])
+        self.energy = Energy(self.chain, prior, joint_limits(model.side), WEIGHTS)
+        self._relaxed = torch.tensor(
+            prior.of_side(model.side).mean[None].copy(), dtype=dtype, device=device
+        )  # (1, 5, 9)
+
+    def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
+        """What is seen of those detections through that camera."""
+        seen = landmarked(detections, self.model.side, TRUST)
+        return seen.observation(intrinsics, self.dtype, self.device)
+
+    def start(self, seen: Observation, betas: torch.Tensor | None = None) -> State:
+        """A relaxed hand laid over the landmarks, of the mean shape or of betas (10,)."""
+        count = len(seen)
+        if betas is None:
+            betas = torch.zeros(NUM_BETAS, dtype=self.dtype, device=self.device)
+        return relaxed_start(
+            self.chain, seen, self._relaxed.expand(count, 5, 9), betas.expand(count, NUM_BETAS)
+        )
+
+    def solve_each(self, seen: Observation, start: State, *, shape: bool) -> Solution:
+        """Independent frames, each with its own shape or with the start's."""
+
+        def linearise(state: State, index: torch.Tensor):
+            part = seen if len(index) == len(seen) else seen.select(index)
+            return self.energy.of(self.chain.pose(state), part, shape=shape)
+
+        return solve(self.chain, linearise, start, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
+
+    def solve_shape(self, seen: Observation) -> torch.Tensor:
+        """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
+        count = len(seen)
+
+        def linearise(state: State, index: torch.Tensor):  # noqa: ARG001 (all frames, always)
+            return self.energy.of(self.chain.pose(state), seen, shape=True, shape_weight=1.0 / count)
+
+        solution = solve(
+            self.chain,
+            linearise,
+            self.solve_each(seen, self.start(seen), shape=False).state,
+            max_iterations=MAX_ITERATIONS,
+            tolerance=TOLERANCE,
+            shared_shape=True,
+        )
+        return solution.state.betas[0]
+
+
+@lru_cache(maxsize=8)
+def fitter_of(model: HandModel, dtype: torch.dtype, device: str = "cpu") -> FastFitter:
+    """Kept between calls: an edit that is answered while the artist drags should not build it again."""
+    return FastFitter(model, dtype, device)
+
+
+def fit_frames(
+    model: HandModel, detections: Sequence[HandDetection], intrinsics: Intrinsics, device: str = "cpu"
+) -> FrameFits:
+    """Fit B pictures of a hand independently, each with a shape of its own."""
+    fitter = fitter_of(model, torch.float32, device)
+    with one_thread():
+        seen = fitter.observe(detections, intrinsics)
+        solution = fitter.solve_each(seen, fitter.start(seen), shape=True)
+        betas, orient, pose, transl = fitter.chain.parameters(solution.state)
+    cost, converged = solution.cost.cpu().numpy(), solution.converged.cpu().numpy()
+    return FrameFits(
+        betas, orient, pose, transl, cost, solution.iterations.cpu().numpy(), converged,
+        ~converged | ~(cost < DOUBTFUL_COST),
+    )  # fmt: skip
+
+
+def fit_track(
+    smoothing: float, model: HandModel, track: DetectedTrack, intrinsics: Intrinsics, on_frame: OnFrame
+) -> TrackFit:
+    """Fit a followed hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
+
+    Gaps up to `gaps.LONGEST_GAP` are filled.
+    """
+    found = np.flatnonzero(track.detected)
+    detections = [d for d in track.detections if d is not None]
+    with one_thread():
+        if len(detections) == 1:
+            # A picture by itself: float32, since nothing is summed over frames.
+            fits = fit_frames(model, detections, intrinsics)
+            parameters = [fits.betas, fits.global_orient, fits.hand_pose, fits.transl]
+            frames, converged, doubtful = found, fits.converged, fits.doubtful
+        else:
+            fitter = fitter_of(model, torch.float64)
+            seen = landmarked(detections, model.side, TRUST).observation(intrinsics, fitter.dtype)
+            solution = _clip(fitter, seen)
+            converged = solution.converged.numpy()
+            doubtful = ~converged | ~(solution.cost.numpy() < DOUBTFUL_COST)
+            frames, state = _over_time(fitter, seen, solution.state, found, smoothing, track.fps)
+            parameters = list(fitter.chain.parameters(state))
+    for _ in detections:
+        on_frame()
+    return _track_fit(parameters, frames, found, converged, doubtful, len(track.detections))
+
+
+def _clip(fitter: FastFitter, seen: Observation) -> Solution:
+    """Every frame by itself, all with one shape."""
+    count = len(seen)
+    spread = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
+    betas = fitter.solve_shape(seen.select(torch.tensor(np.unique(spread))))
+    parts = []
+    for first in range(0, count, CHUNK):
+        chunk = seen.select(torch.arange(first, min(first + CHUNK, count)))
+        parts.append(fitter.solve_each(chunk, fitter.start(chunk, betas), shape=False))
+    return Solution(
+        state=joined([p.state for p in parts]),
+        cost=torch.cat([p.cost for p in parts]),
+        iterations=torch.cat([p.iterations for p in parts]),
+        converged=torch.cat([p.converged for p in parts]),
+    )
+
+
+def _over_time(
+    fitter: FastFitter, seen: Observation, state: State, found: np.ndarray, smoothing: float, fps: float
+) -> tuple[np.ndarray, State]:
+    """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their states."""
+    motion = Motion(
+        SMOOTH_ROTATION / (max(smoothing, 1e-6) * fps**2), SMOOTH_PLACE / (max(smoothing, 1e-6) * fps**2)
+    )
+    frames, states = [], []
+    for stretch in spans(found, fps):
+        known = np.isin(stretch, found)
+        rows = torch.tensor(np.flatnonzero(np.isin(found, stretch)))
+        guess = bridged(state.select(rows), known)
+        if smoothing > 0:
+            # Rows of frames without a detection repeat another's; they are not looked at.
+            nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
+            guess = smoothed(fitter.chain, fitter.energy, seen.select(nearest), known, guess, motion)
+        frames.append(stretch)
+        states.append(guess)
+    return np.concatenate(frames), joined(states)
+
+
+def _track_fit(
+    parameters: list[np.ndarray],
+    frames: np.ndarray,
+    found: np.ndarray,
+    converged: np.ndarray,
+    doubtful: np.ndarray,
+    count: int,
+) -> TrackFit:
+    """Rows of `frames` spread over a track of `count` frames."""
+
+    def spread(rows: np.ndarray) -> np.ndarray:
+        whole = np.full((count, rows.shape[1]), np.nan)
+        whole[frames] = rows
+        return whole
+
+    def flags(at: np.ndarray, values: np.ndarray | bool) -> np.ndarray:
+        whole = np.zeros(count, dtype=bool)
+        whole[at] = values
+        return whole
+
+    betas, orient, pose, transl = parameters
+    return TrackFit(
+        betas=betas[0],
+        global_orient=spread(orient),
+        hand_pose=spread(pose),
+        transl=spread(transl),
+        converged=flags(found, converged),
+        filled=flags(np.setdiff1d(frames, found), True),
+        doubtful=flags(found, doubtful),
+    )

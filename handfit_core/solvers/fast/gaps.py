@@ -1,0 +1,49 @@
+"""Frames of a track without a detection: which of them are bridged, and a first guess for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.solvers.fast.chain import State
+
+LONGEST_GAP = 0.5
+"""seconds; what a hand did for longer nobody can tell"""
+
+
+def spans(found: np.ndarray, fps: float) -> list[np.ndarray]:
+    """Frame numbers, stretch by stretch: each runs from one detected frame to another without a gap that is
+    longer than LONGEST_GAP. `found` (N,) the detected frames, rising."""
+    longest = int(LONGEST_GAP * fps)
+    breaks = np.flatnonzero(np.diff(found) - 1 > longest) + 1
+    return [np.arange(part[0], part[-1] + 1) for part in np.split(found, breaks)]
+
+
+def bridged(state: State, known: np.ndarray) -> State:
+    """States of a stretch of T frames from those of its known ones (T,) bool, first and last among them: rotations
+    turn evenly from one known frame to the next."""
+    if known.all():
+        return state
+    index = np.flatnonzero(known)
+    frame = np.arange(len(known))
+    after = np.clip(np.searchsorted(index, frame), 1, len(index) - 1)
+    left, right = after - 1, after
+    share = (frame - index[left]) / (index[right] - index[left])
+
+    def between(values: torch.Tensor) -> torch.Tensor:
+        array = values.double().cpu().numpy()
+        weight = share.reshape(-1, *[1] * (array.ndim - 1))
+        mixed = (1 - weight) * array[left] + weight * array[right]
+        return torch.tensor(mixed, dtype=values.dtype, device=values.device)
+
+    def turned(rotations: torch.Tensor) -> torch.Tensor:
+        array = rotations.double().cpu().numpy()
+        first = array[left]
+        turn = rotmat_to_rotvec(np.swapaxes(first, -1, -2) @ array[right])
+        part = share.reshape(-1, *[1] * (turn.ndim - 1)) * turn
+        return torch.tensor(first @ rotvec_to_rotmat(part), dtype=rotations.dtype, device=rotations.device)
+
+    return State(
+        turned(state.root), turned(state.local), between(state.wrist), between(state.betas), between(state.offsets)
+    )

@@ -1,0 +1,79 @@
+"""From detections to what the solver fits to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from handfit_core.camera import Intrinsics
+from handfit_core.keypoints import HandDetection
+from handfit_core.learned.canonical import canonical
+from handfit_core.learned.network import landmark_network
+from handfit_core.skeleton import Side
+from handfit_core.solvers.fast.observation import Observation
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How the detector's landmarks and the network's meet."""
+
+    plane: float = 0.3
+    """of the way from the detector's x and y to the network's"""
+    depth: float = 0.6
+    """of the way from the detector's fused depth to the network's"""
+    plane_sigma: float = 0.7
+    """of the network's expected error, x and y"""
+    depth_sigma: float = 0.7
+    floor: float = 0.006
+    """expected errors are at least this, of the hand's size in the picture"""
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarked:
+    """What is seen of N detections, without a camera: pixels."""
+
+    pixels: np.ndarray
+    """(N, 21, 2)"""
+    pixel_sigma: np.ndarray
+    """(N, 21, 2)"""
+    depth: np.ndarray
+    """(N, 21) about its mean"""
+    depth_sigma: np.ndarray
+    """(N, 21)"""
+
+    def observation(
+        self, intrinsics: Intrinsics, dtype: torch.dtype, device: torch.device | str = "cpu"
+    ) -> Observation:
+        """As seen through a camera."""
+        middle = self.pixels.mean(axis=1)
+        rays = intrinsics.rays(middle)
+        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        count = len(middle)
+
+        def tensor(array: np.ndarray) -> torch.Tensor:
+            return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
+
+        return Observation(
+            pixels=tensor(self.pixels),
+            pixel_sigma=tensor(self.pixel_sigma),
+            depth=tensor(self.depth),
+            depth_sigma=tensor(self.depth_sigma),
+            ray=tensor(rays),
+            focal=tensor(np.array([intrinsics.fx, intrinsics.fy])).expand(count, 2),
+            centre=tensor(np.array([intrinsics.cx, intrinsics.cy])).expand(count, 2),
+        )
+
+
+def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust) -> Landmarked:
+    """Correct detections, all taken for hands of that side."""
+    seen = canonical(detections, [side] * len(detections))
+    said = landmark_network()(seen)
+    blend = np.array([trust.plane, trust.plane, trust.depth])
+    points = seen.to_picture(seen.fused + blend * (said.points - seen.fused))
+    sigma = np.maximum(said.sigma, trust.floor) * seen.size[:, None, None]
+    plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
+    depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
+    return Landmarked(points[..., :2], plane, depth, trust.depth_sigma * sigma[..., 2])

@@ -1,0 +1,209 @@
+"""A clip solved as a whole: all frames at once, with small accelerations preferred.
+
+Each frame's residuals are taken at second order (Gauss-Newton: a 51 x 51 matrix of 16 rotations and the
+wrist's place), acceleration couples a frame with the two before and the two after, so that the matrix of
+the whole clip is banded, and is solved directly. Nothing is filtered: past and future weigh alike, and
+there is no lag. Frames without a detection have no residuals and follow from their neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from handfit_core.residuals.temporal import place_acceleration, rotation_acceleration
+from handfit_core.solvers.fast.blocks import Blocks
+from handfit_core.solvers.fast.chain import Chain, State
+from handfit_core.solvers.fast.energy import Energy
+from handfit_core.solvers.fast.observation import Observation
+
+SIZE = 51
+"""Variables of a frame: root (3), 15 joints (45), place (3)"""
+_BAND = 2 * SIZE + 2
+"""Subdiagonals: a rotation's three components two frames on"""
+ITERATIONS = 4
+TOLERANCE = 1e-3
+"""Relative decrease of the total cost at which to stop"""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How smooth a hand moves, per frame of the clip: standard deviations of accelerations."""
+
+    rotation: float
+    """radians per frame squared"""
+    place: float
+    """metres per frame squared"""
+
+
+WINDOW, OVERLAP = 600, 60
+"""Frames solved at once, and shared by two windows: what happens so many frames on has no influence"""
+
+
+def smoothed(
+    chain: Chain, energy: Energy, seen: Observation, has_data: np.ndarray, start: State, motion: Motion
+) -> State:
+    """Smooth T frames, window by window.
+
+    `seen` and `start` have T rows; rows where `has_data` (T,) is False are not looked at in `seen`, and in
+    `start` hold a guess.
+    """
+    count = len(start)
+    if count <= WINDOW + OVERLAP:
+        return _window(chain, energy, seen, has_data, start, motion)
+    state, first = start, 0
+    while True:
+        last = min(first + WINDOW + OVERLAP, count)
+        part = torch.arange(first, last)
+        found = _window(chain, energy, seen.select(part), has_data[first:last], start.select(part), motion)
+        # In the shared part the first half is the earlier window's, the second the later's.
+        keep = 0 if first == 0 else OVERLAP // 2
+        state = _put(state, found, first, keep)
+        if last == count:
+            return state
+        first += WINDOW
+
+
+def _put(whole: State, part: State, first: int, keep: int) -> State:
+    def put(name: str) -> torch.Tensor:
+        target = getattr(whole, name).clone()
+        target[first + keep : first + len(part)] = getattr(part, name)[keep:]
+        return target
+
+    return State(*(put(name) for name in State.__dataclass_fields__))
+
+
+def _window(
+    chain: Chain, energy: Energy, seen: Observation, has_data: np.ndarray, start: State, motion: Motion
+) -> State:
+    if len(start) < 3:
+        return start
+    state = start
+    blocks = _data(chain, energy, seen, has_data, state)
+    total = float(blocks.cost.double().sum()) + _motion_cost(chain, state, motion)
+    damping = 1e-4
+    for _ in range(ITERATIONS):
+        matrix, gradient = _banded(blocks, has_data)
+        _add_motion(matrix, gradient, state, motion)
+        matrix[0] += damping * matrix[0] + 1e-6
+        step = _solve(matrix, gradient)
+        candidate = _moved(chain, state, step, blocks)
+        tried = _data(chain, energy, seen, has_data, candidate)
+        after = float(tried.cost.double().sum()) + _motion_cost(chain, candidate, motion)
+        if not after < total:
+            damping *= 30.0
+            continue
+        gain, total = (total - after) / max(total, 1e-12), after
+        state, blocks, damping = candidate, tried, damping * 0.1
+        if gain < TOLERANCE:
+            break
+    return state
+
+
+def _data(chain: Chain, energy: Energy, seen: Observation, has_data: np.ndarray, state: State) -> Blocks:
+    """The frames' own matrices; zero where there is no data."""
+    blocks = energy.of(chain.pose(state), seen, shape=False)
+    weight = torch.tensor(has_data, dtype=chain.dtype, device=chain.device)
+    return Blocks(
+        *(
+            getattr(blocks, name) * weight.view(-1, *[1] * (getattr(blocks, name).ndim - 1))
+            for name in Blocks.__dataclass_fields__
+        )
+    )
+
+
+def _dense(blocks: Blocks, has_data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 51, 51) and (T, 51): root, joints, place; the terms' offsets eliminated."""
+    count, n = blocks.hand_gradient.shape
+    offsets = n - 6
+    size = 45 + n
+    matrix, gradient = np.zeros((count, size, size)), np.zeros((count, size))
+    order = [0, 1, 2, *range(48, 51), *range(51, 51 + offsets)]  # where the hand's variables go
+    hand = blocks.hand.double().cpu().numpy()
+    mixed, finger = blocks.mixed.double().cpu().numpy(), blocks.finger.double().cpu().numpy()
+    matrix[np.ix_(range(count), order, order)] = hand
+    gradient[:, order] = blocks.hand_gradient.double().cpu().numpy()
+    gradient[:, 3:48] = blocks.finger_gradient.double().cpu().numpy().reshape(count, 45)
+    for f in range(5):
+        part = slice(3 + 9 * f, 12 + 9 * f)
+        matrix[:, part, part] = finger[:, f]
+        matrix[np.ix_(range(count), range(part.start, part.stop), order)] = mixed[:, f]
+        matrix[np.ix_(range(count), order, range(part.start, part.stop))] = np.swapaxes(mixed[:, f], -1, -2)
+    corner = matrix[:, SIZE:, SIZE:] + np.where(has_data, 1e-9, 1.0)[:, None, None] * np.eye(offsets)
+    side = matrix[:, :SIZE, SIZE:]
+    solved = np.linalg.solve(corner, np.concatenate([np.swapaxes(side, -1, -2), gradient[:, SIZE:, None]], -1))
+    matrix = matrix[:, :SIZE, :SIZE] - side @ solved[..., :SIZE]
+    return matrix, gradient[:, :SIZE] - (side @ solved[..., SIZE:])[..., 0]
+
+
+def _banded(blocks: Blocks, has_data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """LAPACK's lower band form (_BAND + 1, 51 T) and the gradient (T, 51)."""
+    dense, gradient = _dense(blocks, has_data)
+    count = len(dense)
+    band = np.zeros((_BAND + 1, count, SIZE))
+    for below in range(SIZE):
+        band[below, :, : SIZE - below] = dense[:, np.arange(below, SIZE), np.arange(SIZE - below)]
+    return band.reshape(_BAND + 1, count * SIZE), gradient
+
+
+def _rotations(state: State) -> np.ndarray:
+    """(T, 16, 3, 3)"""
+    root = state.root.double().cpu().numpy()[:, None]
+    return np.concatenate([root, state.local.double().cpu().numpy().reshape(len(root), 15, 3, 3)], axis=1)
+
+
+def _motion_cost(chain: Chain, state: State, motion: Motion) -> float:
+    turning, _ = rotation_acceleration(_rotations(state))
+    moving = place_acceleration(state.wrist.double().cpu().numpy())
+    return float(np.square(turning / motion.rotation).sum() + np.square(moving / motion.place).sum())
+
+
+def _add_motion(band: np.ndarray, gradient: np.ndarray, state: State, motion: Motion) -> None:
+    """Add the acceleration terms' matrices and gradients in place."""
+    count = len(gradient)
+    view = band.reshape(_BAND + 1, count, SIZE)
+    turning, jacobian = rotation_acceleration(_rotations(state))
+    turning, jacobian = turning / motion.rotation, jacobian / motion.rotation  # (T-2, 16, 3), (T-2, 3, 16, 3, 3)
+    of_rotation = gradient[:, :48].reshape(count, 16, 3)
+    firsts = 3 * np.arange(16)
+    for a in range(3):
+        of_rotation[a : count - 2 + a] += np.einsum("tjki,tjk->tji", jacobian[:, a], turning)
+        for b in range(a + 1):
+            block = np.swapaxes(jacobian[:, a], -1, -2) @ jacobian[:, b]  # (T-2, 16, 3, 3): row a, column b
+            for i in range(3):
+                for j in range(3):
+                    below = (a - b) * SIZE + i - j
+                    if below >= 0:
+                        view[below, b : count - 2 + b, firsts + j] += block[:, :, i, j].T
+    gradient[:, :48] = of_rotation.reshape(count, 48)
+    moving = place_acceleration(state.wrist.double().cpu().numpy()) / motion.place**2
+    coefficients = (1.0, -2.0, 1.0)
+    for a, ca in enumerate(coefficients):
+        gradient[a : count - 2 + a, 48:] += ca * moving
+        for b, cb in enumerate(coefficients[: a + 1]):
+            view[(a - b) * SIZE, b : count - 2 + b, 48:] += ca * cb / motion.place**2
+
+
+def _solve(band: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """(T, 51) increments."""
+    from scipy.linalg import solveh_banded
+
+    return -solveh_banded(band, gradient.reshape(-1), lower=True, check_finite=False).reshape(-1, SIZE)
+
+
+def _moved(chain: Chain, state: State, step: np.ndarray, blocks: Blocks) -> State:
+    """Apply increments; the terms' offsets follow the wrist along the way."""
+    tensor = torch.tensor(step, dtype=chain.dtype, device=chain.device)
+    own = tensor.new_zeros(len(tensor), state.offsets.shape[1])
+    of_hand = torch.cat([tensor[:, :3], tensor[:, 48:], own], dim=1)
+    moved = chain.moved(state, of_hand, tensor[:, 3:48].reshape(-1, 5, 9))
+    # The offsets were eliminated: their own best increments, given the others'.
+    offsets = state.offsets.shape[1]
+    corner = blocks.hand[:, 6:, 6:] + 1e-9 * torch.eye(offsets, dtype=chain.dtype, device=chain.device)
+    corner = corner + (corner.diagonal(dim1=-2, dim2=-1).sum(-1) < 1e-6).to(chain.dtype)[:, None, None]
+    pulled = blocks.hand_gradient[:, 6:] + (blocks.hand[:, 6:, :6] @ of_hand[:, :6, None]).squeeze(-1)
+    pulled = pulled + (blocks.mixed[..., 6:].mT @ tensor[:, 3:48].reshape(-1, 5, 9, 1)).sum(dim=1).squeeze(-1)
+    best = torch.linalg.solve(corner, -pulled.unsqueeze(-1)).squeeze(-1)
+    return replace(moved, offsets=state.offsets + best)

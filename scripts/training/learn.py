@@ -1,0 +1,212 @@
+"""From samples to what ships: calibrated landmarks, the pose prior and the landmark network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from handfit_core.align import align
+from handfit_core.camera import Intrinsics
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
+from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, hand_length
+from handfit_core.learned.canonical import FEATURES, Canonical, canonical_arrays
+from handfit_core.learned.network import LOG_SIGMA, MOST
+from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
+from handfit_core.solvers.fast.chain import Chain, State
+from handfit_core.solvers.placement import turn_to_ray
+from scripts.benchmark.kinematics import model_of
+
+Samples = dict[str, np.ndarray]
+"""The rows of `samples.Sample.row`, stacked"""
+
+WELL_SEEN = 0.014
+"""metres; detections with a smaller error after alignment show where the detector puts its landmarks"""
+PRIOR_WIDER = 1.3
+"""What the spread of our own poses is widened by: people do more than our poses"""
+PRIOR_FLOOR = np.radians(2.0)
+
+HIDDEN = 256
+EPOCHS = 30
+BATCH = 256
+NOISE = 0.02
+"""Added to the features, in canonical units"""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueHands:
+    """The true hands of samples of one side, unmirrored, in their model's frame."""
+
+    index: np.ndarray
+    """(M,) which samples"""
+    chain: Chain
+    state: State
+
+    @classmethod
+    def of(cls, samples: Samples, side: Side, landmarks: Landmarks) -> TrueHands:
+        """All samples whose hand, before the picture was mirrored, was of that side."""
+        before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
+        index = np.flatnonzero(before == SIDES.index(side))
+        chain = Chain(model_of(side), landmarks, torch.float64)
+        identity = torch.eye(3, dtype=torch.float64).expand(len(index), 3, 3)
+        zero = torch.zeros(len(index), 3, dtype=torch.float64)
+        betas = torch.tensor(samples["betas"][index])
+        return cls(
+            index,
+            chain,
+            State(identity, chain.local_from_pose(samples["hand_pose"][index]), zero, betas, zero[:, :1]),
+        )
+
+
+def calibrate(samples: Samples) -> np.ndarray:
+    """(21, 3) landmark offsets as `hand_model.landmarks.Landmarks` keeps them: the median place, in the bone's
+    axes, of well seen detections laid over the true hand."""
+    collected = []
+    fused = _fused(samples)
+    for side in SIDES:
+        hands = TrueHands.of(samples, side, NO_OFFSETS)
+        posed = hands.chain.pose(hands.state)
+        points = posed.points.numpy()
+        frames = np.concatenate(
+            [np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)), _by_joint(posed.frames.numpy())], axis=1
+        )
+        for row, sample in enumerate(hands.index):
+            if samples["detected_side"][sample] != samples["side"][sample]:
+                continue
+            seen = fused[sample] * _unmirror(samples, sample)
+            laid = align(seen, points[row], with_scale=True).apply(seen)
+            offset = laid - points[row]
+            if np.linalg.norm(offset, axis=1).mean() > WELL_SEEN:
+                continue
+            local = np.einsum("kab,ka->kb", frames[row, list(LANDMARK_BONES)], offset)
+            collected.append(local / hand_length(model_of(side)) * _as_right(side))
+    return np.median(collected, axis=0)
+
+
+def _as_right(side: Side) -> np.ndarray:
+    """(21, 3) signs, the inverse of `Landmarks.in_metres`."""
+    signs = np.ones((21, 3))
+    if side == "left":
+        signs[:, 2] = -1.0
+        signs[0] = (-1.0, 1.0, 1.0)
+    return signs
+
+
+def _by_joint(frames: np.ndarray) -> np.ndarray:
+    """(M, 5, 3, ...) finger by finger -> (M, 15, ...) in MANO's order."""
+    order = np.array([FINGER_JOINTS[f] for f in FINGERS]).reshape(-1) - 1
+    ordered = np.empty((len(frames), 15, *frames.shape[3:]))
+    ordered[:, order] = frames.reshape(len(frames), 15, *frames.shape[3:])
+    return ordered
+
+
+def _unmirror(samples: Samples, sample: int) -> np.ndarray:
+    return np.array([-1.0 if samples["mirrored"][sample] else 1.0, 1.0, 1.0])
+
+
+def _fused(samples: Samples) -> np.ndarray:
+    """(N, 21, 3) pixels: both landmark sets, as the network's canonical frame fuses them."""
+    seen = _canonical(samples, samples["detected_side"])
+    return seen.to_picture(seen.fused)
+
+
+def _canonical(samples: Samples, side: np.ndarray) -> Canonical:
+    agreement = np.where(samples["detected_side"] == side, samples["score"], -samples["score"])
+    return canonical_arrays(samples["keypoints"], samples["world"], side == SIDES.index("left"), agreement)
+
+
+def pose_prior(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (5, 9) and covariance (5, 9, 9) of our own poses, as a right hand's, widened."""
+    collected = []
+    for side in SIDES:
+        before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
+        poses = np.unique(samples["hand_pose"][before == SIDES.index(side)], axis=0)
+        angles = anatomical_angles(rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
+        collected.append(angles * (1.0 if side == "right" else np.array([-1.0, -1.0, 1.0])))
+    order = np.array([FINGER_JOINTS[f] for f in FINGERS]) - 1
+    fingers = np.concatenate(collected)[:, order].reshape(-1, 5, 9)
+    covariance = np.stack([np.cov(fingers[:, f].T) for f in range(5)])
+    return fingers.mean(axis=0), covariance * PRIOR_WIDER**2 + np.eye(9) * PRIOR_FLOOR**2
+
+
+def true_landmarks(samples: Samples, landmarks: Landmarks) -> np.ndarray:
+    """(N, 21, 3) where the landmarks truly are, metres, camera frame."""
+    found = np.empty_like(samples["joints_3d"])
+    for side in SIDES:
+        hands = TrueHands.of(samples, side, landmarks)
+        points = hands.chain.pose(hands.state).points.numpy()
+        bare = TrueHands.of(samples, side, NO_OFFSETS)
+        joints = bare.chain.pose(bare.state).points.numpy()
+        for row, sample in enumerate(hands.index):
+            flip = _unmirror(samples, sample)
+            move = align(joints[row], samples["joints_3d"][sample] * flip, with_scale=False)
+            found[sample] = move.apply(points[row]) * flip
+    return found
+
+
+def targets(samples: Samples, points: np.ndarray, seen: Canonical) -> np.ndarray:
+    """(N, 21, 3) the true points (N, 21, 3) in the canonical frame: turned as if the camera looked at the hand,
+    in pixels at its mean distance, which is what a detector's weak perspective means."""
+    picture = np.empty_like(points)
+    for i in range(len(points)):
+        size = float(samples["size"][i])
+        # The camera that the solver will assume, not the true one.
+        turn = turn_to_ray(Intrinsics.assumed(int(size), int(size)), samples["keypoints"][i, :, :2].mean(axis=0))
+        along = points[i] @ turn
+        camera = Intrinsics(samples["focal"][i], samples["focal"][i], *samples["centre"][i])
+        picture[i] = (along - along.mean(axis=0)) * (samples["focal"][i] / along[:, 2].mean())
+        picture[i, :, :2] += camera.project(points[i]).mean(axis=0)
+    return seen.from_picture(picture)
+
+
+def train(
+    samples: Samples, landmarks: Landmarks, seed: int, report: Callable[[str], None]
+) -> dict[str, np.ndarray]:
+    """The network's arrays, as `LandmarkNetwork` reads them."""
+    torch.manual_seed(seed)
+    points = true_landmarks(samples, landmarks)
+    as_true = _canonical(samples, samples["side"])
+    wrong_side = _canonical(samples, 1 - samples["side"])
+    tensor = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
+    features, goal = tensor(as_true.features), tensor(targets(samples, points, as_true) - as_true.fused)
+    # The side is learned on the detector's own word and on its opposite.
+    of_sides = torch.cat([features, tensor(wrong_side.features)])
+    is_right = torch.cat([torch.ones(len(features)), torch.zeros(len(features))])
+    mean, deviation = features.mean(dim=0), features.std(dim=0) + 1e-6
+    network = torch.nn.Sequential(
+        torch.nn.Linear(FEATURES, HIDDEN), torch.nn.GELU(approximate="tanh"), torch.nn.Dropout(0.1),
+        torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.GELU(approximate="tanh"), torch.nn.Dropout(0.1),
+        torch.nn.Linear(HIDDEN, 21 * 6 + 1),
+    )  # fmt: skip
+    torch.nn.init.zeros_(network[-1].weight)
+    torch.nn.init.zeros_(network[-1].bias)
+    steps = EPOCHS * (len(features) // BATCH + 1)
+    optimiser = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=3e-2)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, total_steps=steps)
+
+    def forward(x: torch.Tensor) -> torch.Tensor:
+        x = x + NOISE * torch.randn_like(x)
+        return network(((x - mean) / deviation).clamp(-MOST, MOST))
+
+    for epoch in range(EPOCHS):
+        for batch in torch.randperm(len(features)).split(BATCH):
+            out = forward(features[batch])[:, :-1].view(-1, 21, 6)
+            log_sigma = out[..., 3:] + LOG_SIGMA
+            # Laplace's likelihood: outliers do not rule.
+            loss = ((out[..., :3] - goal[batch]).abs() * torch.exp(-log_sigma) + log_sigma).mean()
+            pairs = torch.randint(len(of_sides), (BATCH,))
+            loss_side = torch.nn.functional.binary_cross_entropy_with_logits(
+                forward(of_sides[pairs])[:, -1], is_right[pairs]
+            )
+            optimiser.zero_grad()
+            (loss + 0.5 * loss_side).backward()
+            optimiser.step()
+            schedule.step()
+        report(f"epoch {epoch + 1}/{EPOCHS}: landmarks {loss.item():.3f}, side {loss_side.item():.3f}")
+    linear = [m for m in network if isinstance(m, torch.nn.Linear)]
+    arrays = {f"weight_{i}": m.weight.detach().numpy().astype(np.float16) for i, m in enumerate(linear)}
+    arrays |= {f"bias_{i}": m.bias.detach().numpy().astype(np.float32) for i, m in enumerate(linear)}
+    return arrays | {"mean": mean.numpy(), "deviation": deviation.numpy()}
