@@ -11,7 +11,10 @@ import struct
 import numpy as np
 
 _ORIENTATION_TAG = 0x0112
+_EXIF_IFD_TAG = 0x8769
+_FOCAL_35MM_TAG = 0xA405
 _SHORT = 3
+_LONG = 4
 
 
 def read_orientation(data: bytes) -> int:
@@ -22,6 +25,16 @@ def read_orientation(data: bytes) -> int:
     except (struct.error, IndexError, ValueError):
         return 1  # damaged metadata is no reason to refuse a picture
     return value if value is not None and 1 <= value <= 8 else 1
+
+
+def read_focal_35mm(data: bytes) -> float | None:
+    """The lens's focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where it is not told."""
+    try:
+        tiff = _tiff_block(data)
+        value = None if tiff is None else _exif_ifd_short(tiff, _FOCAL_35MM_TAG)
+    except (struct.error, IndexError, ValueError):
+        return None
+    return float(value) if value else None
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -87,14 +100,31 @@ def _from_chunks(
 
 
 def _first_ifd_short(tiff: bytes, tag: int) -> int | None:
-    order = {b"II": "<", b"MM": ">"}[tiff[:2]] if tiff[:2] in (b"II", b"MM") else None
+    order = _byte_order(tiff)
     if order is None:
         return None
     (offset,) = struct.unpack_from(order + "I", tiff, 4)
+    return _ifd_value(tiff, order, offset, tag, _SHORT)
+
+
+def _exif_ifd_short(tiff: bytes, tag: int) -> int | None:
+    order = _byte_order(tiff)
+    if order is None:
+        return None
+    (offset,) = struct.unpack_from(order + "I", tiff, 4)
+    nested = _ifd_value(tiff, order, offset, _EXIF_IFD_TAG, _LONG)
+    return None if nested is None else _ifd_value(tiff, order, nested, tag, _SHORT)
+
+
+def _byte_order(tiff: bytes) -> str | None:
+    return {b"II": "<", b"MM": ">"}.get(tiff[:2])
+
+
+def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:
     (count,) = struct.unpack_from(order + "H", tiff, offset)
     for i in range(count):
         entry = offset + 2 + 12 * i
         found, kind = struct.unpack_from(order + "HH", tiff, entry)
-        if found == tag and kind == _SHORT:
-            return struct.unpack_from(order + "H", tiff, entry + 8)[0]
+        if found == tag and kind == wanted:
+            return struct.unpack_from(order + ("H" if kind == _SHORT else "I"), tiff, entry + 8)[0]
     return None

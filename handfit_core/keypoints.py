@@ -22,6 +22,9 @@ class HandDetection:
     relative to the wrist and on the scale of x"""
     world: np.ndarray
     """(21, 3) world landmarks: metres about the hand's centre, axes as the camera frame's"""
+    spread: np.ndarray | None = None
+    """(21, 3) standard deviation in pixels (x, y, z) of the looks that `keypoints` averages; None after
+    a single look"""
 
     @property
     def keypoints_2d(self) -> np.ndarray:
@@ -40,6 +43,8 @@ class DetectedTrack:
 
     side: Side
     detections: tuple[HandDetection | None, ...]
+    fps: float = 25.0
+    """Frames per second: how far apart in time they are"""
 
     @property
     def detected(self) -> np.ndarray:

@@ -128,22 +128,28 @@ def detect_frames(
     max_hands: int,
     threshold: float,
     landmark_model: str | os.PathLike[str] | None,
+    persistent: bool = True,
 ) -> tuple[list[int], list[tuple[HandDetection, ...]]]:
-    """Frame numbers and the hands found in each frame; an unreadable frame has none."""
-    from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+    """Frame numbers and the hands found in each frame; an unreadable frame has none.
+
+    `persistent`: look again where the plain detector finds too little (see `HandFinder`).
+    """
+    from handfit_core.detect.finder import HandFinder
 
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
-    with MediaPipeHands(
+    with HandFinder(
         max_hands=max_hands,
         video=media.source.kind != "photo",
         threshold=threshold,
         landmark_model=landmark_model,
-    ) as detector:
+        persistent=persistent,
+    ) as finder:
         for frame in media.frames():
             numbers.append(frame.number)
-            found.append(() if frame.rgb is None else detector.detect(frame.rgb, frame.time))
+            found.append(finder.find(frame.rgb, frame.time))
             report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
+        found = finder.completed(found)
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")
     return numbers, found

@@ -6,12 +6,14 @@ are wrong now and then.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import islice, pairwise
 from typing import Final, Literal
 
 import numpy as np
 
+from handfit_core.detect.agreement import distance
 from handfit_core.errors import NoHandFoundError, OptionError
 from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.skeleton import SIDES, Side, other_side
@@ -22,8 +24,27 @@ HAND_CHOICES: Final[tuple[HandChoice, ...]] = ("auto", "left", "right", "both")
 DUPLICATE_DISTANCE = 0.25
 """Two detections of one frame nearer than this (mean keypoint distance / hand size) are one hand."""
 
+OVERLAP_DISTANCE = 0.4
+"""Two tracks nearer than this in most of the frames that have both are one hand, found twice."""
+
+PART_SIZE, PART_INSIDE = 0.75, 0.75
+"""A hand less than this share of another's size, with more than this share of its points within the other's
+box, is a part of it: fingers taken for a hand"""
+
 MATCH_DISTANCE = 1.0
-"""A hand moves less than its own size between two frames it is seen in, or it is another hand."""
+"""A hand is seen nearer than its own size to where it was expected, or it is another hand."""
+
+GAP_GROWTH = 0.1
+"""What each frame in which a hand was not seen adds to MATCH_DISTANCE, as a share of it, in a short gap"""
+
+SHORT_GAP = 12
+"""After so many frames a hand of the other side, where one was lost, may well be another hand."""
+
+MOTION_FRAMES = 3
+"""Detections back that a hand's velocity is taken over: two frames alone are mostly jitter."""
+
+FORESIGHT = 6
+"""Frames for which a hand is expected to keep its velocity"""
 
 STRAY_WEIGHT = 0.05
 """A track with less than this share of the surest track's confidence is a misdetection, not a hand."""
@@ -35,11 +56,8 @@ SIDE_PENALTY = 0.3
 @dataclass
 class _OpenTrack:
     detections: dict[int, HandDetection] = field(default_factory=dict)
+    """in the order of frames"""
     side_votes: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
-
-    @property
-    def last(self) -> HandDetection:
-        return self.detections[max(self.detections)]
 
     @property
     def side(self) -> Side:
@@ -53,8 +71,24 @@ class _OpenTrack:
         self.detections[frame] = detection
         self.side_votes[detection.side] += detection.score
 
+    @property
+    def last(self) -> HandDetection:
+        return next(reversed(self.detections.values()))
+
+    def displacement(self, frame: int) -> np.ndarray:
+        """(2,) pixels by which the hand is expected to have moved in `frame`, after all its detections,
+        at its last velocity."""
+        seen = list(islice(reversed(self.detections.items()), MOTION_FRAMES))
+        (first, before), (last, now) = seen[-1], seen[0]
+        # A hand that comes back after long starts anew.
+        if not 0 < last - first <= FORESIGHT:
+            return np.zeros(2)
+        moved = now.keypoints_2d.mean(axis=0) - before.keypoints_2d.mean(axis=0)
+        return moved / (last - first) * min(frame - last, FORESIGHT)
+
     def merge(self, other: _OpenTrack) -> None:
-        self.detections.update(other.detections)
+        """Take over another track's detections of frames that this one lacks."""
+        self.detections = dict(sorted({**other.detections, **self.detections}.items()))
         for side in SIDES:
             self.side_votes[side] += other.side_votes[side]
 
@@ -72,7 +106,10 @@ def link_tracks(
     """
     if hands not in HAND_CHOICES:
         raise OptionError(f"hands must be one of {', '.join(HAND_CHOICES)}; got {hands!r}")
-    tracks = _merge_returning(_link([_without_duplicates(frame) for frame in frames]))
+    linked = _link([_without_duplicates(frame) for frame in frames])
+    tracks = _merge(linked, _overlap)
+    tracks = _merge(tracks, _adjoin)
+    tracks = _merge(tracks, _may_return)
     if not tracks:
         raise NoHandFoundError(
             "no hand was found in any frame; try a lower detection threshold (--threshold 0.3), a larger "
@@ -121,15 +158,9 @@ def _sureness(track: _OpenTrack) -> float:
 def _without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
     kept: list[HandDetection] = []
     for candidate in sorted(detections, key=lambda d: d.score, reverse=True):
-        if all(_distance(candidate, other) > DUPLICATE_DISTANCE for other in kept):
+        if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in kept):
             kept.append(candidate)
     return kept
-
-
-def _distance(a: HandDetection, b: HandDetection) -> float:
-    """Mean keypoint distance in units of the hands' size."""
-    size = max(a.extent, b.extent, 1e-9)
-    return float(np.mean(np.linalg.norm(a.keypoints_2d - b.keypoints_2d, axis=-1))) / size
 
 
 def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
@@ -139,12 +170,18 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
     for index, detections in enumerate(frames):
         if not detections:
             continue
+        expected = [(t.last, t.displacement(index), t.side) for t in tracks]
         cost = np.array(
-            [[_distance(t.last, d) + SIDE_PENALTY * (t.side != d.side) for d in detections] for t in tracks]
+            [
+                [distance(last, d, moved) + SIDE_PENALTY * (side != d.side) for d in detections]
+                for last, moved, side in expected
+            ]
         ).reshape(len(tracks), len(detections))
+        limits = [_limit(index - next(reversed(t.detections))) for t in tracks]
         unmatched = set(range(len(detections)))
-        for row, column in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[row, column] < MATCH_DISTANCE:
+        # A pair too far apart costs as much as none, or it would push another pair apart.
+        for row, column in zip(*linear_sum_assignment(np.minimum(cost, 3 * MATCH_DISTANCE)), strict=True):
+            if cost[row, column] < limits[row]:
                 tracks[row].add(index, detections[column])
                 unmatched.discard(int(column))
         for column in sorted(unmatched):
@@ -154,14 +191,52 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
     return tracks
 
 
-def _merge_returning(tracks: list[_OpenTrack]) -> list[_OpenTrack]:
-    """A left hand that leaves the picture and a left hand that enters later are one hand."""
+def _limit(gap: int) -> float:
+    return MATCH_DISTANCE * (1.0 + GAP_GROWTH * (gap - 1) if gap <= SHORT_GAP else 1.0)
+
+
+def _merge(tracks: list[_OpenTrack], one_hand: Callable[[_OpenTrack, _OpenTrack], bool]) -> list[_OpenTrack]:
+    """Merge tracks into surer ones of the same hand."""
     merged: list[_OpenTrack] = []
     for track in sorted(tracks, key=lambda t: t.weight, reverse=True):
-        for earlier in merged:
-            if earlier.side == track.side and not earlier.detections.keys() & track.detections.keys():
-                earlier.merge(track)
+        for surer in merged:
+            if one_hand(surer, track):
+                surer.merge(track)
                 break
         else:
             merged.append(track)
     return merged
+
+
+def _overlap(a: _OpenTrack, b: _OpenTrack) -> bool:
+    """One hand that was found twice, often once as a left and once as a right one."""
+    common = a.detections.keys() & b.detections.keys()
+    same = sum(
+        distance(a.detections[i], b.detections[i]) < OVERLAP_DISTANCE
+        or _is_part_of(b.detections[i], a.detections[i])
+        for i in common
+    )
+    return same > len(common) / 2
+
+
+def _is_part_of(part: HandDetection, hand: HandDetection) -> bool:
+    """Fingers that were taken for another, smaller hand."""
+    points, whole = part.keypoints_2d, hand.keypoints_2d
+    inside = ((points >= whole.min(axis=0)) & (points <= whole.max(axis=0))).all(axis=-1)
+    return part.extent < PART_SIZE * hand.extent and float(inside.mean()) > PART_INSIDE
+
+
+def _adjoin(a: _OpenTrack, b: _OpenTrack) -> bool:
+    """One hand that was lost for a moment, and found near there, perhaps as one of the other side."""
+    if a.detections.keys() & b.detections.keys():
+        return False
+    frames = sorted((frame, track is b) for track in (a, b) for frame in track.detections)
+    turns = [(j - i, i, j) for (i, mine), (j, other) in pairwise(frames) if mine != other]
+    gap, i, j = min(turns)
+    before, after = (a, b) if i in a.detections else (b, a)
+    return gap <= SHORT_GAP and distance(before.detections[i], after.detections[j]) < _limit(gap)
+
+
+def _may_return(a: _OpenTrack, b: _OpenTrack) -> bool:
+    """A left hand that leaves the picture and a left hand that enters later are one hand."""
+    return a.side == b.side and not a.detections.keys() & b.detections.keys()

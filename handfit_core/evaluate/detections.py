@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from handfit_core.media import read_picture
 from handfit_core.paths import cache_dir
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
+if TYPE_CHECKING:
+    from handfit_core.detect.finder import HandFinder
+
 UNREADABLE = (0, 0)
 
 
@@ -37,6 +41,8 @@ class DetectorSettings:
     threshold: float = 0.5
     landmark_model: Path | None = None
     """None for the one that is bundled or cached"""
+    persistent: bool = True
+    """Look again where the plain detector finds too little"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +76,7 @@ class Detector:
                 version("mediapipe"),
                 str(settings.max_hands),
                 repr(settings.threshold),
+                str(settings.persistent),
                 version("opencv-python-headless"),
                 code_digest(detect, exif, keypoints, media),
             )
@@ -108,12 +115,16 @@ class Detector:
         return sha.hexdigest()[:32]
 
     def _fresh(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+        from handfit_core.detect.finder import HandFinder
 
-        def hands(video: bool) -> MediaPipeHands:
+        def hands(video: bool) -> HandFinder:
             s = self._settings
-            return MediaPipeHands(
-                max_hands=s.max_hands, video=video, threshold=s.threshold, landmark_model=s.landmark_model
+            return HandFinder(
+                max_hands=s.max_hands,
+                video=video,
+                threshold=s.threshold,
+                landmark_model=s.landmark_model,
+                persistent=s.persistent,
             )
 
         if not unit.is_clip:
@@ -124,24 +135,23 @@ class Detector:
             return _detected(unit, of_this_clip, on_picture)
 
 
-def _detected(unit: Unit, detector, on_picture: Callable[[], None]) -> UnitDetections:
+def _detected(unit: Unit, finder: HandFinder, on_picture: Callable[[], None]) -> UnitDetections:
     frames: list[tuple[HandDetection, ...]] = []
     sizes, spent = [], []
     for entry in unit.entries:
-        found: tuple[HandDetection, ...] = ()
-        size, started = UNREADABLE, time.perf_counter()
+        rgb, size = None, UNREADABLE
         try:
             rgb, _ = read_picture(entry.picture, as_stored=True)
+            size = (rgb.shape[1], rgb.shape[0])
         except InputError:
             pass
-        else:
-            size = (rgb.shape[1], rgb.shape[0])
-            started = time.perf_counter()
-            found = detector.detect(rgb, entry.time)
-        frames.append(found)
+        started = time.perf_counter()
+        frames.append(finder.find(rgb, entry.time))
         sizes.append(size)
         spent.append(1000 * (time.perf_counter() - started))
         on_picture()
+    if unit.is_clip:
+        frames = finder.completed(frames)
     return UnitDetections(tuple(frames), np.array(sizes), np.array(spent))
 
 
@@ -155,14 +165,23 @@ def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
         "scores": np.array([hand.score for hand in hands]),
         "keypoints": np.array([hand.keypoints for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
         "world": np.array([hand.world for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
+        "spread": np.array([_no_spread() if hand.spread is None else hand.spread for hand in hands]).reshape(
+            -1, NUM_KEYPOINTS, 3
+        ),
     }
+
+
+def _no_spread() -> np.ndarray:
+    return np.full((NUM_KEYPOINTS, 3), np.nan)
 
 
 def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
     hands = [
-        HandDetection(SIDES[side], float(score), keypoints, world)
-        for side, score, keypoints, world in zip(
-            arrays["sides"], arrays["scores"], arrays["keypoints"], arrays["world"], strict=True
+        HandDetection(
+            SIDES[side], float(score), keypoints, world, spread if np.isfinite(spread).all() else None
+        )
+        for side, score, keypoints, world, spread in zip(
+            *(arrays[name] for name in ("sides", "scores", "keypoints", "world", "spread")), strict=True
         )
     ]
     ends = np.cumsum(arrays["counts"])

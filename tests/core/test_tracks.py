@@ -72,6 +72,71 @@ def test_a_stray_misdetection_is_no_second_hand() -> None:
     assert [t.side for t in link_tracks(frames)] == ["right"]
 
 
+def test_hands_that_cross_in_one_line_keep_their_identity() -> None:
+    """Both pass the same place, and the detector names both alike while they do."""
+    frames = []
+    for t in range(21):
+        unsure = 8 <= t <= 12
+        frames.append([hand(100 + 21 * t, "right" if unsure else "left"), hand(520 - 20 * t, "right", y=330)])
+    tracks = {t.side: t for t in link_tracks(frames)}
+    assert [x_of(d) for d in tracks["left"].detections] == [100 + 21 * t for t in range(21)]
+    assert [x_of(d) for d in tracks["right"].detections] == [520 - 20 * t for t in range(21)]
+
+
+def test_a_moving_hand_is_found_again_after_a_gap() -> None:
+    """Two hands of one side: only their motion tells which one comes back where."""
+    frames = [[hand(30 * t), hand(30 * t, y=500)] for t in range(6)]
+    frames += [[]] * 4
+    frames += [[hand(30 * t, y=500), hand(30 * t)] for t in range(10, 14)]
+    tracks = link_tracks(frames)
+    assert len(tracks) == 2
+    for track in tracks:
+        heights = [d.keypoints[0, 1] for d in track.detections if d is not None]
+        assert np.ptp(heights) == 0
+        assert track.detected.sum() == 10
+
+
+def test_a_hand_whose_side_flickers_is_one_track() -> None:
+    frames = [[hand(100 + 3 * t, "left" if t % 2 else "right", 0.9 if t % 2 else 0.8)] for t in range(20)]
+    (track,) = link_tracks(frames)
+    assert track.side == "left"
+    assert track.detected.all()
+
+
+def test_a_lost_hand_that_comes_back_as_one_of_the_other_side() -> None:
+    frames = [[hand(100 + t)] for t in range(10)] + [[]] * 5 + [[hand(220, "left", 0.7)]] * 3
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert track.detected.sum() == 13
+    # After a long time, it may well be the other hand.
+    apart = [[hand(100 + t)] for t in range(10)] + [[]] * 30 + [[hand(220, "left", 0.7)]] * 3
+    assert {t.side for t in link_tracks(apart)} == {"left", "right"}
+
+
+def test_one_hand_found_as_two_is_one_track() -> None:
+    """A little too far apart for a duplicate within the frame."""
+    frames = [[hand(100 + t), hand(130 + t, "left", 0.6)] for t in range(10)]
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert [x_of(d) for d in track.detections] == [100 + t for t in range(10)]
+
+
+def test_fingers_taken_for_a_small_hand_are_part_of_their_hand() -> None:
+    def part(t: float) -> HandDetection:
+        return HandDetection("left", 0.7, 0.4 * SHAPE + [100 + t, 300.0, 0.0], SHAPE / 1000)
+
+    (track,) = link_tracks([[hand(100 + t), part(t)] for t in range(10)])
+    assert track.side == "right"
+    # Beside the hand, it is another, farther away.
+    assert len(link_tracks([[hand(100 + t), part(t + 90)] for t in range(10)])) == 2
+
+
+def test_a_long_clip_with_a_long_gap() -> None:
+    frames = [[hand(100 + t % 50), hand(600 - t % 40, "left")] for t in range(1000)]
+    frames[500:600] = [[]] * 100
+    assert [t.detected.sum() for t in link_tracks(frames)] == [900, 900]
+
+
 def test_nothing_found() -> None:
     with pytest.raises(NoHandFoundError, match="threshold"):
         link_tracks([[], []])

@@ -51,6 +51,9 @@ def assert_same(a: UnitDetections, b: UnitDetections) -> None:
             assert (one.side, one.score) == (other.side, other.score)
             np.testing.assert_array_equal(one.keypoints, other.keypoints)
             np.testing.assert_array_equal(one.world, other.world)
+            assert (one.spread is None) == (other.spread is None)
+            if one.spread is not None and other.spread is not None:
+                np.testing.assert_array_equal(one.spread, other.spread)
     np.testing.assert_array_equal(a.sizes, b.sizes)
     np.testing.assert_array_equal(a.milliseconds, b.milliseconds)
 
@@ -90,7 +93,19 @@ def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
     detect(still(picture), tmp_path, DetectorSettings(threshold=0.7))
     detect(still(picture), tmp_path, DetectorSettings(max_hands=1))
     detect(replace(still(picture), is_clip=True), tmp_path)
-    assert len(kept(tmp_path)) == 4
+    detect(still(picture), tmp_path, DetectorSettings(persistent=False))
+    assert len(kept(tmp_path)) == 5
+
+
+def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:
+    unit = still(SAMPLE / "hand.0001.jpg")
+    found, _ = detect(unit, tmp_path)
+    assert found.frames[0][0].spread is not None
+    assert_same(found, detect(unit, tmp_path)[0])
+    once = DetectorSettings(persistent=False)
+    found, _ = detect(unit, tmp_path, once)
+    assert found.frames[0][0].spread is None
+    assert_same(found, detect(unit, tmp_path, once)[0])
 
 
 def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
