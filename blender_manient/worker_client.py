@@ -51,6 +51,9 @@ class CaptureOptions:
     intrinsics: str | None = None
     """FX,FY,CX,CY in pixels"""
     landmark_model: str | None = None
+    smoothing: float | None = None
+    """0 takes every frame by itself"""
+    plain_detection: bool = False
     debug: bool = False
 
     def arguments(self) -> list[str]:
@@ -63,10 +66,12 @@ class CaptureOptions:
             "--threshold": self.threshold,
             "--intrinsics": self.intrinsics,
             "--landmark-model": self.landmark_model,
+            "--smoothing": self.smoothing,
         }
         # One word each: a value such as "-200" would else be taken for an option.
         arguments = [f"{name}={value}" for name, value in given.items() if value is not None]
-        return [*arguments, "--debug"] if self.debug else arguments
+        flags = {"--plain-detection": self.plain_detection, "--debug": self.debug}
+        return [*arguments, *(name for name, wanted in flags.items() if wanted)]
 
 
 def find_python(python: str | None = None) -> str:

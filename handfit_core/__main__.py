@@ -24,7 +24,7 @@ from handfit_core.files import check_writable
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.pipeline import Progress, ProgressCallback, capture
-from handfit_core.solvers import DEFAULT_SOLVER, solver_names
+from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, MOST_SMOOTHING, solver_names
 from handfit_core.version import __version__
 
 EXIT_FAILED = 1
@@ -122,9 +122,22 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--intrinsics",
         metavar="FX,FY,CX,CY",
-        help="the camera in pixels (default: one with a 53 degree view)",
+        help="the camera in pixels (default: by the photo's EXIF, or one with a 53 degree view)",
     )
     parser.add_argument("--threshold", type=float, default=0.5, help="detection threshold 0-1 (default: 0.5)")
+    parser.add_argument(
+        "--plain-detection",
+        action="store_true",
+        help="take the detector at its first word: faster for photos, misses more hands",
+    )
+    parser.add_argument(
+        "--smoothing",
+        type=float,
+        default=DEFAULT_SMOOTHING,
+        metavar="S",
+        help=f"how smooth motion is: 0 takes every frame by itself, at most {MOST_SMOOTHING:g} "
+        f"(default: {DEFAULT_SMOOTHING:g})",
+    )
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
 
 
@@ -143,6 +156,8 @@ def _capture(args: argparse.Namespace) -> int:
         intrinsics=parse_intrinsics(args.intrinsics) if args.intrinsics else None,
         threshold=args.threshold,
         landmark_model=args.landmark_model,
+        smoothing=args.smoothing,
+        persistent=not args.plain_detection,
     )
     path = take.save(args.output)
     hands = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.skeleton import Side
+from handfit_core.skeleton import Side, other_side
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +25,18 @@ class HandDetection:
     spread: np.ndarray | None = None
     """(21, 3) standard deviation in pixels (x, y, z) of the looks that `keypoints` averages; None after
     a single look"""
+    right_side: float | None = None
+    """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
+
+    @property
+    def likely_side(self) -> Side:
+        """`side`, or the other one where that is likelier."""
+        return self.side if self.right_side is None or self.right_side >= 0.5 else other_side(self.side)
+
+    def side_votes(self) -> dict[Side, float]:
+        """The score, shared between the sides as likely as they are."""
+        sure = 1.0 if self.right_side is None else self.right_side
+        return {self.side: self.score * sure, other_side(self.side): self.score * (1.0 - sure)}
 
     @property
     def keypoints_2d(self) -> np.ndarray:

@@ -233,6 +233,8 @@ def read_picture(path: Path, *, as_stored: bool = False) -> tuple[np.ndarray, in
 
 def _rgb8(pixels: np.ndarray) -> np.ndarray:
     """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB."""
+    import cv2
+
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     elif np.issubdtype(pixels.dtype, np.integer) and pixels.dtype != np.uint8:
@@ -247,13 +249,13 @@ def _rgb8(pixels: np.ndarray) -> np.ndarray:
         pixels = pixels[..., None]
     if pixels.shape[2] == 2:  # grey and alpha
         pixels = pixels[..., (0, 0, 0, 1)]
-    if pixels.shape[2] == 4:
+    if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
         alpha = pixels[..., 3:].astype(np.uint16)
         over_grey = (pixels[..., :3] * alpha + 128 * (255 - alpha) + 127) // 255
         pixels = over_grey.astype(np.uint8)
-    if pixels.shape[2] == 1:
-        return np.repeat(pixels, 3, axis=2)
-    return pixels[..., ::-1]
+    # Not by NumPy's indexing, which takes as long as decoding does.
+    to_rgb = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[pixels.shape[2]]
+    return cv2.cvtColor(pixels, to_rgb)
 
 
 class _Pictures(Media):
@@ -265,24 +267,27 @@ class _Pictures(Media):
         self.fps = DEFAULT_FPS
         self.expected_frames = len(files)
         # The first picture that can be read decides the size; unreadable ones become empty frames.
-        first, orientation = self._first_readable()
+        first_file, first, orientation = self._first_readable()
+        self._read_already = {first_file: first}
         self.height, self.width = first.shape[:2]
         self.source = Source(kind=kind, files=tuple(str(f.resolve()) for f in files), orientation=orientation)
 
-    def _first_readable(self) -> tuple[np.ndarray, int]:
+    def _first_readable(self) -> tuple[Path, np.ndarray, int]:
         errors: list[InputError] = []
         for file in self._files:
             try:
-                return read_picture(file)
+                return file, *read_picture(file)
             except InputError as error:
                 errors.append(error)
         raise errors[0]
 
     def frames(self) -> Iterator[Frame]:
         for number, file in zip(self._numbers, self._files, strict=True):
-            rgb: np.ndarray | None = None
+            # Taken out, so that it does not stay in memory.
+            rgb = self._read_already.pop(file, None)
             try:
-                rgb, _ = read_picture(file)
+                if rgb is None:
+                    rgb, _ = read_picture(file)
             except InputError as error:
                 log.warning("%s; frame %d is left empty", error, number)
             if rgb is not None and rgb.shape[:2] != (self.height, self.width):

@@ -16,9 +16,10 @@ from handfit_core.errors import HandModelError, InputError, NoHandFoundError, Op
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.keypoints import DetectedTrack, HandDetection
+from handfit_core.lens import known_intrinsics
 from handfit_core.media import Media, MediaInput, open_media
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-from handfit_core.solvers import DEFAULT_SOLVER, TrackFit, get_solver
+from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, TrackFit, get_solver
 from handfit_core.take import HandTrack, Take
 
 Stage = Literal["detect", "fit", "score"]
@@ -51,6 +52,8 @@ def capture(
     max_hands: int = 2,
     threshold: float = 0.5,
     landmark_model: str | os.PathLike[str] | None = None,
+    smoothing: float = DEFAULT_SMOOTHING,
+    persistent: bool = True,
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
 
@@ -67,9 +70,15 @@ def capture(
     frames
         Which source frames to use; all by default.
     intrinsics
-        The camera in pixels of the upright picture; by default one with a 53 degree view is assumed.
+        The camera in pixels of the upright picture; by default what the file tells about its lens, or else
+        one with a 53 degree view.
     threshold
         The detector's confidence threshold, 0..1.
+    smoothing
+        How smooth motion is, for the solvers that smooth: 0 takes every frame by itself, 1 is the
+        default, up to `solvers.MOST_SMOOTHING`.
+    persistent
+        Look again where the detector finds too little.
 
     Raises a `HandfitError` whose message is meant for the user: OptionError, InputError,
     NoHandFoundError, HandModelError, LandmarkModelError.
@@ -78,19 +87,24 @@ def capture(
         raise OptionError(f"hands must be one of {', '.join(HAND_CHOICES)}; got {hands!r}")
     if max_hands < 1:
         raise OptionError(f"max_hands must be at least 1, not {max_hands}")
-    solve = get_solver(solver)
+    solve = get_solver(solver, smoothing)
     report = progress or (lambda _: None)
     media = open_media(source, frames)
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
     numbers, found = detect_frames(
-        media, report, max_hands=max(max_hands, 2), threshold=threshold, landmark_model=landmark_model
+        media,
+        report,
+        max_hands=max(max_hands, 2),
+        threshold=threshold,
+        landmark_model=landmark_model,
+        persistent=persistent,
     )
     if intrinsics is None:
-        intrinsics = Intrinsics.assumed(media.width, media.height)
+        intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
-        tracks = link_tracks(found, hands, max_hands)
+        tracks = link_tracks(found, hands, max_hands, _rate(media, numbers))
     except NoHandFoundError as error:
         raise NoHandFoundError(f"{media.source.name}: {error}") from None
 
@@ -155,6 +169,11 @@ def detect_frames(
     return numbers, found
 
 
+def _rate(media: Media, numbers: list[int]) -> float:
+    """Used frames per second: of a source of which every fourth frame is used, a quarter of its own."""
+    return media.fps / float(np.median(np.diff(numbers))) if len(numbers) > 1 else media.fps
+
+
 def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics: Intrinsics) -> HandTrack:
     """What a take keeps of one fitted track: the parameters and what follows from them."""
     count = len(track.detections)
@@ -165,11 +184,12 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
             keypoints_2d[i] = detection.keypoints_2d
             score[i] = detection.score
     joints_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
-    seen = track.detected
-    joints_3d[seen] = model.keypoints(
-        fit.betas, fit.global_orient[seen], fit.hand_pose[seen], fit.transl[seen]
+    present = fit.present
+    joints_3d[present] = model.keypoints(
+        fit.betas, fit.global_orient[present], fit.hand_pose[present], fit.transl[present]
     )
     distance = np.linalg.norm(intrinsics.project(joints_3d) - keypoints_2d, axis=-1)
+    seen = track.detected
     return HandTrack(
         side=track.side,
         betas=fit.betas,
@@ -181,6 +201,8 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         reprojection_error=distance.mean(axis=-1),
         detected=seen,
         score=score,
+        filled=present & ~seen,
+        doubtful=np.zeros(count, dtype=bool) if fit.doubtful is None else fit.doubtful,
     )
 
 

@@ -36,6 +36,12 @@ _TRACK_ARRAYS: dict[str, tuple[int, ...]] = {
 }
 """Per-frame float arrays of a track and their shapes behind T."""
 
+_OF_MODEL = ("global_orient", "hand_pose", "transl", "joints_3d")
+"""Those that filled frames have too"""
+
+_TRACK_FLAGS = ("filled", "doubtful")
+"""Per-frame bool arrays that a take may lack"""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -58,7 +64,10 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class HandTrack:
-    """One hand over a take's T frames. Float arrays hold NaN in the frames where `detected` is False.
+    """One hand over a take's T frames.
+
+    Float arrays hold NaN in the frames where neither `detected` nor `filled` is True; `keypoints_2d`,
+    `reprojection_error` and `score` also where only `filled` is.
 
     Model parameters are MANO's: axis-angle in radians relative to the flat hand (hands_mean is not
     added), root rotation about the wrist joint, camera frame (x right, y down, z forward), metres.
@@ -83,6 +92,16 @@ class HandTrack:
     """(T,) bool"""
     score: np.ndarray
     """(T,) the detector's confidence in this hand, 0..1"""
+    filled: np.ndarray | None = None
+    """(T,) bool: frames of short gaps, bridged from their neighbours; None: there are none"""
+    doubtful: np.ndarray | None = None
+    """(T,) bool: frames whose pose may well be wrong; None: nobody looked"""
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T,) bool: frames with a hand, detected or filled."""
+        seen = np.asarray(self.detected, dtype=bool)
+        return seen if self.filled is None else seen | np.asarray(self.filled, dtype=bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +141,18 @@ class Take:
                 raise TakeError(f"a hand's side must be left or right, not {track.side!r}")
             if np.shape(track.betas) != (10,) or np.shape(track.detected) != (count,):
                 raise TakeError(f"the {track.side} hand's betas or detected have the wrong shape")
+            for name in _TRACK_FLAGS:
+                flags = getattr(track, name)
+                if flags is not None and np.shape(flags) != (count,):
+                    raise TakeError(f"the {track.side} hand's {name} has the wrong shape")
             for name, shape in _TRACK_ARRAYS.items():
                 found = np.shape(getattr(track, name))
                 if found != (count, *shape):
                     raise TakeError(
                         f"the {track.side} hand's {name} has shape {found}, expected {(count, *shape)}"
                     )
-                seen = np.asarray(getattr(track, name))[np.asarray(track.detected, dtype=bool)]
+                frames = track.present if name in _OF_MODEL else np.asarray(track.detected, dtype=bool)
+                seen = np.asarray(getattr(track, name))[frames]
                 if not np.all(np.isfinite(seen)):
                     raise TakeError(f"the {track.side} hand's {name} is not finite in a frame with a hand")
 
@@ -159,6 +183,10 @@ class Take:
         for i, track in enumerate(self.hands):
             arrays[f"hand{i}_betas"] = np.asarray(track.betas, dtype=np.float64)
             arrays[f"hand{i}_detected"] = np.asarray(track.detected, dtype=bool)
+            for name in _TRACK_FLAGS:
+                flags = getattr(track, name)
+                if flags is not None:
+                    arrays[f"hand{i}_{name}"] = np.asarray(flags, dtype=bool)
             for name in _TRACK_ARRAYS:
                 arrays[f"hand{i}_{name}"] = np.asarray(getattr(track, name), dtype=np.float64)
         with written_whole(path) as beside, open(beside, "wb") as stream:
@@ -210,6 +238,7 @@ class Take:
                         betas=arrays[f"hand{i}_betas"],
                         detected=arrays[f"hand{i}_detected"],
                         **{name: arrays[f"hand{i}_{name}"] for name in _TRACK_ARRAYS},
+                        **{name: arrays.get(f"hand{i}_{name}") for name in _TRACK_FLAGS},
                     )
                     for i, side in enumerate(header["sides"])
                 ),

@@ -134,6 +134,8 @@ def parse_arguments(
     parser.add_argument("--threshold", type=float, help="detection threshold 0-1 (default: 0.5)")
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="the camera in pixels (default: assumed)")
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
+    parser.add_argument("--smoothing", type=float, metavar="S", help="0: every frame by itself (default: 1)")
+    parser.add_argument("--plain-detection", action="store_true", help="no second looks for missed hands")
     parser.add_argument("--python", metavar="PATH", help="Python that captures (default: this one)")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")
     grouping = parser.add_mutually_exclusive_group()
@@ -330,6 +332,8 @@ def _capture(job: Job, take_path: Path, result: Result, args: argparse.Namespace
                 threshold=args.threshold,
                 intrinsics=args.intrinsics,
                 landmark_model=args.landmark_model,
+                smoothing=args.smoothing,
+                plain_detection=args.plain_detection,
                 debug=args.debug,
             ),
             on_progress=progress if shown else None,

@@ -26,7 +26,7 @@ def animate(armature: bpy.types.Object, take: Take, track: HandTrack, shaped: Sh
     per-frame data would.
     """
     frames = rest_frames(armature, track.side)
-    seen = np.asarray(track.detected, dtype=bool)
+    seen = track.present
     numbers = np.asarray(take.frame_numbers)[seen]
     quats, locations = axes.bone_pose(
         shaped, frames, track.global_orient[seen], track.hand_pose[seen], track.transl[seen]
@@ -45,7 +45,16 @@ def animate(armature: bpy.types.Object, take: Take, track: HandTrack, shaped: Sh
         _write(channels, path, component, names[0], numbers, locations[:, component])
 
     _describe(armature, take, track)
-    _write(channels, f'["{ERROR_PROPERTY}"]', 0, "Capture", numbers, track.reprojection_error[seen])
+    # Filled frames were not detected: nothing to be measured against.
+    measured = np.asarray(track.detected, dtype=bool)
+    _write(
+        channels,
+        f'["{ERROR_PROPERTY}"]',
+        0,
+        "Capture",
+        np.asarray(take.frame_numbers)[measured],
+        track.reprojection_error[measured],
+    )
     return action
 
 

@@ -10,6 +10,7 @@ from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.detect.stills import StillFinder
 from handfit_core.keypoints import HandDetection
+from handfit_core.learned.sides import with_side_judged
 
 
 class HandFinder:
@@ -59,9 +60,15 @@ class HandFinder:
             return finder.find(rgb, time)
         if rgb is None:
             return ()
-        return finder.find(rgb) if isinstance(finder, StillFinder) else finder.detect(rgb, time)
+        if isinstance(finder, StillFinder):
+            return tuple(with_side_judged(finder.find(rgb)))
+        return finder.detect(rgb, time)
 
     def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:
         """What `find` gave for all pictures so far, in order, and the hands of a clip that were found in
-        them later: one that turns up is looked for in the frames before."""
-        return list(self._finder.frames) if isinstance(self._finder, ClipFinder) else found
+        them later: one that turns up is looked for in the frames before. Sides are judged here."""
+        if not isinstance(self._finder, ClipFinder):
+            return found
+        frames = list(self._finder.frames)
+        judged = iter(with_side_judged([hand for frame in frames for hand in frame]))
+        return [tuple(next(judged) for _ in frame) for frame in frames]

@@ -69,7 +69,8 @@ class _OpenTrack:
 
     def add(self, frame: int, detection: HandDetection) -> None:
         self.detections[frame] = detection
-        self.side_votes[detection.side] += detection.score
+        for side, vote in detection.side_votes().items():
+            self.side_votes[side] += vote
 
     @property
     def last(self) -> HandDetection:
@@ -94,13 +95,16 @@ class _OpenTrack:
 
 
 def link_tracks(
-    frames: Sequence[Sequence[HandDetection]], hands: HandChoice = "auto", max_hands: int = 2
+    frames: Sequence[Sequence[HandDetection]],
+    hands: HandChoice = "auto",
+    max_hands: int = 2,
+    fps: float = 25.0,
 ) -> tuple[DetectedTrack, ...]:
     """Link per-frame detections into at most `max_hands` tracks, the surest first in frame order.
 
     `hands`: "auto" keeps whatever was seen, also two left hands; "left" and "right" keep hands of
     that side only; "both" means one left and one right, and overrules the detector if it named
-    two hands alike.
+    two hands alike. `fps` is of the clip, frames per second.
 
     Raises OptionError for another `hands`, NoHandFoundError when nothing (of that side) was seen.
     """
@@ -124,7 +128,7 @@ def link_tracks(
             "is right)"
         )
     return tuple(
-        DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))))
+        DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))), fps)
         for track, side in chosen
     )
 
@@ -173,7 +177,7 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
         expected = [(t.last, t.displacement(index), t.side) for t in tracks]
         cost = np.array(
             [
-                [distance(last, d, moved) + SIDE_PENALTY * (side != d.side) for d in detections]
+                [distance(last, d, moved) + SIDE_PENALTY * (side != d.likely_side) for d in detections]
                 for last, moved, side in expected
             ]
         ).reshape(len(tracks), len(detections))

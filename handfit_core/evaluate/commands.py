@@ -78,6 +78,12 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
         "--threshold", type=float, default=0.5, help="detection threshold 0-1 (default: 0.5)"
     )
     command.add_argument(
+        "--plain-detection",
+        action="store_true",
+        help="take the detector at its first word, as the published evaluations do: no second looks, no "
+        "judgement of sides",
+    )
+    command.add_argument(
         "--landmark-model", type=Path, metavar="PATH", help="MediaPipe's hand_landmarker.task"
     )
     command.add_argument(
@@ -103,7 +109,11 @@ def _evaluate(args: argparse.Namespace) -> int:
         jobs=args.jobs,
         reference=args.reference,
         model=args.model,
-        detector=DetectorSettings(threshold=args.threshold, landmark_model=args.landmark_model),
+        detector=DetectorSettings(
+            threshold=args.threshold,
+            landmark_model=args.landmark_model,
+            persistent=not args.plain_detection,
+        ),
     )
     dataset = open_dataset(
         args.dataset,

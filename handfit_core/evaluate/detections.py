@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handfit_core import detect, exif, keypoints, media
+from handfit_core import detect, exif, keypoints, learned, media
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.units import Unit
 from handfit_core.keypoints import HandDetection
+from handfit_core.learned.network import FILE as NETWORK_FILE
 from handfit_core.media import read_picture
 from handfit_core.paths import cache_dir
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
@@ -73,12 +74,13 @@ class Detector:
         self._made_with = "|".join(
             (
                 self.model_sha256,
+                hashlib.sha256(NETWORK_FILE.read_bytes()).hexdigest(),
                 version("mediapipe"),
                 str(settings.max_hands),
                 repr(settings.threshold),
                 str(settings.persistent),
                 version("opencv-python-headless"),
-                code_digest(detect, exif, keypoints, media),
+                code_digest(detect, exif, keypoints, learned, media),
             )
         )
         self._stills = None
@@ -165,6 +167,7 @@ def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
         "scores": np.array([hand.score for hand in hands]),
         "keypoints": np.array([hand.keypoints for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
         "world": np.array([hand.world for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
+        "right_side": np.array([np.nan if hand.right_side is None else hand.right_side for hand in hands]),
         "spread": np.array([_no_spread() if hand.spread is None else hand.spread for hand in hands]).reshape(
             -1, NUM_KEYPOINTS, 3
         ),
@@ -178,10 +181,15 @@ def _no_spread() -> np.ndarray:
 def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
     hands = [
         HandDetection(
-            SIDES[side], float(score), keypoints, world, spread if np.isfinite(spread).all() else None
+            SIDES[side],
+            float(score),
+            keypoints,
+            world,
+            spread if np.isfinite(spread).all() else None,
+            float(right_side) if np.isfinite(right_side) else None,
         )
-        for side, score, keypoints, world, spread in zip(
-            *(arrays[name] for name in ("sides", "scores", "keypoints", "world", "spread")), strict=True
+        for side, score, keypoints, world, spread, right_side in zip(
+            *(arrays[n] for n in ("sides", "scores", "keypoints", "world", "spread", "right_side")), strict=True
         )
     ]
     ends = np.cumsum(arrays["counts"])

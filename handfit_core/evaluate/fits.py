@@ -110,12 +110,17 @@ def _content(model: HandModel) -> str:
 
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    from handfit_core import align, camera, rotations, skeleton, solvers
+    from handfit_core import align, camera, learned, residuals, rotations, skeleton, solvers
     from handfit_core.evaluate import methods, raw_landmarks
-    from handfit_core.hand_model import anatomy, data, layer
+    from handfit_core.hand_model import anatomy, data, landmarks, layer
+    from handfit_core.learned import network
 
-    of_models = (anatomy, data, layer)
-    return code_digest(solvers, align, camera, rotations, skeleton, methods, raw_landmarks, *of_models)
+    of_models = (anatomy, data, landmarks, layer)
+    learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
+    code = code_digest(
+        solvers, residuals, learned, align, camera, rotations, skeleton, methods, raw_landmarks, *of_models
+    )
+    return "|".join([code, *learnt])
 
 
 def _load_models(model: str | None, sides: Iterable[Side]) -> Mapping[Side, HandModel]:

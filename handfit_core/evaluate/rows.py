@@ -153,7 +153,7 @@ def _strict_rows(
 ) -> None:
     """Tracks as a capture makes them; every labelled hand is a row, found or not."""
     try:
-        tracks = link_tracks(detections.frames, "auto", max_hands)
+        tracks = link_tracks(detections.frames, "auto", max_hands, _fps(unit))
     except NoHandFoundError:
         tracks = ()
     in_view = [TrackInView(track, intrinsics) for track in tracks]
@@ -172,6 +172,13 @@ def _strict_rows(
             found.rows.append(
                 _row(entry, index, hand, label_2d, frame_labels.intrinsics, detections, t, track)
             )
+
+
+def _fps(unit: Unit) -> float:
+    """Frames per second, by the entries' times; 25 for a still."""
+    steps = np.diff([entry.time for entry in unit.entries])
+    steps = steps[steps > 0]
+    return float(1.0 / np.median(steps)) if len(steps) else 25.0
 
 
 def _paper_rows(

@@ -31,7 +31,7 @@ class TrackFit:
     filled: np.ndarray | None = None
     """(T,) bool: frames of short gaps that were bridged from their neighbours; None: there are none"""
     doubtful: np.ndarray | None = None
-    """(T,) bool: frames whose landmarks fit no hand well; None where the solver does not tell"""
+    """(T,) bool: frames whose pose may well be wrong; None where the solver does not tell"""
 
     @property
     def present(self) -> np.ndarray:

@@ -40,7 +40,7 @@ def test_take_describes_its_source(take: Take) -> None:
     assert [Path(f).name for f in take.source.files] == [f"hand.{n:04d}.jpg" for n in range(1, 25, 4)]
     np.testing.assert_array_equal(take.frame_numbers, range(1, 25, 4))
     assert (take.width, take.height, take.fps) == (640, 480, 24.0)
-    assert take.solver == "paper-a-plus"
+    assert take.solver == "fast"
     assert take.model == "open-hand"
     assert take.model_digests == {"right": load_model(None, "right").digest}
 

@@ -40,12 +40,12 @@ class Weights:
     limits_sigma: float = np.radians(2.0)
     """radians beyond the range that cost as much as one sigma"""
     coupling_sigma: float = np.radians(18.0)
-    prior: float = 1.0
+    prior: float = 0.7
     shape_sigma: float = 1.0
     world_sigma: float = 0.010
     """metres"""
-    pixel_kernel: Huber = Huber(2.0)
-    depth_kernel: Huber = Huber(2.0)
+    pixel_kernel: Huber = Huber(1.0)
+    depth_kernel: Huber = Huber(1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +139,9 @@ class Energy:
         cost = weights.pixel_kernel.cost(squared).sum(dim=1)
         rows = [_scaled(plane, weights.pixel_kernel.weight(squared).sqrt())]
         offsets = posed.state.offsets
-        distance = offsets[:, 0].clamp_min(0.02)
-        along = depth(points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(dim=1) / distance, offsets[:, :1])
+        along = depth(
+            points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(dim=1), offsets[:, :1]
+        )
         squared = along.residual.square().sum(dim=2)
         cost = cost + weights.depth * weights.depth_kernel.cost(squared).sum(dim=1)
         rows.append(_scaled(along, (weights.depth * weights.depth_kernel.weight(squared)).sqrt()))

@@ -36,12 +36,15 @@ SHAPE_FRAMES: Final = 48
 """So many frames, evenly spread over a clip, decide the hand's one shape"""
 CHUNK: Final = 512
 """Frames fitted at once; bounds the memory"""
-DOUBTFUL_COST: Final = 60.0
-"""A hand whose residuals cost more than this (most cost 10 to 30) is not what the picture shows"""
+SHAPE_EVIDENCE: Final = 3.0
+"""Of a clip's frames so many count as independent evidence of the shape: a landmark that is off is off in all"""
+DOUBTFUL_ERROR: Final = 0.05
+"""Of the hand's size in the picture: where landmarks are expected to be farther off on average, it may be
+wrong. On rendered pictures such hands err twice as much as the others."""
 
-SMOOTH_ROTATION: Final = 18.0
+SMOOTH_ROTATION: Final = 9.0
 """radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
-SMOOTH_PLACE: Final = 1.5
+SMOOTH_PLACE: Final = 0.75
 """metres per second squared, of the wrist"""
 
 
@@ -64,7 +67,7 @@ class FrameFits:
     converged: np.ndarray
     """(B,) bool"""
     doubtful: np.ndarray
-    """(B,) bool: not converged, or the landmarks fit no hand well"""
+    """(B,) bool: not converged, or landmarks that are expected to be far off"""
 
 
 class FastFitter:
@@ -105,10 +108,10 @@ class FastFitter:
 
     def solve_shape(self, seen: Observation) -> torch.Tensor:
         """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
-        count = len(seen)
+        weight = 1.0 / min(len(seen), SHAPE_EVIDENCE)
 
         def linearise(state: State, index: torch.Tensor):  # noqa: ARG001 (all frames, always)
-            return self.energy.of(self.chain.pose(state), seen, shape=True, shape_weight=1.0 / count)
+            return self.energy.of(self.chain.pose(state), seen, shape=True, shape_weight=weight)
 
         solution = solve(
             self.chain,
@@ -139,8 +142,14 @@ def fit_frames(
     cost, converged = solution.cost.cpu().numpy(), solution.converged.cpu().numpy()
     return FrameFits(
         betas, orient, pose, transl, cost, solution.iterations.cpu().numpy(), converged,
-        ~converged | ~(cost < DOUBTFUL_COST),
+        ~converged | _uncertain(seen),
     )  # fmt: skip
+
+
+def _uncertain(seen: Observation) -> np.ndarray:
+    """(B,) bool: landmarks that the network expects to be far off."""
+    size = (seen.pixels.amax(dim=1) - seen.pixels.amin(dim=1)).amax(dim=1)
+    return (seen.pixel_sigma.mean(dim=(1, 2)) > DOUBTFUL_ERROR * size).cpu().numpy()
 
 
 def fit_track(
@@ -163,7 +172,7 @@ def fit_track(
             seen = landmarked(detections, model.side, TRUST).observation(intrinsics, fitter.dtype)
             solution = _clip(fitter, seen)
             converged = solution.converged.numpy()
-            doubtful = ~converged | ~(solution.cost.numpy() < DOUBTFUL_COST)
+            doubtful = ~converged | _uncertain(seen)
             frames, state = _over_time(fitter, seen, solution.state, found, smoothing, track.fps)
             parameters = list(fitter.chain.parameters(state))
     for _ in detections:

@@ -47,7 +47,7 @@ def solve(
     index = torch.arange(count, device=device)
     state, blocks = start, linearise(start, index)
     damping = torch.full((count,), FIRST_DAMPING, dtype=blocks.cost.dtype, device=device)
-    active = torch.ones(count, dtype=torch.bool, device=device)
+    active = blocks.cost.isfinite()
     iterations = torch.zeros(count, dtype=torch.long, device=device)
     finished: list[tuple[torch.Tensor, State, torch.Tensor, torch.Tensor, torch.Tensor]] = []
     for _ in range(max_iterations):
