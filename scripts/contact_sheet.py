@@ -39,6 +39,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--height", type=int, default=240, metavar="PX", help="height of a row (default: 240)"
     )
+    parser.add_argument(
+        "--turned", type=float, metavar="DEG", help="show the hands also from DEG degrees to the right"
+    )
     args = parser.parse_args(argv)
     if importlib.util.find_spec("bpy") is None:
         print("error: this Python has no bpy: run it with 'blender -b -P', or install bpy", file=sys.stderr)
@@ -46,7 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         from blender_manient.scene.preview import write_png
 
-        rows = [row(take, args.frames, args.height) for path in args.takes for take in find_takes(path)]
+        rows = [
+            row(take, args.frames, args.height, args.turned)
+            for path in args.takes
+            for take in find_takes(path)
+        ]
         write_png(stacked(rows), args.output)
     except HandfitError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -65,16 +72,22 @@ def find_takes(path: Path) -> list[Take]:
     return [Take.load(p) for p in found]
 
 
-def row(take: Take, count: int, height: int) -> np.ndarray:
-    """Up to `count` frames of a take side by side: (height, W, 3) of sRGB values 0..1."""
+def row(take: Take, count: int, height: int, turned: float | None = None) -> np.ndarray:
+    """Up to `count` frames of a take side by side: (height, W, 3) of sRGB values 0..1. With `turned`, each also
+    as seen from so many degrees to the right."""
     import bpy
 
     from blender_manient.scene.build import build_take
-    from blender_manient.scene.preview import preview_rows, spread_frames
+    from blender_manient.scene.preview import preview_rows, spread_frames, turned_rows
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     built = build_take(take, picture=False)
-    cells = [_shrunk(rows, height) for rows in preview_rows(built, take, spread_frames(take, max(1, count)))]
+    frames = spread_frames(take, max(1, count))
+    views = preview_rows(built, take, frames)
+    if turned is not None:
+        seen = zip(views, turned_rows(built, take, frames, turned), strict=True)
+        views = [np.concatenate(pair, axis=1) for pair in seen]
+    cells = [_shrunk(rows, height) for rows in views]
     gap = np.full((height, _GAP, 3), _BACKGROUND)
     return np.concatenate([part for cell in cells for part in (cell, gap)], axis=1)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from handfit_core.errors import OutputError
 from handfit_core.files import written_whole
@@ -71,6 +71,33 @@ def preview_rows(built: BuiltTake, take: Take, frames: Sequence[int]) -> list[np
     return previews
 
 
+def turned_rows(built: BuiltTake, take: Take, frames: Sequence[int], degrees: float) -> list[np.ndarray]:
+    """The hands of several frames alone, from the camera after it went round them by `degrees` to its right:
+    rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows."""
+    scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
+    views = []
+    for frame in frames:
+        camera = _turned_camera(built, take, frame, degrees)
+        try:
+            hands = _render_hands(built, take, frame, scale, camera)
+        finally:
+            _remove_with_data(camera)
+        views.append(hands[..., :3] * hands[..., 3:] + np.array(_MISSING) * (1 - hands[..., 3:]))
+    return views
+
+
+def _turned_camera(built: BuiltTake, take: Take, frame: int, degrees: float) -> bpy.types.Object:
+    row = int(np.searchsorted(take.frame_numbers, frame))
+    joints = [track.joints_3d[row] for track in take.hands if track.present[row]]
+    centre = Vector(axes.points_to_world(np.concatenate(joints).mean(axis=0)).tolist())
+    own = built.camera.matrix_world
+    about_up = Matrix.Rotation(math.radians(degrees), 4, own.to_3x3() @ Vector((0.0, 1.0, 0.0)))
+    camera = bpy.data.objects.new("turned", built.camera.data.copy())
+    camera.data.show_background_images = False
+    camera.matrix_world = Matrix.Translation(centre) @ about_up @ Matrix.Translation(-centre) @ own
+    return camera
+
+
 def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarray:
     """The picture of one frame as rows (H, W, 4) of sRGB values 0..1, the first row on top.
 
@@ -113,14 +140,17 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
 
 def spread_frames(take: Take, count: int) -> list[int]:
     """Up to `count` source frame numbers with a hand in them, evenly spread over the take."""
-    seen = np.any([track.detected for track in take.hands], axis=0)
+    seen = np.any([track.present for track in take.hands], axis=0)
     numbers = np.asarray(take.frame_numbers)[seen]
     picked = np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int)
     return [int(n) for n in numbers[np.unique(picked)]]
 
 
-def _render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.ndarray:
-    """The hands that were found in that frame over nothing: rows (H, W, 4), straight alpha."""
+def _render_hands(
+    built: BuiltTake, take: Take, frame: int, scale: float, camera: bpy.types.Object | None = None
+) -> np.ndarray:
+    """The hands of that frame over nothing, through the solved camera or another: rows (H, W, 4), straight
+    alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
     with _scene(take, scale) as scene:
         lights = [_sun(*sun) for sun in _SUNS]
@@ -132,10 +162,12 @@ def _render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.
             for light in lights:
                 scene.collection.objects.link(light)
             for hand, track in zip(built.hands, take.hands, strict=True):
-                if track.detected[row]:
+                if track.present[row]:
                     scene.collection.objects.link(hand.armature)
                     scene.collection.objects.link(hand.mesh)
-            scene.camera = built.camera
+            if camera is not None:
+                scene.collection.objects.link(camera)
+            scene.camera = camera or built.camera
             scene.view_layers[0].material_override = clay
             scene.render.film_transparent = True
             scene.cycles.samples = _SAMPLES

@@ -131,7 +131,9 @@ def pose_prior(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     for side in SIDES:
         before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
         poses = np.unique(samples["hand_pose"][before == SIDES.index(side)], axis=0)
-        angles = anatomical_angles(rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
+        angles = anatomical_angles(
+            rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side))
+        )
         collected.append(angles * (1.0 if side == "right" else np.array([-1.0, -1.0, 1.0])))
     order = np.array([FINGER_JOINTS[f] for f in FINGERS]) - 1
     fingers = np.concatenate(collected)[:, order].reshape(-1, 5, 9)
@@ -161,7 +163,9 @@ def targets(samples: Samples, points: np.ndarray, seen: Canonical) -> np.ndarray
     for i in range(len(points)):
         size = float(samples["size"][i])
         # The camera that the solver will assume, not the true one.
-        turn = turn_to_ray(Intrinsics.assumed(int(size), int(size)), samples["keypoints"][i, :, :2].mean(axis=0))
+        turn = turn_to_ray(
+            Intrinsics.assumed(int(size), int(size)), samples["keypoints"][i, :, :2].mean(axis=0)
+        )
         along = points[i] @ turn
         camera = Intrinsics(samples["focal"][i], samples["focal"][i], *samples["centre"][i])
         picture[i] = (along - along.mean(axis=0)) * (samples["focal"][i] / along[:, 2].mean())

@@ -89,10 +89,9 @@ def _divided(mesh: Mesh) -> Mesh:
             continue
         u = np.linspace(0, 1, n + 1)
         a, b, c, d = corners
-        grid = (
-            (1 - u)[:, None, None] * ((1 - u)[None, :, None] * a + u[None, :, None] * b)
-            + u[:, None, None] * ((1 - u)[None, :, None] * d + u[None, :, None] * c)
-        )
+        grid = (1 - u)[:, None, None] * ((1 - u)[None, :, None] * a + u[None, :, None] * b) + u[
+            :, None, None
+        ] * ((1 - u)[None, :, None] * d + u[None, :, None] * c)
         first = len(vertices)
         vertices.extend(grid.reshape(-1, 3))
         for i in range(n):
@@ -118,7 +117,9 @@ def _as_quads(polygons) -> np.ndarray:
 def _winding(vertices: np.ndarray, quads: np.ndarray) -> float:
     """1 where corners go clockwise seen from outside in the picture's axes, else -1, by the volume's sign."""
     corners = vertices[quads] - vertices.mean(axis=0)
-    volume = np.einsum("qc,qc->q", corners[:, 0], np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]))
+    volume = np.einsum(
+        "qc,qc->q", corners[:, 0], np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    )
     return -1.0 if volume.sum() > 0 else 1.0
 
 
@@ -208,7 +209,9 @@ def _background(size: int, rng: np.random.Generator) -> np.ndarray:
     picture[:] = colour()
     for _ in range(int(rng.integers(1, 4))):
         cells = int(np.exp(rng.uniform(np.log(2), np.log(60))))
-        noise = cv2.resize(rng.random((cells, cells), dtype=np.float32), (size, size), interpolation=cv2.INTER_CUBIC)
+        noise = cv2.resize(
+            rng.random((cells, cells), dtype=np.float32), (size, size), interpolation=cv2.INTER_CUBIC
+        )
         mask = np.clip(noise, 0, 1)[..., None] * rng.uniform(0.2, 1.0)
         picture = picture * (1 - mask) + mask * colour().astype(np.float32)
     picture = np.ascontiguousarray(picture, dtype=np.uint8)

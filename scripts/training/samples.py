@@ -66,7 +66,9 @@ class Sample:
         }
 
 
-def samples_of(seed: int, number: int, detector: MediaPipeHands, size: int = SIZE) -> tuple[int, list[Sample]]:
+def samples_of(
+    seed: int, number: int, detector: MediaPipeHands, size: int = SIZE
+) -> tuple[int, list[Sample]]:
     """How many hands stand in all views of that still, and those that were found."""
     shot = still_shot(seed, number, size)
     rng = np.random.default_rng([seed, number, 7])

@@ -24,7 +24,7 @@ class Trust:
     """of the way from the detector's x and y to the network's"""
     depth: float = 0.6
     """of the way from the detector's fused depth to the network's"""
-    plane_sigma: float = 0.7
+    plane_sigma: float = 0.5
     """of the network's expected error, x and y"""
     depth_sigma: float = 0.7
     floor: float = 0.006
