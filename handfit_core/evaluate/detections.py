@@ -189,7 +189,8 @@ def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
             float(right_side) if np.isfinite(right_side) else None,
         )
         for side, score, keypoints, world, spread, right_side in zip(
-            *(arrays[n] for n in ("sides", "scores", "keypoints", "world", "spread", "right_side")), strict=True
+            *(arrays[n] for n in ("sides", "scores", "keypoints", "world", "spread", "right_side")),
+            strict=True,
         )
     ]
     ends = np.cumsum(arrays["counts"])

@@ -79,7 +79,9 @@ def side_probability(detections: Sequence[HandDetection]) -> np.ndarray:
 
 def _gelu(x: np.ndarray) -> np.ndarray:
     """x Phi(x) in the approximation by tanh (Hendrycks and Gimpel, 2016)."""
-    return 0.5 * x * (1.0 + np.tanh(np.float32(np.sqrt(2.0 / np.pi)) * (x + np.float32(0.044715) * x * x * x)))
+    return (
+        0.5 * x * (1.0 + np.tanh(np.float32(np.sqrt(2.0 / np.pi)) * (x + np.float32(0.044715) * x * x * x)))
+    )
 
 
 __all__ = ["FILE", "Correction", "LandmarkNetwork", "landmark_network", "side_probability"]

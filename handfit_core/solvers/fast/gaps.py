@@ -45,5 +45,9 @@ def bridged(state: State, known: np.ndarray) -> State:
         return torch.tensor(first @ rotvec_to_rotmat(part), dtype=rotations.dtype, device=rotations.device)
 
     return State(
-        turned(state.root), turned(state.local), between(state.wrist), between(state.betas), between(state.offsets)
+        turned(state.root),
+        turned(state.local),
+        between(state.wrist),
+        between(state.betas),
+        between(state.offsets),
     )

@@ -133,7 +133,9 @@ def _dense(blocks: Blocks, has_data: np.ndarray) -> tuple[np.ndarray, np.ndarray
         matrix[np.ix_(range(count), order, range(part.start, part.stop))] = np.swapaxes(mixed[:, f], -1, -2)
     corner = matrix[:, SIZE:, SIZE:] + np.where(has_data, 1e-9, 1.0)[:, None, None] * np.eye(offsets)
     side = matrix[:, :SIZE, SIZE:]
-    solved = np.linalg.solve(corner, np.concatenate([np.swapaxes(side, -1, -2), gradient[:, SIZE:, None]], -1))
+    solved = np.linalg.solve(
+        corner, np.concatenate([np.swapaxes(side, -1, -2), gradient[:, SIZE:, None]], -1)
+    )
     matrix = matrix[:, :SIZE, :SIZE] - side @ solved[..., :SIZE]
     return matrix, gradient[:, :SIZE] - (side @ solved[..., SIZE:])[..., 0]
 
@@ -165,7 +167,10 @@ def _add_motion(band: np.ndarray, gradient: np.ndarray, state: State, motion: Mo
     count = len(gradient)
     view = band.reshape(_BAND + 1, count, SIZE)
     turning, jacobian = rotation_acceleration(_rotations(state))
-    turning, jacobian = turning / motion.rotation, jacobian / motion.rotation  # (T-2, 16, 3), (T-2, 3, 16, 3, 3)
+    turning, jacobian = (
+        turning / motion.rotation,
+        jacobian / motion.rotation,
+    )  # (T-2, 16, 3), (T-2, 3, 16, 3, 3)
     of_rotation = gradient[:, :48].reshape(count, 16, 3)
     firsts = 3 * np.arange(16)
     for a in range(3):
