@@ -28,7 +28,7 @@ def read_orientation(data: bytes) -> int:
 
 
 def read_focal_35mm(data: bytes) -> float | None:
-    """The lens's focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where it is not told."""
+    """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where it is not told."""
     try:
         tiff = _tiff_block(data)
         value = None if tiff is None else _exif_ifd_short(tiff, _FOCAL_35MM_TAG)

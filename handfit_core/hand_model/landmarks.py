@@ -52,7 +52,7 @@ def hand_length(model: HandModel) -> float:
 
 
 def bone_axes(model: HandModel) -> np.ndarray:
-    """(16, 3, 3) anatomical axes of every joint in the flat pose, in columns; the wrist's: the model frame."""
+    """(16, 3, 3) anatomical axes of every joint in the flat pose, in columns; the wrist's: model frame."""
     return np.concatenate([np.eye(3)[None], anatomical_axes(model)])
 
 

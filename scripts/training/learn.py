@@ -62,8 +62,8 @@ class TrueHands:
 
 
 def calibrate(samples: Samples) -> np.ndarray:
-    """(21, 3) landmark offsets as `hand_model.landmarks.Landmarks` keeps them: the median place, in the bone's
-    axes, of well seen detections laid over the true hand.
+    """(21, 3) landmark offsets as `hand_model.landmarks.Landmarks` keeps them: the median place, in the
+    bone's axes, of well seen detections laid over the true hand.
 
     Fingertips only: what painted pictures say of the other landmarks (2 to 7 mm) makes fits of real pictures
     worse, and those of rendered ones no better.
@@ -75,7 +75,8 @@ def calibrate(samples: Samples) -> np.ndarray:
         posed = hands.chain.pose(hands.state)
         points = posed.points.numpy()
         frames = np.concatenate(
-            [np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)), _by_joint(posed.frames.numpy())], axis=1
+            [np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)), _by_joint(posed.frames.numpy()[:, :, :3])],
+            axis=1,
         )
         for row, sample in enumerate(hands.index):
             if samples["detected_side"][sample] != samples["side"][sample]:
@@ -157,8 +158,8 @@ def true_landmarks(samples: Samples, landmarks: Landmarks) -> np.ndarray:
 
 
 def targets(samples: Samples, points: np.ndarray, seen: Canonical) -> np.ndarray:
-    """(N, 21, 3) the true points (N, 21, 3) in the canonical frame: turned as if the camera looked at the hand,
-    in pixels at its mean distance, which is what a detector's weak perspective means."""
+    """(N, 21, 3) the true points (N, 21, 3) in the canonical frame: turned as if the camera looked at the
+    hand, in pixels at its mean distance, which is what a detector's weak perspective means."""
     picture = np.empty_like(points)
     for i in range(len(points)):
         size = float(samples["size"][i])

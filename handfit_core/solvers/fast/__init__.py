@@ -1,1 +1,1 @@
-"""The fast solver: batched Levenberg-Marquardt over rotations, shape and place. docs/method.md explains it."""
+"""The fast solver: batched Levenberg-Marquardt over rotations, shape and place; see docs/method.md."""

@@ -1,0 +1,101 @@
+#!/usr/bin/env python3
+"""Train what ships as learned: landmark offsets, the pose prior and the landmark network.
+
+    python scripts/train_landmarks.py FOLDER                  makes samples (an hour or two), then trains
+    python scripts/train_landmarks.py FOLDER --install        and puts the results into the package
+
+Samples are MediaPipe's detections in painted pictures of the open hand, beside the truth. Seeds are 100 and
+above; the rendered benchmark's test seed is 0. Needs no Blender. FOLDER keeps the samples: an
+interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.files import written_whole
+from handfit_core.hand_model import landmarks
+from handfit_core.learned import network
+
+LEAST_SEED = 100
+"""Seeds below are for rendered benchmarks: nothing is trained on what is tested"""
+CHUNK = 250
+"""Stills per file of samples"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the script; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="train_landmarks.py", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, help="where samples and results go")
+    parser.add_argument("--stills", type=int, default=16500, help="painted pictures (default 16500)")
+    parser.add_argument("--seed", type=int, default=LEAST_SEED, help=f"{LEAST_SEED} or more")
+    parser.add_argument("--install", action="store_true", help="write the results into the package")
+    args = parser.parse_args(argv)
+    try:
+        if args.seed < LEAST_SEED or args.stills < 1:
+            raise OptionError(f"--seed must be {LEAST_SEED} or more and --stills 1 or more")
+        samples = _samples(args.folder, args.seed, args.stills)
+        _train(samples, args.folder, args.seed, install=args.install)
+    except HandfitError as error:
+        print(f"train_landmarks: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
+    """Stacked rows of all stills; made where they are not kept."""
+    from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+    from scripts.training.samples import samples_of
+
+    kept = []
+    with MediaPipeHands(max_hands=2) as detector:
+        for first in range(0, stills, CHUNK):
+            path = folder / f"samples-{seed}-{first:06d}-{min(first + CHUNK, stills):06d}.npz"
+            if not path.is_file():
+                found = [
+                    sample.row()
+                    for number in range(first, min(first + CHUNK, stills))
+                    for sample in samples_of(seed, number, detector)[1]
+                ]
+                columns = {
+                    name: np.array([row[name] for row in found]) for name in (found[0] if found else ())
+                }
+                with written_whole(path) as beside, open(beside, "wb") as stream:
+                    np.savez(stream, **columns)
+                print(f"stills {first}..{first + CHUNK - 1}: {len(found)} samples", flush=True)
+            with np.load(path, allow_pickle=False) as arrays:
+                kept.append(dict(arrays))
+    kept = [rows for rows in kept if rows]
+    if not kept:
+        raise OptionError("the detector found no hand in these pictures; ask for more --stills")
+    return {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]}
+
+
+def _train(samples: dict[str, np.ndarray], folder: Path, seed: int, *, install: bool) -> None:
+    from scripts.training.learn import calibrate, pose_prior, train
+
+    offsets = calibrate(samples)
+    mean, covariance = pose_prior(samples)
+    weights = train(samples, landmarks.Landmarks(offsets), seed, lambda line: print(line, flush=True))
+    found = {
+        landmarks.FILE: {"offsets": offsets, "pose_mean": mean, "pose_covariance": covariance},
+        network.FILE: weights,
+    }
+    for file, arrays in found.items():
+        path = file if install else folder / file.name
+        with written_whole(path) as beside, open(beside, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+        print(path)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
