@@ -17,8 +17,8 @@ _HEAD: Final = 1 << 20
 
 
 def known_intrinsics(media: Media) -> Intrinsics | None:
-    """The camera of a photo or image sequence whose first file names its focal length as on 35 mm film
-    (EXIF); None where it does not, and for videos. A picture that was cropped afterwards misleads: nothing in it
+    """The camera of a photo or image sequence whose first file names its focal length (EXIF, 35 mm film);
+    None where it does not, and for videos. A picture that was cropped afterwards misleads: nothing in it
     tells."""
     if media.source.kind == "video":
         return None

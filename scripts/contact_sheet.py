@@ -73,8 +73,8 @@ def find_takes(path: Path) -> list[Take]:
 
 
 def row(take: Take, count: int, height: int, turned: float | None = None) -> np.ndarray:
-    """Up to `count` frames of a take side by side: (height, W, 3) of sRGB values 0..1. With `turned`, each also
-    as seen from so many degrees to the right."""
+    """Up to `count` frames of a take side by side: (height, W, 3) of sRGB values 0..1. With `turned`, each
+    also as seen from so many degrees to the right."""
     import bpy
 
     from blender_manient.scene.build import build_take
