@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.lens import known_intrinsics
 from handfit_core.media import Media, MediaInput, open_media
+from handfit_core.read_ahead import read_ahead
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, TrackFit, get_solver
 from handfit_core.take import HandTrack, Take
@@ -159,10 +161,11 @@ def detect_frames(
         landmark_model=landmark_model,
         persistent=persistent,
     ) as finder:
-        for frame in media.frames():
-            numbers.append(frame.number)
-            found.append(finder.find(frame.rgb, frame.time))
-            report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
+        with contextlib.closing(read_ahead(media.frames())) as frames:
+            for frame in frames:
+                numbers.append(frame.number)
+                found.append(finder.find(frame.rgb, frame.time))
+                report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
         found = finder.completed(found)
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")

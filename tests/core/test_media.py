@@ -69,6 +69,32 @@ def test_depths_and_channels(tmp_path: Path, pixels: np.ndarray, expected: list[
     np.testing.assert_array_equal(rgb, np.broadcast_to(np.array(expected, np.uint8), (8, 8, 3)))
 
 
+def test_opaque_picture_equals_one_without_alpha(tmp_path: Path) -> None:
+    bgr = np.random.default_rng(3).integers(0, 256, (9, 7, 3), dtype=np.uint8)
+    opaque = np.dstack([bgr, np.full((9, 7), 255, np.uint8)])
+    half = opaque.copy()
+    half[0, 0, 3] = 0
+    rgb, _ = read_picture(write(tmp_path / "opaque.png", opaque))
+    np.testing.assert_array_equal(rgb, bgr[..., ::-1])
+    over_grey, _ = read_picture(write(tmp_path / "half.png", half))
+    np.testing.assert_array_equal(over_grey[0, 0], [128, 128, 128])
+    np.testing.assert_array_equal(over_grey.reshape(-1, 3)[1:], bgr[..., ::-1].reshape(-1, 3)[1:])
+
+
+def test_pictures_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for n in (1, 2, 3):
+        write(tmp_path / f"a.{n}.png", grey(n))
+    decoded: list[int] = []
+    decode = cv2.imdecode
+    monkeypatch.setattr(cv2, "imdecode", lambda *args: decoded.append(1) or decode(*args))
+    media = open_media(tmp_path)
+    first = [f.rgb for f in media.frames()]
+    assert len(decoded) == 3  # the first was needed for the size
+    again = [f.rgb for f in media.frames()]
+    assert len(decoded) == 6
+    np.testing.assert_array_equal(np.array(first), np.array(again))
+
+
 def test_exif_orientation_is_undone(tmp_path: Path) -> None:
     plain = cv2.imencode(".jpg", grey(90, 12, 20))[1].tobytes()
     segment = b"Exif\0\0" + tiff_block(6, "<")

@@ -1,0 +1,1 @@
+"""How fast solvers and the whole pipeline are: `python -m benchmarks --help`."""
