@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-# Before SciPy loads: its OpenBLAS would solve a clip's banded system in as many threads as there are cores, which
+# Before SciPy loads: its OpenBLAS would solve a clip with as many threads as there are cores, which
 # wait for each other and for the detector's: seconds instead of milliseconds on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
