@@ -83,7 +83,7 @@ def canonical_arrays(
     over = _laid_over(laid, points)
     fused = points.copy()
     fused[..., 2] = (points[..., 2] + over[..., 2]) / 2.0
-    flat = [part.reshape(len(points), -1) for part in (points, WORLD_SCALE * laid, over)]
+    flat = [part.reshape(len(points), 3 * NUM_KEYPOINTS) for part in (points, WORLD_SCALE * laid, over)]
     features = np.concatenate([*flat, agreement[:, None]], axis=1)
     return Canonical(features, fused, turn, mirror, size, middle)
 

@@ -10,7 +10,9 @@ MIDDLE_BEND, LAST_BEND = 5, 8
 """Among a finger's nine angles"""
 
 
-def coupling(angles: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor, sigma: torch.Tensor) -> AngleRows:
+def coupling(
+    angles: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor, sigma: torch.Tensor
+) -> AngleRows:
     """angles (B, 5, 9) radians; slope (5,), offset (5,) radians and sigma (5,) radians, infinite where a
     finger has no such rule (the thumb). One row: last - (slope * middle - offset)."""
     weight = sigma.reciprocal()

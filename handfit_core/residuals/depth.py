@@ -19,7 +19,7 @@ def depth(
     offset: torch.Tensor,
 ) -> PointRows:
     """points (B, 21, 3) metres, camera frame; target (B, 21) and sigma (B, 21) in pixels; ray (B, 3) the unit
-    line of sight; focal (B,) pixels; offset (B, 1) metres, the distance along the ray at which target is zero.
+    line of sight; focal (B,) pixels; offset (B, 1) metres, the distance along the ray where target is zero.
 
     One row: r = f / offset (ray . x - offset) - target. The detector's depth has no zero of its own: the
     offset is solved for. It is the hand's distance too, which turns metres into pixels.

@@ -21,17 +21,14 @@ def limits(
     Nine rows, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma below. A knuckle's
     range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
     """
-    per_radian = (1.0 - SPREAD_LEFT) / (torch.pi / 2)
+    per_radian = (1.0 - SPREAD_LEFT) / (torch.pi / 2) * knuckles
     bend = angles[..., BEND]
-    shrink = (per_radian * knuckles) * bend.clamp(0.0, torch.pi / 2)  # (B, 5)
-    slope = (per_radian * knuckles) * ((bend > 0) & (bend < torch.pi / 2))
-    low, high = lower.expand_as(angles).clone(), upper.expand_as(angles).clone()
-    low[..., SPREAD] *= 1 - shrink
-    high[..., SPREAD] *= 1 - shrink
-    above, below = angles > high, angles < low
-    nearest = torch.where(above, high, torch.where(below, low, angles))
-    outside = (above | below).to(angles.dtype) / sigma
-    jacobian = torch.diag_embed(outside)
-    edge = torch.where(above, upper, lower)[..., SPREAD]
-    jacobian[..., SPREAD, BEND] = outside[..., SPREAD] * edge * slope
-    return AngleRows((angles - nearest) / sigma, jacobian)
+    within = bend.clamp(0.0, torch.pi / 2)
+    left = torch.ones_like(angles)
+    left[..., SPREAD] -= per_radian * within
+    outside = angles - angles.clamp(lower * left, upper * left)
+    slope = outside.sign().abs() / sigma
+    jacobian = torch.diag_embed(slope)
+    edge = torch.where(outside[..., SPREAD] > 0, upper[:, SPREAD], lower[:, SPREAD])
+    jacobian[..., SPREAD, BEND] = slope[..., SPREAD] * edge * per_radian * (bend == within)
+    return AngleRows(outside / sigma, jacobian)

@@ -16,8 +16,9 @@ def reprojection(
     """points (B, 21, 3) metres, camera frame; pixels (B, 21, 2) and sigma (B, 21, 2) their expected errors;
     focal (B, 2) and centre (B, 2) pixels. Two rows: u = f x / z + c."""
     inverse = points[..., 2:].clamp_min(NEAREST).reciprocal()
-    scale = focal[:, None] * inverse / sigma  # (B, 21, 2)
     slope = points[..., :2] * inverse
-    residual = slope * focal[:, None] + (centre[:, None] - pixels)
-    diagonal = torch.diag_embed(scale)
-    return PointRows(residual / sigma, torch.cat([diagonal, (-scale * slope).unsqueeze(-1)], dim=-1))
+    in_sigmas = focal[:, None] / sigma  # (B, 21, 2)
+    residual = slope * in_sigmas + (centre[:, None] - pixels) / sigma
+    identity = torch.eye(2, dtype=points.dtype, device=points.device).expand(*slope.shape, 2)
+    directions = torch.cat([identity, -slope.unsqueeze(-1)], dim=-1)  # (B, 21, 2, 3)
+    return PointRows(residual, directions * (in_sigmas * inverse).unsqueeze(-1))

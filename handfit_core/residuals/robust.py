@@ -32,9 +32,9 @@ class Huber:
 
     def cost(self, squared: torch.Tensor) -> torch.Tensor:
         """rho(s), elementwise."""
-        # The smaller of both branches touches the other at delta^2.
-        root = squared.clamp_min(self.delta**2).sqrt()
-        return torch.where(squared <= self.delta**2, squared, 2 * self.delta * root - self.delta**2)
+        root = squared.sqrt()
+        inner = root.clamp_max(self.delta)
+        return inner * (2 * root - inner)
 
     def weight(self, squared: torch.Tensor) -> torch.Tensor:
         """rho'(s), elementwise."""

@@ -19,8 +19,8 @@ SMALL = 1e-4
 
 
 def rotation_acceleration(rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T, ..., 3, 3) rotations -> residuals (T - 2, ..., 3) in radians per frame squared, and their derivatives
-    (T - 2, 3, ..., 3, 3) by the increments of frames t - 1, t and t + 1."""
+    """(T, ..., 3, 3) rotations -> residuals (T - 2, ..., 3) in radians per frame squared, and their
+    derivatives (T - 2, 3, ..., 3, 3) by the increments of frames t - 1, t and t + 1."""
     turn = rotmat_to_rotvec(np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:])
     right, left = inverse_right_jacobian(turn), inverse_right_jacobian(-turn)
     residual = turn[1:] - turn[:-1]

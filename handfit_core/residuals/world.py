@@ -25,8 +25,8 @@ def similarity(source: torch.Tensor, target: torch.Tensor) -> tuple[torch.Tensor
 def world(
     points: torch.Tensor, landmarks: torch.Tensor, sigma: torch.Tensor, offset: torch.Tensor
 ) -> PointRows:
-    """points (B, 21, 3) metres, camera frame; landmarks (B, 21, 3) metres in any frame and size; sigma (B, 21)
-    metres; offset (B, 3) metres, where the landmarks' centre lies, solved for beside the hand.
+    """points (B, 21, 3) metres, camera frame; landmarks (B, 21, 3) metres in any frame and size; sigma
+    (B, 21) metres; offset (B, 3) metres, where the landmarks' centre lies, solved for beside the hand.
 
     Three rows: r = x - offset - s R w. Rotation and size are the best ones for the points as they are,
     taken as constant in the derivative: since they are at a minimum, the gradient of the unweighted cost is

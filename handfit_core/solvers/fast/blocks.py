@@ -1,9 +1,9 @@
 """Normal equations of a hand, solved by its structure.
 
 A finger's nine increments touch its own four points only, so that the matrix of a hand is an arrow: a
-corner of the hand's own variables (root, place, the terms' offsets; with the shape 10 more), five blocks of 9, and what couples each with
-the corner. The blocks are eliminated first (Schur complement). In a clip with one shape, each
-frame's own are eliminated next and the shape is solved over all frames.
+corner of the hand's own variables (root, place, the terms' offsets; with the shape 10 more), five blocks
+of 9, and what couples each with the corner. The blocks are eliminated first (Schur complement). In a clip
+with one shape, each frame's own are eliminated next and the shape is solved over all frames.
 """
 
 from __future__ import annotations
@@ -60,6 +60,14 @@ class Blocks:
         of_fingers = -torch.linalg.solve_triangular(factor.mT, right.view(batch * 5, 9, 1), upper=True)
         return of_hand, of_fingers.reshape(batch, 5, 9)
 
+    def promised(self, of_hand: torch.Tensor, of_fingers: torch.Tensor) -> torch.Tensor:
+        """(B,) by how much a step lowers the cost, at the least, if the residuals are linear: -g^T x.
+
+        g, here and in the blocks, is J^T r: half the cost's gradient.
+        """
+        of_all = (self.finger_gradient * of_fingers).sum(dim=(1, 2))
+        return -of_all - (self.hand_gradient * of_hand).sum(dim=1)
+
     def _without_fingers(
         self, damping: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -76,8 +84,9 @@ class Blocks:
 
 
 def _damped(matrix: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
-    diagonal = matrix.diagonal(dim1=-2, dim2=-1)
-    return matrix + torch.diag_embed(diagonal * damping[..., None] + 1e-6)
+    damped = matrix.clone(memory_format=torch.contiguous_format)
+    damped.diagonal(dim1=-2, dim2=-1).mul_(1.0 + damping[..., None]).add_(1e-6)
+    return damped
 
 
 def _shared(reduced: torch.Tensor, gradient: torch.Tensor, n: int) -> torch.Tensor:

@@ -25,8 +25,17 @@ _JOINTS = torch.tensor([FINGER_JOINTS[f] for f in FINGERS])
 """(5, 3) MANO's joints, finger by finger as keypoints go"""
 _BONE_OF_POINT = [0, 1, 2, 2]
 """The level of the bone that carries each of a finger's four points"""
-_FIRST_NUMBERS = 3
-"""The wrist's landmark comes first among the linear maps of betas"""
+_ROOT = 3
+"""The root comes after the three joints among a finger's frames"""
+_CROSSED = np.array(
+    [
+        [[0, 0, 0], [0, 0, 1], [0, -1, 0]],
+        [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
+        [[0, 1, 0], [-1, 0, 0], [0, 0, 0]],
+    ],
+    dtype=float,
+)
+"""a @ _CROSSED: the matrix (3, 3) with which v becomes v x a"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +84,7 @@ class Posed:
     joints: torch.Tensor
     """(B, 5, 3, 3) finger joints"""
     frames: torch.Tensor
-    """(B, 5, 3, 3, 3) their axes, in columns"""
+    """(B, 5, 4, 3, 3) the axes of the three joints and of the root, in columns"""
     state: State
 
 
@@ -95,30 +104,35 @@ class Chain:
         offsets = landmarks.in_metres(model)
 
         turn = np.empty((5, 3, 3, 3))
-        offset, offset_dirs = np.empty((5, 3, 3)), np.empty((5, 3, 3, NUM_BETAS))
-        point, point_dirs = np.empty((5, 4, 3)), np.zeros((5, 4, 3, NUM_BETAS))
+        # What each frame (three joints, then the root) adds to where four points and three joints are.
+        part, part_dirs = np.zeros((5, 4, 3, 7)), np.zeros((5, 4, 3, 7, NUM_BETAS))
         for f, finger in enumerate(FINGERS):
-            parent = 0
+            parent, frame = 0, _ROOT
             for level, joint in enumerate(FINGER_JOINTS[finger]):
                 turn[f, level] = axes[parent].T @ axes[joint]
-                offset[f, level] = axes[parent].T @ (joints[joint] - joints[parent])
-                offset_dirs[f, level] = axes[parent].T @ (joint_dirs[joint] - joint_dirs[parent])
-                point[f, level] = offsets[1 + 4 * f + level]
-                parent = joint
-            point[f, 3] = axes[parent].T @ (tips[f] - joints[parent]) + offsets[4 + 4 * f]
-            point_dirs[f, 3] = axes[parent].T @ (tip_dirs[f] - joint_dirs[parent])
-        base = np.concatenate([offsets[0], offset.reshape(-1), point.reshape(-1)])
-        maps = np.concatenate(
-            [np.zeros((3, NUM_BETAS)), offset_dirs.reshape(45, -1), point_dirs.reshape(60, -1)]
-        )
+                # This joint, and all that lies beyond it.
+                beyond = [*range(level, 4), *range(4 + level, 7)]
+                part[f, frame][:, beyond] = (axes[parent].T @ (joints[joint] - joints[parent]))[:, None]
+                part_dirs[f, frame][:, beyond] = (axes[parent].T @ (joint_dirs[joint] - joint_dirs[parent]))[
+                    :, None
+                ]
+                part[f, level, :, level] = offsets[1 + 4 * f + level]
+                parent, frame = joint, level
+            part[f, 2, :, 3] = axes[parent].T @ (tips[f] - joints[parent]) + offsets[4 + 4 * f]
+            part_dirs[f, 2, :, 3] = axes[parent].T @ (tip_dirs[f] - joint_dirs[parent])
         self._axes = self._tensor(axes[1:][np.array(_JOINTS) - 1])  # (5, 3, 3, 3)
         self._turn = self._tensor(turn)
-        self._base, self._maps = self._tensor(base), self._tensor(maps.T)  # (108,), (10, 108)
-        self._offset_dirs = self._tensor(offset_dirs)
-        self._point_dirs = self._tensor(point_dirs)
-        # A joint moves the points from its own bone outwards.
-        beyond = np.array([[level <= _BONE_OF_POINT[k] for level in range(3)] for k in range(4)], dtype=float)
-        self._beyond = self._tensor(beyond)[None, None, :, :, None, None]
+        self._part = self._tensor(part.reshape(-1))
+        self._part_dirs = self._tensor(part_dirs.reshape(-1, NUM_BETAS).T)
+        self._point_dirs = self._tensor(part_dirs[:, :, :, :4].reshape(5, 12, 4 * NUM_BETAS))
+        self._wrist_offset = self._tensor(offsets[0][:, None])
+        # The wrist's landmark by the root's increment, in the root's axes: e x l.
+        self._wrist_turned = self._tensor(np.cross(np.eye(3), offsets[0]).T)
+        # A joint moves the points from its own bone outwards, the root all.
+        moves = [[level <= _BONE_OF_POINT[k] for k in range(4)] for level in range(3)] + [[True] * 4]
+        self._moves = self._tensor(np.array(moves, dtype=float))[..., None]  # (4 frames, 4 points, 1)
+        self._crossed = self._tensor(_CROSSED.reshape(3, 9))
+        self._identity = self._tensor(np.eye(3))
         self._wrist_template, self._wrist_dirs = joints[0], joint_dirs[0]
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
@@ -127,54 +141,46 @@ class Chain:
     def pose(self, state: State) -> Posed:
         """Place the landmarks."""
         batch = len(state)
-        sizes = torch.addmm(self._base, state.betas, self._maps)
-        wrist_point, offset, point = sizes.split([_FIRST_NUMBERS, 45, 60], dim=1)
-        offset = offset.reshape(batch, 5, 3, 3, 1)
-        turned = self._turn @ state.local
-        root = state.root[:, None]
-        first = root @ turned[:, :, 0]
-        second = first @ turned[:, :, 1]
-        third = second @ turned[:, :, 2]
-        at_first = state.wrist[:, None] + (root @ offset[:, :, 0]).squeeze(-1)
-        at_second = at_first + (first @ offset[:, :, 1]).squeeze(-1)
-        at_third = at_second + (second @ offset[:, :, 2]).squeeze(-1)
-        frames = torch.stack([first, second, third], dim=2)
-        joints = torch.stack([at_first, at_second, at_third], dim=2)
-        carrier = frames[:, :, _BONE_OF_POINT]
-        points = joints[:, :, _BONE_OF_POINT] + (carrier @ point.view(batch, 5, 4, 3, 1)).squeeze(-1)
-        wrist = state.wrist + (state.root @ wrist_point.unsqueeze(-1)).squeeze(-1)
-        all_points = torch.cat([wrist[:, None], points.reshape(batch, 20, 3)], dim=1)
-        return Posed(all_points, joints, frames, state)
+        turned = (self._turn @ state.local).view(batch * 5, 3, 3, 3)
+        root = state.root[:, None].expand(batch, 5, 3, 3).reshape(batch * 5, 3, 3)
+        first = torch.bmm(root, turned[:, 0])
+        second = torch.bmm(first, turned[:, 1])
+        third = torch.bmm(second, turned[:, 2])
+        side_by_side = torch.cat([first, second, third, root], dim=2)  # (5 B, 3, 12)
+        parts = torch.addmm(self._part, state.betas, self._part_dirs).view(batch * 5, 12, 7)
+        placed = torch.bmm(side_by_side, parts).view(batch, 5, 3, 7) + state.wrist[:, None, :, None]
+        placed = placed.mT  # (B, 5, 4 points and 3 joints, 3)
+        frames = side_by_side.view(batch, 5, 3, 4, 3).transpose(2, 3).contiguous()
+        wrist = state.wrist + (state.root @ self._wrist_offset).squeeze(-1)
+        points = torch.cat([wrist[:, None], placed[:, :, :4].reshape(batch, 20, 3)], dim=1)
+        return Posed(points, placed[:, :, 4:], frames, state)
 
-    def jacobian_of_hand(self, posed: Posed, *, shape: bool) -> torch.Tensor:
-        """(B, 21, 6 or 16, 3) by the root's increment, the wrist's place and, with `shape`, betas."""
-        state, batch = posed.state, len(posed.state)
-        arm = (posed.points - state.wrist[:, None]).unsqueeze(2)
-        by_root = _cross(state.root.mT[:, None], arm)
-        by_place = torch.eye(3, dtype=self.dtype, device=self.device).expand(batch, NUM_KEYPOINTS, 3, 3)
-        if not shape:
-            return torch.cat([by_root, by_place], dim=2)
-        frames = posed.frames
-        first = state.root[:, None] @ self._offset_dirs[:, 0]
-        second = first + frames[:, :, 0] @ self._offset_dirs[:, 1]
-        third = second + frames[:, :, 1] @ self._offset_dirs[:, 2]
-        tip = third + frames[:, :, 2] @ self._point_dirs[:, 3]
-        of_fingers = torch.stack([first, second, third, tip], dim=2).mT.reshape(batch, 20, NUM_BETAS, 3)
-        of_wrist = torch.zeros(batch, 1, NUM_BETAS, 3, dtype=self.dtype, device=self.device)
-        return torch.cat([by_root, by_place, torch.cat([of_wrist, of_fingers], dim=1)], dim=2)
-
-    def jacobian_of_fingers(self, posed: Posed) -> torch.Tensor:
-        """(B, 5, 4, 9, 3) of each finger's four points by the increments of its three joints."""
+    def jacobian(self, posed: Posed, *, shape: bool) -> torch.Tensor:
+        """(B, 21, 3, 15 or 25) of the landmarks by the nine increments of their own finger (zero for the
+        wrist's), the root's three, the wrist's place and, with `shape`, betas (which leave the wrist's)."""
         batch = len(posed.state)
-        points = posed.points[:, 1:].view(batch, 5, 4, 1, 3)
-        arm = points - posed.joints[:, :, None]  # (B, 5, 4, 3, 3)
-        moved = _cross(posed.frames.mT[:, :, None], arm.unsqueeze(-2))
-        return (moved * self._beyond).reshape(batch, 5, 4, 9, 3)
+        whole = posed.points.new_zeros(batch, NUM_KEYPOINTS, 3, 15 + NUM_BETAS * shape)
+        of_fingers = whole[:, 1:].view(batch, 5, 4, 3, -1)
+        points = posed.points[:, 1:].view(batch, 5, 1, 4, 3)
+        wrist = posed.state.wrist[:, None, None].expand(batch, 5, 1, 3)
+        origins = torch.cat([posed.joints, wrist], dim=2).unsqueeze(3)
+        arms = (points - origins) * self._moves  # (B, 5, 4 frames, 4 points, 3)
+        crossed = (arms @ self._crossed).view(batch * 20, 12, 3)
+        turning = torch.bmm(crossed, posed.frames.view(batch * 20, 3, 3)).view(batch, 5, 4, 4, 3, 3)
+        of_fingers[..., :12].unflatten(-1, (4, 3)).copy_(turning.permute(0, 1, 3, 4, 2, 5))
+        whole[:, 0, :, 9:12] = posed.state.root @ self._wrist_turned
+        whole[..., 12:15] = self._identity
+        if shape:
+            # Finger by finger, since the linear maps are every hand's.
+            frames = posed.frames.permute(1, 0, 3, 2, 4).reshape(5, batch * 3, 12)
+            growing = torch.bmm(frames, self._point_dirs).view(5, batch, 3, 4, NUM_BETAS)
+            of_fingers[..., 15:] = growing.permute(1, 0, 3, 2, 4)
+        return whole
 
     def moved(self, state: State, of_hand: torch.Tensor, of_fingers: torch.Tensor) -> State:
         """Apply increments: of_hand (B, 6 + m or 6 + m + 10) and of_fingers (B, 5, 9)."""
         batch, own = len(state), 6 + state.offsets.shape[1]
-        turns = torch.cat([of_hand[:, None, :3], of_fingers.reshape(batch, 15, 3)], dim=1)
+        turns = torch.cat([of_hand[:, None, :3], of_fingers.view(batch, 15, 3)], dim=1)
         increments = exp(turns)
         return State(
             root=state.root @ increments[:, 0],
@@ -204,20 +210,14 @@ class Chain:
         return betas, orient, pose.reshape(-1, 45), state.wrist.double().cpu().numpy() - rest_wrist
 
 
-def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """The cross product over the last dimension, with broadcasting."""
-    a0, a1, a2 = a.unbind(-1)
-    b0, b1, b2 = b.unbind(-1)
-    return torch.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], dim=-1)
-
-
 def exp(rotvec: torch.Tensor) -> torch.Tensor:
     """(..., 3) -> (..., 3, 3) rotation matrices, exact near zero too (Rodrigues)."""
-    squared = rotvec.square().sum(dim=-1)[..., None, None].clamp_min(1e-12)
+    squared = rotvec.square().sum(dim=-1, keepdim=True).clamp_min(1e-12)
     angle = squared.sqrt()
-    x, y, z = rotvec.unbind(-1)
+    sine, cosine = angle.sin() / angle, angle.cos()
+    half = (0.5 * angle).sin() / angle
+    x, y, z = (sine * rotvec).unbind(-1)
+    outer = (rotvec * (2 * half * half)).unsqueeze(-1) * rotvec.unsqueeze(-2)
     zero = torch.zeros_like(x)
-    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).view(*rotvec.shape, 3)
-    identity = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
-    half = (angle / 2).sin()
-    return identity + (angle.sin() / angle) * skew + (2 * half * half / squared) * (skew @ skew)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).view_as(outer)
+    return outer + skew + cosine.unsqueeze(-1) * torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)

@@ -14,7 +14,7 @@ from handfit_core.residuals.limits import limits
 from handfit_core.residuals.pose_prior import pose_prior
 from handfit_core.residuals.reprojection import reprojection
 from handfit_core.residuals.robust import Huber
-from handfit_core.residuals.rows import PointRows
+from handfit_core.residuals.rows import AngleRows, PointRows
 from handfit_core.residuals.shape_prior import shape_prior
 from handfit_core.residuals.world import world
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, TIP_KEYPOINTS
@@ -28,6 +28,9 @@ from handfit_core.solvers.fast.observation import Observation
 _COUPLING = {"index": (0.87, 25.0), "middle": (0.79, 18.0), "ring": (0.73, 20.5), "little": (0.73, 20.5)}
 
 
+_KERNEL = Huber(1.0)
+
+
 @dataclass(frozen=True)
 class Weights:
     """How much each term counts; 1 is what its sigmas say."""
@@ -37,15 +40,15 @@ class Weights:
     world: float = 0.0
     tips: float = 1.0
     """of the reprojection of fingertips, against other keypoints"""
-    limits_sigma: float = np.radians(2.0)
+    limits_sigma: float = float(np.radians(1.0))
     """radians beyond the range that cost as much as one sigma"""
-    coupling_sigma: float = np.radians(18.0)
+    coupling_sigma: float = float(np.radians(18.0))
     prior: float = 0.7
     shape_sigma: float = 1.0
     world_sigma: float = 0.010
     """metres"""
-    pixel_kernel: Huber = Huber(1.0)
-    depth_kernel: Huber = Huber(1.0)
+    pixel_kernel: Huber = _KERNEL
+    depth_kernel: Huber = _KERNEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,113 +76,135 @@ class Energy:
         prior = prior.of_side(chain.model.side)
         tensor = lambda a: torch.tensor(np.ascontiguousarray(a), dtype=chain.dtype, device=chain.device)  # noqa: E731
         whiten = np.linalg.inv(np.linalg.cholesky(prior.covariance)) * np.sqrt(weights.prior)
-        self._mean, self._whiten = tensor(prior.mean), tensor(whiten)
         joints = np.array([FINGER_JOINTS[f] for f in FINGERS]) - 1
         self._lower = tensor(joint_limits.lower[joints].reshape(5, 9))
         self._upper = tensor(joint_limits.upper[joints].reshape(5, 9))
         self._knuckles = tensor([0.0, 1.0, 1.0, 1.0, 1.0])
         rules = [_COUPLING.get(f) for f in FINGERS]
-        self._slope = tensor([0.0 if r is None else r[0] for r in rules])
-        self._offset = tensor([0.0 if r is None else np.radians(r[1]) for r in rules])
-        self._coupling_sigma = tensor([np.inf if r is None else weights.coupling_sigma for r in rules])
+        slope = tensor([0.0 if r is None else r[0] for r in rules])
+        offset = tensor([0.0 if r is None else np.radians(r[1]) for r in rules])
+        sigma = tensor([np.inf if r is None else weights.coupling_sigma for r in rules])
+        flat = torch.zeros(1, 5, 9, dtype=chain.dtype, device=chain.device)
+        self._habit = _Quadratic.of(
+            [pose_prior(flat, tensor(prior.mean), tensor(whiten)), coupling(flat, slope, offset, sigma)]
+        )
         emphasis = np.full(21, np.sqrt(weights.reprojection))
         emphasis[list(TIP_KEYPOINTS)] *= np.sqrt(weights.tips)
         self._emphasis = tensor(emphasis)
         self._shape_sigma = tensor(np.full(10, weights.shape_sigma))
+        self._same_joint = tensor(np.eye(3))[:, None, :, None]
 
     def of(self, posed: Posed, seen: Observation, *, shape: bool, shape_weight: float = 1.0) -> Blocks:
         """Cost and matrices. `shape`: whether betas are variables; `shape_weight` of their prior (in a clip
         with one shape, 1 / frames)."""
-        batch = len(posed.state)
-        chain, weights = self._chain, self._weights
-        point_rows, cost = self._point_rows(posed, seen)
-        residual = torch.cat([r.residual for r in point_rows], dim=2)  # (B, 21, c)
-        jacobian = torch.cat([r.jacobian for r in point_rows], dim=2)  # (B, 21, c, 3)
-        count = residual.shape[2]
+        batch, chain = len(posed.state), self._chain
+        rows, cost = self._point_rows(posed, seen)  # (B, 21, c, 3 + m + 1)
+        moving = _times(rows[..., :3], chain.jacobian(posed, shape=shape))
+        offsets, residual = rows[..., 3:-1], rows[..., -1:]
+        # Columns: a finger's nine increments, the hand's own n variables, the residual.
+        whole = torch.cat([moving[..., :15], offsets, moving[..., 15:], residual], dim=-1)
+        of_hand = whole[..., 9:].flatten(1, 2)
+        corner = torch.bmm(of_hand.mT, of_hand)
+        of_finger = whole[:, 1:].view(batch, 5, -1, whole.shape[-1])  # (B, 5, 4 c, 9 + n + 1)
+        sides = of_finger[..., :9].mT @ of_finger
 
-        by_hand = chain.jacobian_of_hand(posed, shape=shape) @ jacobian.mT
-        by_offsets = self._by_offsets(point_rows, posed.state.offsets.shape[1])  # (B, 21, m, c)
-        by_hand = torch.cat([by_hand[:, :, :6], by_offsets, by_hand[:, :, 6:]], dim=2)  # (B, 21, n, c)
-        n = by_hand.shape[2]
-        by_finger = chain.jacobian_of_fingers(posed) @ jacobian[:, 1:].view(batch, 5, 4, count, 3).mT
-        flat_hand = by_hand.transpose(1, 2).reshape(batch, n, 21 * count)
-        of_fingers = by_hand[:, 1:].view(batch, 5, 4, n, count).transpose(2, 3).reshape(batch, 5, n, 4 * count)
-        flat_finger = by_finger.transpose(2, 3).reshape(batch, 5, 9, 4 * count)
-        finger_residual = residual[:, 1:].reshape(batch, 5, 4 * count, 1)
-
-        angles = angles_of(posed.state.local)
-        angle_rows = self._angle_rows(angles.view(batch, 5, 9))
-        rates = rates_of(angles)
-        turn = torch.zeros(batch, 5, 9, 9, dtype=chain.dtype, device=chain.device)
-        for joint in range(3):
-            part = slice(3 * joint, 3 * joint + 3)
-            turn[:, :, part, part] = rates[:, :, joint]
-        angle_residual = torch.cat([r.residual for r in angle_rows], dim=2)
-        angle_jacobian = (torch.cat([r.jacobian for r in angle_rows], dim=2) @ turn).mT  # (B, 5, 9, c)
-
-        hand = flat_hand @ flat_hand.mT
-        hand_gradient = (flat_hand @ residual.reshape(batch, -1, 1)).squeeze(-1)
-        finger = flat_finger @ flat_finger.mT + angle_jacobian @ angle_jacobian.mT
-        finger_gradient = flat_finger @ finger_residual + angle_jacobian @ angle_residual.unsqueeze(-1)
-        cost = cost + angle_residual.square().sum(dim=(1, 2))
+        angle_squared, angle_cost = self._of_angles(posed.state.local)
+        finger = sides[..., :9] + angle_squared[..., :9]
+        finger_gradient = sides[..., -1] + angle_squared[..., 9]
+        hand, hand_gradient = corner[:, :-1, :-1], corner[:, :-1, -1]
+        cost = cost + angle_cost
         if shape:
-            betas, slope = shape_prior(posed.state.betas, self._shape_sigma)
-            cost = cost + shape_weight * betas.square().sum(dim=1)
-            hand_gradient[:, -10:] += shape_weight * slope * betas
-            hand[:, -10:, -10:] += torch.diag(shape_weight * slope * slope)
-        return Blocks(hand, flat_finger @ of_fingers.mT, finger, hand_gradient, finger_gradient.squeeze(-1), cost)
+            of_shape, slope = shape_prior(posed.state.betas, self._shape_sigma)
+            cost = cost + shape_weight * of_shape.square().sum(dim=1)
+            hand_gradient[:, -10:] += shape_weight * slope * of_shape
+            hand.diagonal(dim1=1, dim2=2)[:, -10:] += shape_weight * slope * slope
+        return Blocks(hand, sides[..., 9:-1], finger, hand_gradient, finger_gradient, cost)
 
-    def _point_rows(self, posed: Posed, seen: Observation) -> tuple[list[PointRows], torch.Tensor]:
-        weights = self._weights
-        points = posed.points
-        plane = reprojection(
-            points, seen.pixels, seen.pixel_sigma / self._emphasis[:, None], seen.focal, seen.centre
-        )
-        squared = plane.residual.square().sum(dim=2)
-        cost = weights.pixel_kernel.cost(squared).sum(dim=1)
-        rows = [_scaled(plane, weights.pixel_kernel.weight(squared).sqrt())]
-        offsets = posed.state.offsets
-        along = depth(
-            points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(dim=1), offsets[:, :1]
-        )
-        squared = along.residual.square().sum(dim=2)
-        cost = cost + weights.depth * weights.depth_kernel.cost(squared).sum(dim=1)
-        rows.append(_scaled(along, (weights.depth * weights.depth_kernel.weight(squared)).sqrt()))
+    def _of_angles(self, local: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """J^T [J r] (B, 5, 9, 10) of the terms on angles by the joints' increments, and their cost (B,)."""
+        angles = angles_of(local)
+        rates = rates_of(angles)
+        flat = angles.flatten(2)
+        turn = (rates.unsqueeze(4) * self._same_joint).reshape(*flat.shape, 9)  # (B, 5, 9, 9)
+        outside = limits(flat, self._lower, self._upper, self._weights.limits_sigma, self._knuckles)
+        habit = self._habit
+        away = flat - habit.best
+        pull = (away.flatten(1) @ habit.precision).view_as(flat)
+        cost = habit.least + (away * pull + outside.residual.square()).sum(dim=(1, 2))
+        turn, jacobian = turn.flatten(0, 1), outside.jacobian.flatten(0, 1)  # (5 B, 9, 9)
+        sloped = jacobian.mT
+        by_angle = torch.bmm(sloped, jacobian).view(*flat.shape, 9) + habit.blocks
+        gradient = torch.baddbmm(pull.view(-1, 9, 1), sloped, outside.residual.view(-1, 9, 1))
+        right = torch.cat([torch.bmm(by_angle.view(-1, 9, 9), turn), gradient], dim=-1)
+        return torch.bmm(turn.mT, right).view(*flat.shape, 10), cost
+
+    def _point_rows(self, posed: Posed, seen: Observation) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weighted rows (B, 21, c, 3 + m + 1) by the point and by the terms' offsets, and their residuals;
+        and the cost (B,)."""
+        weights, points, offsets = self._weights, posed.points, posed.state.offsets
+        sigma = seen.pixel_sigma / self._emphasis[:, None]
+        terms = [
+            (reprojection(points, seen.pixels, sigma, seen.focal, seen.centre), 1.0, weights.pixel_kernel),
+            (
+                depth(points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(dim=1), offsets[:, :1]),
+                weights.depth,
+                weights.depth_kernel,
+            ),
+        ]
         if seen.world is not None:
             sigma = torch.full_like(seen.depth, weights.world_sigma)
-            laid = world(points, seen.world, sigma, offsets[:, 1:4])
-            squared = laid.residual.square().sum(dim=2)
-            cost = cost + weights.world * weights.depth_kernel.cost(squared).sum(dim=1)
-            rows.append(_scaled(laid, (weights.world * weights.depth_kernel.weight(squared)).sqrt()))
-        return rows, cost
-
-    @staticmethod
-    def _by_offsets(point_rows: list[PointRows], count: int) -> torch.Tensor:
-        """(B, 21, m, c): each term's offsets are its own, in the order of the terms."""
-        columns, at = [], 0
-        for rows in point_rows:
-            block = rows.residual.new_zeros(*rows.residual.shape, count)
-            if rows.by_offset is not None:
-                width = rows.by_offset.shape[-1]
-                block[..., at : at + width] = rows.by_offset
-                at += width
-            columns.append(block)
-        return torch.cat(columns, dim=2).mT
-
-    def _angle_rows(self, angles: torch.Tensor):
-        sigma = self._weights.limits_sigma
-        return [
-            pose_prior(angles, self._mean, self._whiten),
-            limits(angles, self._lower, self._upper, sigma, self._knuckles),
-            coupling(angles, self._slope, self._offset, self._coupling_sigma),
-        ]
+            terms.append(
+                (world(points, seen.world, sigma, offsets[:, 1:4]), weights.world, weights.depth_kernel)
+            )
+        rows, costs, first = [], [], 0
+        for term, factor, kernel in terms:
+            squared = term.residual.square().sum(dim=2)
+            costs.append(factor * kernel.cost(squared).sum(dim=1))
+            weight = (factor * kernel.weight(squared)).sqrt()[..., None, None]
+            rows.append(_side_by_side(term, first, offsets.shape[1]) * weight)
+            first += 0 if term.by_offset is None else term.by_offset.shape[-1]
+        return torch.cat(rows, dim=2), sum(costs[1:], start=costs[0])
 
 
-def _scaled(rows: PointRows, weight: torch.Tensor) -> PointRows:
-    """Rows times a weight per keypoint (B, 21)."""
-    wide = weight[..., None, None]
-    return PointRows(
-        rows.residual * weight[..., None],
-        rows.jacobian * wide,
-        None if rows.by_offset is None else rows.by_offset * wide,
-    )
+def _side_by_side(rows: PointRows, first: int, count: int) -> torch.Tensor:
+    """(B, 21, c, 3 + count + 1): by the point, by all terms' offsets, of which its own begin at `first`, and
+    the residual."""
+    residual = rows.residual.unsqueeze(-1)
+    by_offset = residual.new_zeros(*residual.shape[:-1], count)
+    if rows.by_offset is not None:
+        by_offset[..., first : first + rows.by_offset.shape[-1]] = rows.by_offset
+    return torch.cat([rows.jacobian, by_offset, residual], dim=-1)
+
+
+def _times(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """(..., c, 3) @ (..., 3, n). Torch's own product of many small matrices takes several times longer."""
+    product = a[..., 0:1] * b[..., 0:1, :]
+    for k in (1, 2):
+        product = product.addcmul_(a[..., k : k + 1], b[..., k : k + 1, :])
+    return product
+
+
+@dataclass(frozen=True, eq=False)
+class _Quadratic:
+    """Terms that are linear in angles, as one: least + (a - best)^T precision (a - best), by finger."""
+
+    blocks: torch.Tensor
+    """(5, 9, 9) precision"""
+    precision: torch.Tensor
+    """(45, 45) the same on a diagonal"""
+    best: torch.Tensor
+    """(5, 9) radians"""
+    least: torch.Tensor
+    """()"""
+
+    @classmethod
+    def of(cls, terms: list[AngleRows]) -> _Quadratic:
+        """Terms with one problem each, taken at angles of zero."""
+        residual = torch.cat([t.residual[0] for t in terms], dim=1).unsqueeze(-1).double()
+        jacobian = torch.cat([t.jacobian[0] for t in terms], dim=1).double()
+        precision = jacobian.mT @ jacobian
+        best = -torch.linalg.solve(precision, jacobian.mT @ residual)
+        least = (jacobian @ best + residual).square().sum()
+        dtype = terms[0].residual.dtype
+        whole = torch.block_diag(*precision)
+        return cls(precision.to(dtype), whole.to(dtype), best.squeeze(-1).to(dtype), least.to(dtype))

@@ -30,7 +30,7 @@ from handfit_core.torch_threads import one_thread
 TRUST: Final = Trust()
 WEIGHTS: Final = Weights()
 MAX_ITERATIONS: Final = 30
-TOLERANCE: Final = 1e-3
+TOLERANCE: Final = 2e-3
 
 SHAPE_FRAMES: Final = 48
 """So many frames, evenly spread over a clip, decide the hand's one shape"""

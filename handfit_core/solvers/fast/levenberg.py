@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import torch
 
 from handfit_core.solvers.fast.blocks import Blocks
-from handfit_core.solvers.fast.chain import Chain, State
+from handfit_core.solvers.fast.chain import Chain, State, joined
 
 FIRST_DAMPING = 1e-3
 LESS, MORE = 0.1, 10.0
 """What the damping is multiplied with after a step that helped, and one that did not"""
 MOST_DAMPING = 1e6
 LEAST_DAMPING = 1e-7
+WORTH_PACKING = 0.85
+"""Problems that have ended are dropped from the batch when no more than this part of it goes on"""
 
 Linearise = Callable[[State, torch.Tensor], Blocks]
 """(state, index) -> blocks: index (B,) tells which of all problems the state's are"""
@@ -30,7 +32,8 @@ class Solution:
     iterations: torch.Tensor
     """(B,) int: steps tried"""
     converged: torch.Tensor
-    """(B,) bool: the last step changed the cost by less than the tolerance, or no step could lower it"""
+    """(B,) bool: the next step promised less than the tolerance, or no step could lower the cost. Not where
+    the cost is not finite"""
 
 
 def solve(
@@ -42,47 +45,72 @@ def solve(
     tolerance: float,
     shared_shape: bool = False,
 ) -> Solution:
-    """Minimise from `start`. With `shared_shape` all problems share betas and stop together."""
+    """Minimise from `start`. With `shared_shape` all problems share betas and stop together.
+
+    A problem ends when its next step promises to lower the cost by less than `tolerance` times the cost: that
+    step is neither tried nor taken.
+    """
     count, device = len(start), start.root.device
+    shared = start.betas.shape[1] if shared_shape else 0
     index = torch.arange(count, device=device)
     state, blocks = start, linearise(start, index)
-    damping = torch.full((count,), FIRST_DAMPING, dtype=blocks.cost.dtype, device=device)
+    damping = torch.full_like(blocks.cost, FIRST_DAMPING)
+    # A problem without numbers cannot be solved: it ends at once.
     active = blocks.cost.isfinite()
     iterations = torch.zeros(count, dtype=torch.long, device=device)
-    finished: list[tuple[torch.Tensor, State, torch.Tensor, torch.Tensor, torch.Tensor]] = []
+    finished: list[_Finished] = []
     for _ in range(max_iterations):
-        step = blocks.step(damping, shared=start.betas.shape[1] if shared_shape else 0)
-        candidate = chain.moved(state, *step)
-        tried = linearise(candidate, index)
-        before, after = blocks.cost, tried.cost
-        if shared_shape:
-            before, after = before.sum().expand(count), after.sum().expand(count)
-        # NaN, from a matrix that was not definite, is not better.
-        better = (after < before) & active
-        gain = (before - after) / before.clamp_min(1e-12)
-        iterations += active
-        state, blocks = candidate.where(better, state), tried.where(better, blocks)
-        damping = torch.where(better, damping * LESS, damping * MORE).clamp(LEAST_DAMPING, MOST_DAMPING)
-        active = active & ~(better & (gain < tolerance)) & (damping < MOST_DAMPING)
+        step = blocks.step(damping, shared=shared)
+        before, promised = blocks.cost, blocks.promised(*step)
+        if shared:
+            before, promised = before.sum().expand(count), promised.sum().expand(count)
+        active = active & ~(promised < tolerance * before)
         alive = int(active.sum())
         if alive == 0:
             break
-        if not shared_shape and alive <= len(index) // 2:
+        if not shared and alive <= WORTH_PACKING * len(index):
             done = ~active
             finished.append(
-                (index[done], state.select(done), blocks.cost[done], iterations[done], active[done])
+                _Finished(index[done], state.select(done), blocks.cost[done], iterations[done], active[done])
             )
-            state, blocks, damping = state.select(active), blocks.select(active), damping[active]
-            index, iterations, active = index[active], iterations[active], active[active]
-    finished.append((index, state, blocks.cost, iterations, active))
-    if len(finished) == 1:
-        return Solution(state, blocks.cost, iterations, ~active)
-    order = torch.argsort(torch.cat([part[0] for part in finished]))
-    whole = State(
-        *(
-            torch.cat([getattr(part[1], name) for part in finished])[order]
-            for name in State.__dataclass_fields__
-        )
+            state, blocks, step = state.select(active), blocks.select(active), tuple(s[active] for s in step)
+            index, iterations, damping = index[active], iterations[active], damping[active]
+            before, active = before[active], active[active]
+        candidate = chain.moved(state, *step)
+        tried = linearise(candidate, index)
+        after = tried.cost.sum().expand(count) if shared else tried.cost
+        iterations += active
+        # NaN, from a matrix that was not definite, is not better.
+        better = (after < before) & active
+        if better.all():
+            state, blocks = candidate, tried
+        else:
+            state, blocks = candidate.where(better, state), tried.where(better, blocks)
+        damping = torch.where(better, damping * LESS, damping * MORE).clamp(LEAST_DAMPING, MOST_DAMPING)
+        active = active & (damping < MOST_DAMPING)
+    finished.append(_Finished(index, state, blocks.cost, iterations, active))
+    return _gathered(finished)
+
+
+@dataclass(frozen=True, eq=False)
+class _Finished:
+    """Some of the problems, where they ended."""
+
+    index: torch.Tensor
+    state: State
+    cost: torch.Tensor
+    iterations: torch.Tensor
+    active: torch.Tensor
+
+
+def _gathered(parts: list[_Finished]) -> Solution:
+    """All problems in their own order."""
+    order = torch.argsort(torch.cat([p.index for p in parts]))
+    cost = torch.cat([p.cost for p in parts])[order]
+    active = torch.cat([p.active for p in parts])[order]
+    return Solution(
+        state=joined([p.state for p in parts]).select(order),
+        cost=cost,
+        iterations=torch.cat([p.iterations for p in parts])[order],
+        converged=~active & cost.isfinite(),
     )
-    cost, iterations, active = (torch.cat([part[i] for part in finished])[order] for i in (2, 3, 4))
-    return Solution(whole, cost, iterations, ~active)

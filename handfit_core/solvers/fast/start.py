@@ -34,7 +34,7 @@ def relaxed_start(
     chain: Chain, seen: Observation, angles: torch.Tensor, betas: torch.Tensor, *, offsets: int = 1
 ) -> State:
     """angles (B, 5, 9) radians and betas (B, 10) of the hand to lay over the landmarks; `offsets` (1 or 4) of
-    the terms. Rotation and size are the similarity transform of the palm, the place that of all points."""
+    the terms. Rotation is that of the palm; size and place are those of all points."""
     batch = len(seen)
     identity = torch.eye(3, dtype=chain.dtype, device=chain.device).expand(batch, 3, 3)
     local = rotation_of(angles.view(batch, 5, 3, 3))
@@ -44,7 +44,9 @@ def relaxed_start(
     palm = list(PALM_KEYPOINTS)
     rotation, _ = similarity(rest[:, palm], target[:, palm])
     turned = rest @ rotation.mT
-    _, scale = similarity(turned, target)
+    spread = turned - turned.mean(dim=1, keepdim=True)
+    # The target's mean is zero.
+    scale = (spread * target).sum(dim=(1, 2)) / spread.square().sum(dim=(1, 2))
     focal = seen.focal.mean(dim=1)
     distance = focal / torch.maximum(scale, _LEAST_SCALE * focal)
     middle = seen.pixels.mean(dim=1)

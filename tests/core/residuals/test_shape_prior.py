@@ -1,0 +1,18 @@
+import torch
+
+from handfit_core.residuals.shape_prior import shape_prior
+from tests.core.residuals.differences import by_each, random
+
+SIGMA = random(10, seed=1).abs() + 0.5
+
+
+def test_residuals_and_their_derivatives() -> None:
+    betas = random(1, 10)
+    residual, slope = shape_prior(betas, SIGMA)
+    torch.testing.assert_close(residual * SIGMA, betas)
+    differences = by_each(lambda b: shape_prior(b, SIGMA)[0][0], betas)
+    torch.testing.assert_close(torch.diag(slope), differences, rtol=1e-6, atol=1e-8)
+
+
+def test_the_mean_shape_costs_nothing() -> None:
+    assert shape_prior(torch.zeros(2, 10, dtype=torch.float64), SIGMA)[0].abs().max() == 0
