@@ -42,9 +42,9 @@ DOUBTFUL_ERROR: Final = 0.05
 """Of the hand's size in the picture: where landmarks are expected to be farther off on average, it may be
 wrong. On rendered pictures such hands err twice as much as the others."""
 
-SMOOTH_ROTATION: Final = 9.0
+SMOOTH_ROTATION: Final = 14.0
 """radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
-SMOOTH_PLACE: Final = 0.75
+SMOOTH_PLACE: Final = 1.2
 """metres per second squared, of the wrist"""
 
 
