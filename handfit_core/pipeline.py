@@ -205,7 +205,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         detected=seen,
         score=score,
         filled=present & ~seen,
-        doubtful=np.zeros(count, dtype=bool) if fit.doubtful is None else fit.doubtful,
+        doubtful=fit.doubtful,
     )
 
 

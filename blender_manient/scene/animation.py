@@ -21,9 +21,9 @@ ERROR_PROPERTY = "reprojection_error_px"
 def animate(armature: bpy.types.Object, take: Take, track: HandTrack, shaped: ShapedHand) -> bpy.types.Action:
     """Key the track on the armature, on the source's frame numbers. Returns the action.
 
-    Frames without a detection get no keys. Straight lines join the keys: measured frames stay
-    exactly as measured, and nothing overshoots in the gaps, as Bezier curves through noisy
-    per-frame data would.
+    Frames without a hand get no keys; filled ones get keys, but no error. Straight lines join the
+    keys: measured frames stay exactly as measured, and nothing overshoots in the gaps, as Bezier
+    curves through noisy per-frame data would.
     """
     frames = rest_frames(armature, track.side)
     seen = track.present

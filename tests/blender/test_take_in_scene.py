@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
 
-from blender_manient.scene.animation import action_curves
+from blender_manient.scene.animation import ERROR_PROPERTY, action_curves
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from handfit_core.errors import HandModelError, OptionError
+from handfit_core.hand_model import load_model
 
-from .conftest import FRAMES, UNSEEN
+from .conftest import FRAMES, UNSEEN, joint_heads, world
 
 
 def keys_of(curve) -> np.ndarray:
@@ -32,6 +35,30 @@ def test_keys_lie_on_the_sources_frames(make_take):
             assert all(k.interpolation == "LINEAR" for k in curve.keyframe_points)
             assert not np.isnan(keys_of(curve)).any()
         assert hand.armature.animation_data.action == hand.action
+
+
+def test_filled_frames_are_keyed_but_have_no_error(make_take):
+    """The pose of a bridged gap is animated; there is nothing that it could be measured against."""
+    made = make_take(sides=("right",))
+    track = made.take.hands[0]
+    pose = {}
+    for name in ("global_orient", "hand_pose", "transl", "joints_3d"):
+        values = np.array(getattr(track, name))
+        values[UNSEEN] = (values[UNSEEN - 1] + values[UNSEEN + 1]) / 2
+        pose[name] = values
+    filled = np.arange(len(FRAMES)) == UNSEEN
+    bridged = replace(made.take, hands=(replace(track, **pose, filled=filled),))
+    (hand,) = build_take(bridged).hands
+    for curve in action_curves(hand.action):
+        measured = curve.data_path == f'["{ERROR_PROPERTY}"]'
+        expected = np.delete(FRAMES, UNSEEN) if measured else FRAMES
+        np.testing.assert_array_equal(keys_of(curve)[:, 0], expected)
+        assert not np.isnan(keys_of(curve)).any()
+    # The wrist stands there where the take says.
+    bpy.context.scene.frame_set(int(FRAMES[UNSEEN]))
+    model = load_model("open-hand", "right")
+    wrist = model.shaped(track.betas).joints[0] + pose["transl"][UNSEEN]
+    np.testing.assert_allclose(joint_heads(hand.armature, "right")[0], world(wrist), atol=1e-5)
 
 
 def test_quaternions_never_flip(make_take):

@@ -63,6 +63,35 @@ def test_the_command_line(child, tmp_path):
     assert argv[8:] == ["--frames=-200", "--hands=left", "--model=/my hands", "--debug", "--", "a b.jpg"]
 
 
+def test_smoothing_and_plain_detection():
+    assert CaptureOptions().arguments() == []
+    assert CaptureOptions(smoothing=0.0).arguments() == ["--smoothing=0.0"]  # 0 is not "as the core likes"
+    both = CaptureOptions(smoothing=2.5, plain_detection=True).arguments()
+    assert both == ["--smoothing=2.5", "--plain-detection"]
+
+
+def test_the_core_understands_all_options():
+    """The one command line in two places."""
+    from handfit_core.__main__ import _parser
+
+    options = CaptureOptions(
+        frames="1-9",
+        hands="left",
+        solver="fast",
+        model="/m",
+        threshold=0.3,
+        intrinsics="1,1,1,1",
+        landmark_model="/l",
+        smoothing=0.0,
+        plain_detection=True,
+        debug=True,
+    )
+    args = _parser().parse_args(["capture", "-o", "out.npz", *options.arguments(), "--", "a.jpg"])
+    assert (args.smoothing, args.plain_detection, args.threshold) == (0.0, True, 0.3)
+    plain = _parser().parse_args(["capture", "-o", "out.npz", "a.jpg"])
+    assert (plain.smoothing, plain.plain_detection) == (1.0, False)
+
+
 @pytest.mark.parametrize("kind", [NoHandFoundError, InputError])
 def test_errors_are_raised_as_what_they_were(child, tmp_path, kind):
     event = f'{{"event": "error", "type": "{kind.__name__}", "message": "what and why"}}'

@@ -56,6 +56,19 @@ def test_intrinsics(tmp_path: Path) -> None:
     assert vars(Take.load(tmp_path / "a.npz").intrinsics) == {"fx": 700, "fy": 710, "cx": 320, "cy": 240}
 
 
+def test_smoothing_and_plain_detection_reach_the_capture(tmp_path: Path) -> None:
+    pattern = PHOTO.parent / "hand.%04d.jpg"
+    takes = []
+    for i, options in enumerate([["--smoothing=0"], ["--smoothing", "10", "--plain-detection"], []]):
+        output = tmp_path / f"{i}.npz"
+        result = run("capture", pattern, "--frames=1-4", *options, "-o", output)
+        assert result.returncode == 0, result.stderr
+        takes.append(Take.load(output).hands[0])
+    # The more smoothing, the less the wrist accelerates.
+    rough, smooth, default = (np.linalg.norm(np.diff(t.transl, 2, axis=0), axis=1).mean() for t in takes)
+    assert smooth < default < rough
+
+
 def bad_calls(folder: Path) -> list[tuple[list[str | Path], str]]:
     (folder / "zero.jpg").write_bytes(b"")
     (folder / "text.jpg").write_text("no picture")
@@ -72,6 +85,7 @@ def bad_calls(folder: Path) -> list[tuple[list[str | Path], str]]:
         (["capture", PHOTO, "--solver", "magic", *out], "paper-a, paper-b"),
         (["capture", PHOTO, "--frames", "9-2", *out], "frame range"),
         (["capture", PHOTO, "--intrinsics", "1,2", *out], "FX,FY,CX,CY"),
+        (["capture", PHOTO, "--smoothing=-1", *out], "smoothing must lie between 0 and 10"),
         (["capture", PHOTO, "--model", folder / "gone.pkl", *out], "no such hand model"),
         (["capture", PHOTO, "--landmark-model", folder / "gone.task", *out], "no such landmark model"),
         (["capture", PHOTO, "-o", folder / "file" / "out.npz"], "cannot write here"),
@@ -101,7 +115,9 @@ def test_error_as_json_and_debug(tmp_path: Path) -> None:
     assert "Traceback" in debug.stderr
 
 
-@pytest.mark.parametrize("arguments", [[], ["capture"], ["nothing"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["capture"], ["nothing"], ["capture", "a", "-o", "b", "--smoothing", "much"]]
+)
 def test_usage(arguments: list[str]) -> None:
     result = run(*arguments)
     assert result.returncode == 2

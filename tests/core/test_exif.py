@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.exif import read_orientation, upright
+from handfit_core.exif import read_focal_35mm, read_orientation, upright
 
 
 def tiff_block(orientation: int, order: str) -> bytes:
@@ -107,3 +107,45 @@ def with_tiff_orientation(data: bytes, orientation: int) -> bytes:
     data += b"\0" * (len(data) % 2)
     directory = struct.pack("<H", len(entries)) + b"".join(entries) + struct.pack("<I", 0)
     return data[:4] + struct.pack("<I", len(data)) + data[8:] + directory
+
+
+def tiff_with_focal_length(millimetres: int, order: str, kind: int = 3) -> bytes:
+    """A first directory that names EXIF's own one, which names the focal length behind another tag."""
+    mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    first = struct.pack(order + "HHHII", 1, 0x8769, 4, 1, 26) + struct.pack(order + "I", 0)
+    entries = struct.pack(order + "HHIHH", 0xA402, 3, 1, 1, 0)
+    entries += struct.pack(order + "HHIHH", 0xA405, kind, 1, millimetres, 0)
+    return mark + struct.pack(order + "I", 8) + first + struct.pack(order + "H", 2) + entries + bytes(4)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_reads_the_focal_length(suffix: str, order: str) -> None:
+    assert read_focal_35mm(with_exif(suffix, tiff_with_focal_length(26, order))) == 26.0
+    assert read_focal_35mm(tiff_with_focal_length(300, order)) == 300.0
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp"])
+def test_no_focal_length(suffix: str) -> None:
+    assert read_focal_35mm(encoded(suffix)) is None
+    assert read_focal_35mm(b"") is None
+
+
+def test_focal_lengths_that_are_none() -> None:
+    """Zero means unknown (EXIF 2.32); a value of another type is not taken, nor another directory's."""
+    assert read_focal_35mm(with_exif(".jpg", tiff_with_focal_length(0, "<"))) is None
+    assert read_focal_35mm(with_exif(".jpg", tiff_with_focal_length(26, "<", kind=5))) is None
+    assert read_focal_35mm(with_exif(".jpg", tiff_block(6, "<"))) is None
+
+
+def test_damaged_focal_lengths() -> None:
+    data = with_exif(".jpg", tiff_with_focal_length(26, ">"))
+    start = data.index(b"MM\0*")
+    for end in range(2, start + 60):
+        assert read_focal_35mm(data[:end]) in (None, 26.0)
+    for spot in range(start, start + 60):
+        for flip in (0x01, 0x80, 0xFF):
+            damaged = bytearray(data)
+            damaged[spot] ^= flip
+            focal = read_focal_35mm(bytes(damaged))
+            assert focal is None or focal > 0

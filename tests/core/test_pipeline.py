@@ -11,6 +11,10 @@ from handfit_core.align import align
 from handfit_core.errors import HandModelError, NoHandFoundError, OptionError
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import load_model, save_model_npz
+from handfit_core.keypoints import DetectedTrack, HandDetection
+from handfit_core.media import open_media
+from handfit_core.pipeline import _rate, hand_track
+from handfit_core.solvers.result import TrackFit
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -92,6 +96,46 @@ def test_camera_is_assumed_when_none_is_given() -> None:
     assert found.intrinsics == Intrinsics(640.0, 640.0, 320.0, 240.0)
     assert found.source.kind == "photo"
     assert found.hands[0].reprojection_error[0] < 15.0
+
+
+@pytest.mark.parametrize(
+    ("numbers", "rate"),
+    [
+        ([1, 2, 3], 24.0),
+        ([1, 5, 9, 13], 6.0),
+        ([1], 24.0),
+        ([1, 3, 5, 6, 8, 10], 12.0),
+        ([7, 8, 20, 21], 24.0),
+    ],
+)
+def test_frames_per_second_that_are_used(numbers: list[int], rate: float) -> None:
+    """Of a sequence, 24 of its own; a frame that is missing does not count."""
+    assert _rate(open_media(PATTERN), numbers) == rate
+
+
+def test_filled_frames_have_a_pose_but_nothing_seen() -> None:
+    truth = Take.load(SAMPLE / "truth.take.npz").hands[0]
+    keypoints = np.concatenate([truth.keypoints_2d[0], np.zeros((21, 1))], axis=1)
+    found = HandDetection("right", 0.9, keypoints, np.zeros((21, 3)))
+    rows = [np.array(a[:3]) for a in (truth.global_orient, truth.hand_pose, truth.transl)]
+    for row in rows:
+        row[2] = np.nan
+    fit = TrackFit(truth.betas, *rows, converged=np.array([True, False, False]))
+    camera = Intrinsics.assumed(640, 480)
+    track = hand_track(load_model(None, "right"), DetectedTrack("right", (found, None, None)), fit, camera)
+    np.testing.assert_array_equal(track.detected, [True, False, False])
+    np.testing.assert_array_equal(track.filled, [False, True, False])
+    np.testing.assert_array_equal(np.isfinite(track.joints_3d).all(axis=(1, 2)), [True, True, False])
+    for seen_only in (track.keypoints_2d, track.reprojection_error, track.score):
+        assert np.isfinite(seen_only[0]).all()
+        assert np.isnan(seen_only[1:]).all()
+    assert track.doubtful is None  # nobody looked
+
+
+@pytest.mark.parametrize("smoothing", [-1.0, 11.0])
+def test_smoothing_out_of_range(smoothing: float) -> None:
+    with pytest.raises(OptionError, match="smoothing must lie between 0 and 10"):
+        capture(PATTERN, smoothing=smoothing)
 
 
 def test_hand_choice() -> None:

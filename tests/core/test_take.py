@@ -112,6 +112,56 @@ def test_a_frame_with_a_hand_is_finite() -> None:
         take(hands=(track(transl=transl),))
 
 
+FILLED = np.array([False, False, True, False])
+DOUBTFUL = np.array([False, True, False, False])
+OF_MODEL = ("global_orient", "hand_pose", "transl", "joints_3d")
+AS_SEEN = ("keypoints_2d", "reprojection_error", "score")
+
+
+def bridged(**changes: Any) -> HandTrack:
+    """A track whose third frame was not detected, and filled."""
+    whole: dict[str, Any] = {name: np.nan_to_num(getattr(track(), name), nan=0.5) for name in OF_MODEL}
+    return track(**{**whole, "filled": FILLED, "doubtful": DOUBTFUL, **changes})
+
+
+def test_filled_and_doubtful_frames_come_back(tmp_path: Path) -> None:
+    loaded = Take.load(take(hands=(bridged(), track("left"))).save(tmp_path / "t.npz"))
+    ours, plain = loaded.hands
+    for flags, expected in ((ours.filled, FILLED), (ours.doubtful, DOUBTFUL)):
+        assert flags is not None
+        assert flags.dtype == bool
+        np.testing.assert_array_equal(flags, expected)
+    np.testing.assert_array_equal(ours.present, [True, True, True, True])
+    assert np.isfinite(ours.transl).all()
+    assert all(np.isnan(getattr(ours, name)[2]).all() for name in AS_SEEN)
+    # None stays None.
+    assert plain.filled is None
+    assert plain.doubtful is None
+    np.testing.assert_array_equal(plain.present, plain.detected)
+
+
+def test_takes_from_before_there_were_flags(tmp_path: Path) -> None:
+    path = edited(take(hands=(bridged(),)).save(tmp_path / "t.npz"), hand0_filled=None, hand0_doubtful=None)
+    (hand,) = Take.load(path).hands
+    assert hand.filled is None
+    assert hand.doubtful is None
+    np.testing.assert_array_equal(hand.present, hand.detected)
+
+
+@pytest.mark.parametrize("name", OF_MODEL)
+def test_a_filled_frame_has_a_pose(name: str) -> None:
+    with pytest.raises(TakeError, match=f"{name} is not finite"):
+        take(hands=(bridged(**{name: getattr(track(), name)}),))
+
+
+@pytest.mark.parametrize("name", ["filled", "doubtful"])
+def test_flags_are_one_a_frame(tmp_path: Path, name: str) -> None:
+    with pytest.raises(TakeError, match=f"right hand's {name} has the wrong shape"):
+        take(hands=(bridged(**{name: np.zeros(FRAMES + 1, dtype=bool)}),))
+    path = edited(take(hands=(bridged(),)).save(tmp_path / "t.npz"), **{f"hand0_{name}": np.zeros((2, 2))})
+    assert "capture it again" in message_of(path)
+
+
 def test_wrong_sides_are_refused() -> None:
     with pytest.raises(TakeError, match="'middle'"):
         take(hands=(track("middle"),))

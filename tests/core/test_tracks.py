@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -135,6 +137,45 @@ def test_a_long_clip_with_a_long_gap() -> None:
     frames = [[hand(100 + t % 50), hand(600 - t % 40, "left")] for t in range(1000)]
     frames[500:600] = [[]] * 100
     assert [t.detected.sum() for t in link_tracks(frames)] == [900, 900]
+
+
+def test_the_networks_word_decides_the_side() -> None:
+    """The detector names all of them left, and the network says that is unlikely."""
+    frames = [[replace(hand(100 + t, "left"), right_side=0.2)] for t in range(6)]
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert [t.side for t in link_tracks(frames, "right")] == ["right"]
+    with pytest.raises(NoHandFoundError, match="only a right one"):
+        link_tracks(frames, "left")
+    # A few frames that are sure of one side outweigh more that are not.
+    mixed = [replace(hand(100 + t, "left"), right_side=1.0 if t < 4 else 0.4) for t in range(10)]
+    (track,) = link_tracks([[d] for d in mixed])
+    assert track.side == "left"  # 0.9 (4 + 6 x 0.4) against 0.9 x 6 x 0.6
+
+
+def test_crossing_hands_by_the_networks_word() -> None:
+    """The detector names both alike; only the network tells them apart."""
+    frames = []
+    for t in range(21):
+        left = replace(hand(100 + 20 * t, "right"), right_side=0.1)
+        right = replace(hand(500 - 20 * t, "right", y=340), right_side=0.95)
+        frames.append([left, right] if t % 2 else [right, left])
+    tracks = {t.side: t for t in link_tracks(frames)}
+    assert [x_of(d) for d in tracks["left"].detections] == [100 + 20 * t for t in range(21)]
+    assert [x_of(d) for d in tracks["right"].detections] == [500 - 20 * t for t in range(21)]
+
+
+def test_where_places_are_undecided_the_networks_word_decides() -> None:
+    """Each hand is a little nearer to where the other one was."""
+    before = [replace(hand(100), right_side=0.1), replace(hand(200), right_side=0.9)]
+    after = [replace(hand(152, y=340), right_side=0.1), replace(hand(148, y=260), right_side=0.9)]
+    tracks = {t.side: t for t in link_tracks([before, after])}
+    assert [x_of(d) for d in tracks["left"].detections] == [100, 152]
+    assert [x_of(d) for d in tracks["right"].detections] == [200, 148]
+
+
+def test_tracks_know_the_clips_rate() -> None:
+    assert [t.fps for t in link_tracks([[hand(1)]], fps=12.5)] == [12.5]
 
 
 def test_nothing_found() -> None:

@@ -1,0 +1,68 @@
+"""Which gaps are bridged, and what stands in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from handfit_core.rotations import rotmat_to_rotvec
+from handfit_core.solvers.fast.chain import State
+from handfit_core.solvers.fast.gaps import LONGEST_GAP, bridged, spans
+from tests.core.solvers.fast.hands import chain_of, make_state
+
+CHAIN = chain_of()
+
+
+@pytest.mark.parametrize("fps", [5.0, 25.0, 29.97, 60.0])
+def test_gaps_up_to_the_limit_are_bridged(fps: float) -> None:
+    most = int(LONGEST_GAP * fps)
+    (stretch,) = spans(np.array([3, 4, 4 + most + 1, 4 + most + 2]), fps)
+    np.testing.assert_array_equal(stretch, np.arange(3, 4 + most + 3))
+    first, second = spans(np.array([3, 4, 4 + most + 2, 4 + most + 3]), fps)
+    np.testing.assert_array_equal(first, [3, 4])
+    np.testing.assert_array_equal(second, [6 + most, 7 + most])
+
+
+def test_few_frames_per_second_bridge_nothing() -> None:
+    assert [list(s) for s in spans(np.array([0, 1, 3]), 1.0)] == [[0, 1], [3]]
+
+
+def test_every_frame_found_is_one_stretch() -> None:
+    (stretch,) = spans(np.arange(7), 25.0)
+    np.testing.assert_array_equal(stretch, np.arange(7))
+    (single,) = spans(np.array([5]), 25.0)
+    np.testing.assert_array_equal(single, [5])
+
+
+def angles_between(a: torch.Tensor, b: torch.Tensor) -> np.ndarray:
+    return np.linalg.norm(rotmat_to_rotvec((a.mT @ b).numpy()), axis=-1)
+
+
+def test_filled_frames_lie_between() -> None:
+    ends = make_state(3, CHAIN, seed=4, spread=0.5)
+    known = np.array([True, False, False, False, True, False, True])
+    state = bridged(ends, known)
+    assert len(state) == 7
+    rows = np.flatnonzero(known)
+    for name in State.__dataclass_fields__:
+        # What was known stays as it was.
+        torch.testing.assert_close(getattr(state, name)[rows], getattr(ends, name), atol=1e-9, rtol=0)
+    for frame, left, right, share in [(1, 0, 1, 0.25), (2, 0, 1, 0.5), (3, 0, 1, 0.75), (5, 1, 2, 0.5)]:
+        for mine, theirs in [(state.root, ends.root), (state.local, ends.local)]:
+            whole = angles_between(theirs[left], theirs[right])
+            assert np.ptp(whole) > 0.0 or whole.ndim == 0
+            np.testing.assert_allclose(angles_between(theirs[left], mine[frame]), share * whole, atol=1e-6)
+            np.testing.assert_allclose(
+                angles_between(mine[frame], theirs[right]), (1 - share) * whole, atol=1e-6
+            )
+        torch.testing.assert_close(
+            state.wrist[frame], (1 - share) * ends.wrist[left] + share * ends.wrist[right]
+        )
+    identity = torch.eye(3, dtype=CHAIN.dtype).expand_as(state.local)
+    torch.testing.assert_close(state.local @ state.local.mT, identity, atol=1e-9, rtol=0)
+
+
+def test_nothing_missing_changes_nothing() -> None:
+    state = make_state(4, CHAIN)
+    assert bridged(state, np.ones(4, dtype=bool)) is state

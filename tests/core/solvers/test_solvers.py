@@ -1,0 +1,40 @@
+"""Solvers by name, and how smooth motion may be asked to be."""
+
+from __future__ import annotations
+
+import pytest
+
+from handfit_core.errors import OptionError
+from handfit_core.solvers import (
+    DEFAULT_SOLVER,
+    FAST_SOLVERS,
+    MOST_SMOOTHING,
+    PAPER_SOLVERS,
+    get_solver,
+    solver_names,
+)
+
+
+def test_every_name_is_a_solver() -> None:
+    assert set(solver_names()) == {*FAST_SOLVERS, *PAPER_SOLVERS}
+    assert len(set(solver_names())) == len(solver_names())
+    assert DEFAULT_SOLVER in solver_names()
+    for name in solver_names():
+        assert callable(get_solver(name))
+
+
+def test_other_names_are_refused() -> None:
+    with pytest.raises(OptionError, match=r"no solver 'magic'.*paper-a, "):
+        get_solver("magic")
+
+
+@pytest.mark.parametrize("smoothing", [-0.01, MOST_SMOOTHING + 0.01, float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["fast", "paper-a"])
+def test_smoothing_out_of_range(name: str, smoothing: float) -> None:
+    with pytest.raises(OptionError, match="between 0 and 10"):
+        get_solver(name, smoothing)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 1.0, MOST_SMOOTHING])
+def test_smoothing_within_range(smoothing: float) -> None:
+    assert callable(get_solver("fast", smoothing))
