@@ -112,7 +112,11 @@ def run_pytest(
     strict = {"HANDFIT_ALLOWED_SKIPS": allowed_skips} if os.environ.get("CI") else {}
     chosen = [a for a in session.posargs if a.startswith("tests")]
     options = [a for a in session.posargs if a not in chosen]
-    session.run("python", "-m", "pytest", *(chosen or paths), *options, env={**strict, **(env or {})})
+    # More BLAS threads than one only wait for each other, as handfit_core/__main__.py explains.
+    threads = {"OPENBLAS_NUM_THREADS": "1"}
+    session.run(
+        "python", "-m", "pytest", *(chosen or paths), *options, env={**threads, **strict, **(env or {})}
+    )
 
 
 @nox.session(python=PYTHON)

@@ -140,8 +140,8 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=DEFAULT_SMOOTHING,
         metavar="S",
-        help=f"how smooth motion is: 0 takes every frame by itself, at most {MOST_SMOOTHING:g} "
-        f"(default: {DEFAULT_SMOOTHING:g})",
+        help="how smooth motion is, for the solver fast: 0 takes every frame by itself, "
+        f"at most {MOST_SMOOTHING:g} (default: {DEFAULT_SMOOTHING:g})",
     )
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
 

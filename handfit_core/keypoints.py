@@ -57,6 +57,8 @@ class DetectedTrack:
     detections: tuple[HandDetection | None, ...]
     fps: float = 25.0
     """Frames per second: how far apart in time they are"""
+    holes: tuple[int, ...] = ()
+    """Rows after which pictures of the clip are missing, so that the next row is no neighbour in time"""
 
     @property
     def detected(self) -> np.ndarray:

@@ -106,7 +106,7 @@ def capture(
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
-        tracks = link_tracks(found, hands, max_hands, _rate(media, numbers))
+        tracks = link_tracks(found, hands, max_hands, _rate(media, numbers), _holes(numbers))
     except NoHandFoundError as error:
         raise NoHandFoundError(f"{media.source.name}: {error}") from None
 
@@ -175,6 +175,12 @@ def detect_frames(
 def _rate(media: Media, numbers: list[int]) -> float:
     """Used frames per second: of a source of which every fourth frame is used, a quarter of its own."""
     return media.fps / float(np.median(np.diff(numbers))) if len(numbers) > 1 else media.fps
+
+
+def _holes(numbers: list[int]) -> tuple[int, ...]:
+    """Rows of used frames after which the source lacks some."""
+    steps = np.diff(numbers)
+    return tuple(np.flatnonzero(steps > np.median(steps)).tolist()) if len(steps) else ()
 
 
 def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics: Intrinsics) -> HandTrack:

@@ -238,7 +238,8 @@ class Take:
                         betas=arrays[f"hand{i}_betas"],
                         detected=arrays[f"hand{i}_detected"],
                         **{name: arrays[f"hand{i}_{name}"] for name in _TRACK_ARRAYS},
-                        **{name: arrays.get(f"hand{i}_{name}") for name in _TRACK_FLAGS},
+                        filled=arrays.get(f"hand{i}_filled"),
+                        doubtful=arrays.get(f"hand{i}_doubtful"),
                     )
                     for i, side in enumerate(header["sides"])
                 ),

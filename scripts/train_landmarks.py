@@ -4,8 +4,8 @@
     python scripts/train_landmarks.py FOLDER                  makes samples (an hour or two), then trains
     python scripts/train_landmarks.py FOLDER --install        and puts the results into the package
 
-Samples are MediaPipe's detections in painted pictures of the open hand, beside the truth. Seeds are 100 and
-above; the rendered benchmark's test seed is 0. Needs no Blender. FOLDER keeps the samples: an
+Samples are MediaPipe's detections in painted pictures of the open hand, beside the truth. Seeds are 100
+and above; the rendered benchmark's test seed is 0. Needs no Blender. FOLDER keeps the samples: an
 interrupted run goes on where it stopped.
 """
 
@@ -15,6 +15,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from handfit_core.learned import network
 
 LEAST_SEED = 100
 """Seeds below are for rendered benchmarks: nothing is trained on what is tested"""
+SHIPPED = "100:12000,101:6500"
+NETWORK_SEED = 0
 CHUNK = 250
 """Stills per file of samples"""
 
@@ -36,19 +39,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the script; returns the exit code."""
     parser = argparse.ArgumentParser(prog="train_landmarks.py", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="where samples and results go")
-    parser.add_argument("--stills", type=int, default=16500, help="painted pictures (default 16500)")
-    parser.add_argument("--seed", type=int, default=LEAST_SEED, help=f"{LEAST_SEED} or more")
+    parser.add_argument(
+        "--stills",
+        default=SHIPPED,
+        metavar="SEED:COUNT,...",
+        help=f"painted pictures, of which seeds ({LEAST_SEED} or more); what ships: {SHIPPED}",
+    )
     parser.add_argument("--install", action="store_true", help="write the results into the package")
     args = parser.parse_args(argv)
     try:
-        if args.seed < LEAST_SEED or args.stills < 1:
-            raise OptionError(f"--seed must be {LEAST_SEED} or more and --stills 1 or more")
-        samples = _samples(args.folder, args.seed, args.stills)
-        _train(samples, args.folder, args.seed, install=args.install)
+        parts = [_samples(args.folder, seed, stills) for seed, stills in _asked(args.stills)]
+        kept = [rows for rows in parts if rows]
+        if not kept:
+            raise OptionError("the detector found no hand in these pictures; ask for more --stills")
+        samples = {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]}
+        _train(samples, args.folder, install=args.install)
     except HandfitError as error:
         print(f"train_landmarks: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _asked(text: str) -> list[tuple[int, int]]:
+    """`SEED:COUNT,...` -> pairs. Raises OptionError."""
+    try:
+        pairs = [(int(seed), int(count)) for seed, count in (part.split(":") for part in text.split(","))]
+    except ValueError:
+        raise OptionError(f"--stills wants SEED:COUNT,..., as in {SHIPPED}, not {text!r}") from None
+    if any(seed < LEAST_SEED or count < 1 for seed, count in pairs):
+        raise OptionError(
+            f"--stills wants seeds of {LEAST_SEED} or more and counts of 1 or more, not {text!r}"
+        )
+    return pairs
 
 
 def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
@@ -66,7 +88,7 @@ def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
                     for number in range(first, min(first + CHUNK, stills))
                     for sample in samples_of(seed, number, detector)[1]
                 ]
-                columns = {
+                columns: dict[str, Any] = {
                     name: np.array([row[name] for row in found]) for name in (found[0] if found else ())
                 }
                 with written_whole(path) as beside, open(beside, "wb") as stream:
@@ -75,18 +97,16 @@ def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
             with np.load(path, allow_pickle=False) as arrays:
                 kept.append(dict(arrays))
     kept = [rows for rows in kept if rows]
-    if not kept:
-        raise OptionError("the detector found no hand in these pictures; ask for more --stills")
-    return {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]}
+    return {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]} if kept else {}
 
 
-def _train(samples: dict[str, np.ndarray], folder: Path, seed: int, *, install: bool) -> None:
+def _train(samples: dict[str, np.ndarray], folder: Path, *, install: bool) -> None:
     from scripts.training.learn import calibrate, pose_prior, train
 
     offsets = calibrate(samples)
     mean, covariance = pose_prior(samples)
-    weights = train(samples, landmarks.Landmarks(offsets), seed, lambda line: print(line, flush=True))
-    found = {
+    weights = train(samples, landmarks.Landmarks(offsets), NETWORK_SEED, lambda line: print(line, flush=True))
+    found: dict[Path, dict[str, Any]] = {
         landmarks.FILE: {"offsets": offsets, "pose_mean": mean, "pose_covariance": covariance},
         network.FILE: weights,
     }

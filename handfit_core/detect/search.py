@@ -72,12 +72,17 @@ def search(
     return found
 
 
+MOST_TILES_ALONG = 3.0
+"""Tiles side by side that span the longer side; with their overlaps there are five"""
+
+
 def tiles_of(width: int, height: int) -> Iterator[View]:
     """Views that enlarge a large picture, two thirds of its shorter side each, the next half of that on;
     none for a picture that `views_of` shows in full detail."""
     if max(width, height) < TILED_FROM:
         return
-    span = min(width, height) * 2.0 / 3.0
+    # At least so large that there are few tiles: a strip of a picture shows no hand in detail anyway.
+    span = max(min(width, height) * 2.0 / 3.0, max(width, height) / MOST_TILES_ALONG)
     columns, rows = (max(2, round(2.0 * side / span) - 1) for side in (width, height))
     for y in np.linspace(span / 2.0, height - span / 2.0, rows):
         for x in np.linspace(span / 2.0, width - span / 2.0, columns):

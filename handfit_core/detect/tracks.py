@@ -40,6 +40,9 @@ GAP_GROWTH = 0.1
 SHORT_GAP = 12
 """After so many frames a hand of the other side, where one was lost, may well be another hand."""
 
+LOST_AFTER = 250
+"""After so many frames a hand is not waited for; what turns up is joined to it later, if it is of its side"""
+
 MOTION_FRAMES = 3
 """Detections back that a hand's velocity is taken over: two frames alone are mostly jitter."""
 
@@ -99,12 +102,13 @@ def link_tracks(
     hands: HandChoice = "auto",
     max_hands: int = 2,
     fps: float = 25.0,
+    holes: tuple[int, ...] = (),
 ) -> tuple[DetectedTrack, ...]:
     """Link per-frame detections into at most `max_hands` tracks, the surest first in frame order.
 
     `hands`: "auto" keeps whatever was seen, also two left hands; "left" and "right" keep hands of
     that side only; "both" means one left and one right, and overrules the detector if it named
-    two hands alike. `fps` is of the clip, frames per second.
+    two hands alike. `fps` and `holes` are of the clip (see `DetectedTrack`).
 
     Raises OptionError for another `hands`, NoHandFoundError when nothing (of that side) was seen.
     """
@@ -128,7 +132,7 @@ def link_tracks(
             "is right)"
         )
     return tuple(
-        DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))), fps)
+        DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))), fps, holes)
         for track, side in chosen
     )
 
@@ -170,10 +174,12 @@ def _without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetecti
 def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
     from scipy.optimize import linear_sum_assignment
 
+    every: list[_OpenTrack] = []
     tracks: list[_OpenTrack] = []
     for index, detections in enumerate(frames):
         if not detections:
             continue
+        tracks = [t for t in tracks if index - next(reversed(t.detections)) <= LOST_AFTER]
         expected = [(t.last, t.displacement(index), t.side) for t in tracks]
         cost = np.array(
             [
@@ -192,7 +198,8 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
             track = _OpenTrack()
             track.add(index, detections[column])
             tracks.append(track)
-    return tracks
+            every.append(track)
+    return every
 
 
 def _limit(gap: int) -> float:

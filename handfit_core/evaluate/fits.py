@@ -92,7 +92,7 @@ class Fits:
     def _path(self, task: FitTask) -> Path:
         side = task.track.side
         sha = hashlib.sha256(
-            f"{self._made_with}|{task.method}|{side}|{self._of_model[side]}|{task.intrinsics}".encode()
+            f"{self._made_with}|{task.method}|{side}|{task.track.fps!r}|{self._of_model[side]}|{task.intrinsics}".encode()
         )
         for detection in task.track.detections:
             if detection is None:
@@ -100,6 +100,7 @@ class Fits:
             else:
                 sha.update(np.ascontiguousarray(detection.keypoints).tobytes())
                 sha.update(np.ascontiguousarray(detection.world).tobytes())
+                sha.update(f"{detection.score!r}|{detection.side}".encode())
         return self._folder / task.method / f"{sha.hexdigest()[:32]}.npz"
 
 

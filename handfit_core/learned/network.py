@@ -21,6 +21,8 @@ from handfit_core.skeleton import NUM_KEYPOINTS
 FILE: Final = Path(__file__).parent / "data" / "landmark_network.npz"
 MOST: Final = 4.0
 """Features beyond so many standard deviations count as that many"""
+CHUNK: Final = 512
+"""Detections looked at together; bounds the memory"""
 LOG_SIGMA: Final = -2.0
 """What the network's log sigmas are counted from"""
 
@@ -72,9 +74,11 @@ def landmark_network() -> LandmarkNetwork:
 
 def side_probability(detections: Sequence[HandDetection]) -> np.ndarray:
     """(N,) probability that each detection's side is the true one."""
-    if not detections:
-        return np.empty(0)
-    return landmark_network()(canonical(detections, [d.side for d in detections])).right_side
+    found = [np.empty(0)]
+    for first in range(0, len(detections), CHUNK):
+        part = detections[first : first + CHUNK]
+        found.append(landmark_network()(canonical(part, [d.side for d in part])).right_side)
+    return np.concatenate(found)
 
 
 def _gelu(x: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ class TrackFit:
     @property
     def present(self) -> np.ndarray:
         """(T,) bool: frames with a hand, detected or filled."""
-        return np.isfinite(self.transl).all(axis=1)
+        return np.asarray(np.isfinite(self.transl).all(axis=1))
 
 
 OnFrame = Callable[[], None]

@@ -158,8 +158,8 @@ def true_landmarks(samples: Samples, landmarks: Landmarks) -> np.ndarray:
 
 
 def targets(samples: Samples, points: np.ndarray, seen: Canonical) -> np.ndarray:
-    """(N, 21, 3) the true points (N, 21, 3) in the canonical frame: turned as if the camera looked at the
-    hand, in pixels at its mean distance, which is what a detector's weak perspective means."""
+    """(N, 21, 3) the true points (N, 21, 3) in the canonical frame: x and y as they project; depth along the
+    line of sight, in pixels at the hand's mean distance. That is what the solver's terms compare."""
     picture = np.empty_like(points)
     for i in range(len(points)):
         size = float(samples["size"][i])
@@ -169,8 +169,8 @@ def targets(samples: Samples, points: np.ndarray, seen: Canonical) -> np.ndarray
         )
         along = points[i] @ turn
         camera = Intrinsics(samples["focal"][i], samples["focal"][i], *samples["centre"][i])
-        picture[i] = (along - along.mean(axis=0)) * (samples["focal"][i] / along[:, 2].mean())
-        picture[i, :, :2] += camera.project(points[i]).mean(axis=0)
+        picture[i, :, :2] = camera.project(points[i])
+        picture[i, :, 2] = (along[:, 2] - along[:, 2].mean()) * (samples["focal"][i] / along[:, 2].mean())
     return seen.from_picture(picture)
 
 
@@ -188,13 +188,14 @@ def train(
     of_sides = torch.cat([features, tensor(wrong_side.features)])
     is_right = torch.cat([torch.ones(len(features)), torch.zeros(len(features))])
     mean, deviation = features.mean(dim=0), features.std(dim=0) + 1e-6
+    last = torch.nn.Linear(HIDDEN, 21 * 6 + 1)
+    torch.nn.init.zeros_(last.weight)
+    torch.nn.init.zeros_(last.bias)
     network = torch.nn.Sequential(
         torch.nn.Linear(FEATURES, HIDDEN), torch.nn.GELU(approximate="tanh"), torch.nn.Dropout(0.1),
         torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.GELU(approximate="tanh"), torch.nn.Dropout(0.1),
-        torch.nn.Linear(HIDDEN, 21 * 6 + 1),
+        last,
     )  # fmt: skip
-    torch.nn.init.zeros_(network[-1].weight)
-    torch.nn.init.zeros_(network[-1].bias)
     steps = EPOCHS * (len(features) // BATCH + 1)
     optimiser = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=3e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, total_steps=steps)
@@ -203,6 +204,7 @@ def train(
         x = x + NOISE * torch.randn_like(x)
         return network(((x - mean) / deviation).clamp(-MOST, MOST))
 
+    loss = loss_side = torch.zeros(())
     for epoch in range(EPOCHS):
         for batch in torch.randperm(len(features)).split(BATCH):
             out = forward(features[batch])[:, :-1].view(-1, 21, 6)

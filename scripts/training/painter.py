@@ -233,4 +233,6 @@ def _through_lens(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     grain = rng.normal(0, rng.uniform(0.5, 6.0), picture.shape)
     picture = np.clip(picture + grain, 0, 255).astype(np.uint8)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 98))]
-    return cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1], cv2.IMREAD_COLOR)
+    decoded = cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1], cv2.IMREAD_COLOR)
+    assert decoded is not None, "OpenCV reads what it wrote"
+    return decoded

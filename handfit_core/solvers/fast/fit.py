@@ -15,10 +15,11 @@ from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import FILE, detector_landmarks
 from handfit_core.keypoints import DetectedTrack, HandDetection
+from handfit_core.residuals.reprojection import NEAREST
 from handfit_core.skeleton import NUM_BETAS
 from handfit_core.solvers.fast.chain import Chain, State, joined
 from handfit_core.solvers.fast.energy import Energy, PosePrior, Weights
-from handfit_core.solvers.fast.gaps import bridged, spans
+from handfit_core.solvers.fast.gaps import bridged, jumps, missing_between, spans
 from handfit_core.solvers.fast.levenberg import Solution, solve
 from handfit_core.solvers.fast.observation import Observation
 from handfit_core.solvers.fast.observe import Trust, landmarked
@@ -37,15 +38,20 @@ SHAPE_FRAMES: Final = 48
 CHUNK: Final = 512
 """Frames fitted at once; bounds the memory"""
 SHAPE_EVIDENCE: Final = 3.0
-"""Of a clip's frames so many count as independent evidence of the shape: a landmark that is off is off in all"""
+"""So many of a clip's frames count as independent evidence of the shape: what is off is off in all"""
+
 DOUBTFUL_ERROR: Final = 0.05
-"""Of the hand's size in the picture: where landmarks are expected to be farther off on average, it may be
-wrong. On rendered pictures such hands err twice as much as the others."""
+"""Of the hand's size in the picture: where landmarks' sigmas (half of what the network expects) are larger on
+average, the pose may be wrong. On rendered pictures such hands err twice as much as the others."""
+DOUBTFUL_RESIDUAL: Final = 0.2
+"""Of the hand's size: where the fit is so far from the landmarks on average, they are no hand's"""
 
 SMOOTH_ROTATION: Final = 14.0
 """radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
 SMOOTH_PLACE: Final = 1.2
 """metres per second squared, of the wrist"""
+OVERLAP_SECONDS: Final = 2.4
+"""Shared by two windows of a long clip at strength 1"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +148,23 @@ def fit_frames(
     cost, converged = solution.cost.cpu().numpy(), solution.converged.cpu().numpy()
     return FrameFits(
         betas, orient, pose, transl, cost, solution.iterations.cpu().numpy(), converged,
-        ~converged | _uncertain(seen),
+        ~converged | _uncertain(fitter, seen, solution.state),
     )  # fmt: skip
 
 
-def _uncertain(seen: Observation) -> np.ndarray:
-    """(B,) bool: landmarks that the network expects to be far off."""
+def _uncertain(fitter: FastFitter, seen: Observation, state: State) -> np.ndarray:
+    """(B,) bool: landmarks that the network expects to be far off, or that no hand fits."""
     size = (seen.pixels.amax(dim=1) - seen.pixels.amin(dim=1)).amax(dim=1)
-    return (seen.pixel_sigma.mean(dim=(1, 2)) > DOUBTFUL_ERROR * size).cpu().numpy()
+    points = fitter.chain.pose(state).points
+    projected = (
+        points[..., :2] / points[..., 2:].clamp_min(NEAREST) * seen.focal[:, None] + seen.centre[:, None]
+    )
+    residual = torch.linalg.vector_norm(projected - seen.pixels, dim=-1).mean(dim=1)
+    expected = seen.pixel_sigma.mean(dim=(1, 2))
+    # Written so that NaN is doubtful.
+    sure = (expected <= DOUBTFUL_ERROR * size) & (residual <= DOUBTFUL_RESIDUAL * size)
+    sure &= points[..., 2].amin(dim=1) > NEAREST
+    return (~sure).cpu().numpy()
 
 
 def fit_track(
@@ -172,8 +187,9 @@ def fit_track(
             seen = landmarked(detections, model.side, TRUST).observation(intrinsics, fitter.dtype)
             solution = _clip(fitter, seen)
             converged = solution.converged.numpy()
-            doubtful = ~converged | _uncertain(seen)
-            frames, state = _over_time(fitter, seen, solution.state, found, smoothing, track.fps)
+            doubtful = ~converged | _uncertain(fitter, seen, solution.state)
+            cuts = jumps(seen.pixels.numpy()) | missing_between(found, track.holes)
+            frames, state = _over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
             parameters = list(fitter.chain.parameters(state))
     for _ in detections:
         on_frame()
@@ -197,15 +213,27 @@ def _clip(fitter: FastFitter, seen: Observation) -> Solution:
     )
 
 
+def _motion(smoothing: float, fps: float) -> Motion:
+    """Per second -> per frame. The stiffer, the farther frames influence each other."""
+    per_frame = 1.0 / (max(smoothing, 1e-6) * fps**2)
+    overlap = int(np.clip(OVERLAP_SECONDS * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
+    return Motion(SMOOTH_ROTATION * per_frame, SMOOTH_PLACE * per_frame, overlap)
+
+
 def _over_time(
-    fitter: FastFitter, seen: Observation, state: State, found: np.ndarray, smoothing: float, fps: float
+    fitter: FastFitter,
+    seen: Observation,
+    state: State,
+    found: np.ndarray,
+    cuts: np.ndarray,
+    smoothing: float,
+    fps: float,
 ) -> tuple[np.ndarray, State]:
-    """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their states."""
-    motion = Motion(
-        SMOOTH_ROTATION / (max(smoothing, 1e-6) * fps**2), SMOOTH_PLACE / (max(smoothing, 1e-6) * fps**2)
-    )
+    """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their
+    states."""
+    motion = _motion(smoothing, fps)
     frames, states = [], []
-    for stretch in spans(found, fps):
+    for stretch in spans(found, fps, cuts):
         known = np.isin(stretch, found)
         rows = torch.tensor(np.flatnonzero(np.isin(found, stretch)))
         guess = bridged(state.select(rows), known)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -12,17 +14,41 @@ LONGEST_GAP = 0.5
 """seconds; what a hand did for longer nobody can tell"""
 
 
-def spans(found: np.ndarray, fps: float) -> list[np.ndarray]:
+LONGEST_JUMP = 1.0
+"""Of the hand's size, from one detection to the next: farther is a cut to another shot"""
+MOST_GROWTH = 1.6
+"""The same of the hand's size in the picture"""
+
+
+def jumps(pixels: np.ndarray) -> np.ndarray:
+    """(N - 1,) bool: whether the hand jumps between consecutive detections (N, 21, 2), as at a cut."""
+    size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1e-9)
+    spread = np.maximum(pixels.std(axis=1).max(axis=1), 1e-9)
+    larger = np.maximum(size[1:], size[:-1])
+    moved = np.linalg.norm(pixels[1:].mean(axis=1) - pixels[:-1].mean(axis=1), axis=1) / larger
+    growth = np.maximum(spread[1:] / spread[:-1], spread[:-1] / spread[1:])
+    return (moved > LONGEST_JUMP) | (growth > MOST_GROWTH)
+
+
+def missing_between(found: np.ndarray, holes: Sequence[int]) -> np.ndarray:
+    """(N - 1,) bool: whether pictures are missing between consecutive detected frames (N,)."""
+    before = np.searchsorted(np.sort(np.asarray(holes, dtype=np.int64)), found)
+    return np.diff(before) > 0
+
+
+def spans(found: np.ndarray, fps: float, jump: np.ndarray | None = None) -> list[np.ndarray]:
     """Frame numbers, stretch by stretch: each runs from one detected frame to another without a gap that is
-    longer than LONGEST_GAP. `found` (N,) the detected frames, rising."""
+    longer than LONGEST_GAP, and without a jump. `found` (N,) the detected frames, rising; `jump`
+    (N - 1,) bool between them."""
     longest = int(LONGEST_GAP * fps)
-    breaks = np.flatnonzero(np.diff(found) - 1 > longest) + 1
+    broken = np.diff(found) - 1 > longest
+    breaks = np.flatnonzero(broken if jump is None else broken | jump) + 1
     return [np.arange(part[0], part[-1] + 1) for part in np.split(found, breaks)]
 
 
 def bridged(state: State, known: np.ndarray) -> State:
-    """States of a stretch of T frames from those of its known ones (T,) bool, first and last among them: rotations
-    turn evenly from one known frame to the next."""
+    """States of a stretch of T frames from those of its known ones (T,) bool, first and last among them:
+    rotations turn evenly from one known frame to the next."""
     if known.all():
         return state
     index = np.flatnonzero(known)

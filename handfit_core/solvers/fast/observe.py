@@ -15,6 +15,9 @@ from handfit_core.learned.network import landmark_network
 from handfit_core.skeleton import Side
 from handfit_core.solvers.fast.observation import Observation
 
+LEAST_SIGMA = 0.1
+"""pixels; landmarks in one place would else be surer than anything"""
+
 
 @dataclass(frozen=True)
 class Trust:
@@ -69,11 +72,12 @@ class Landmarked:
 
 def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust) -> Landmarked:
     """Correct detections, all taken for hands of that side."""
-    seen = canonical(detections, [side] * len(detections))
+    sides: list[Side] = [side] * len(detections)
+    seen = canonical(detections, sides)
     said = landmark_network()(seen)
     blend = np.array([trust.plane, trust.plane, trust.depth])
     points = seen.to_picture(seen.fused + blend * (said.points - seen.fused))
-    sigma = np.maximum(said.sigma, trust.floor) * seen.size[:, None, None]
+    sigma = np.maximum(np.maximum(said.sigma, trust.floor) * seen.size[:, None, None], LEAST_SIGMA)
     plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
     depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
     return Landmarked(points[..., :2], plane, depth, trust.depth_sigma * sigma[..., 2])

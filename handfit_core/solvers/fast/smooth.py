@@ -36,10 +36,12 @@ class Motion:
     """radians per frame squared"""
     place: float
     """metres per frame squared"""
+    overlap: int = 60
+    """Frames that two windows share: what happens so many frames on has hardly an influence"""
 
 
-WINDOW, OVERLAP = 600, 60
-"""Frames solved at once, and shared by two windows: what happens so many frames on has no influence"""
+WINDOW = 600
+"""Frames that each window adds"""
 
 
 def smoothed(
@@ -51,15 +53,15 @@ def smoothed(
     `start` hold a guess.
     """
     count = len(start)
-    if count <= WINDOW + OVERLAP:
+    if count <= WINDOW + motion.overlap:
         return _window(chain, energy, seen, has_data, start, motion)
     state, first = start, 0
     while True:
-        last = min(first + WINDOW + OVERLAP, count)
+        last = min(first + WINDOW + motion.overlap, count)
         part = torch.arange(first, last)
         found = _window(chain, energy, seen.select(part), has_data[first:last], start.select(part), motion)
         # In the shared part the first half is the earlier window's, the second the later's.
-        keep = 0 if first == 0 else OVERLAP // 2
+        keep = 0 if first == 0 else motion.overlap // 2
         state = _put(state, found, first, keep)
         if last == count:
             return state
@@ -82,7 +84,7 @@ def _window(
         return start
     state = start
     blocks = _data(chain, energy, seen, has_data, state)
-    total = float(blocks.cost.double().sum()) + _motion_cost(chain, state, motion)
+    total = float(blocks.cost.double().sum()) + _motion_cost(state, motion)
     damping = 1e-4
     for _ in range(ITERATIONS):
         matrix, gradient = _banded(blocks, has_data)
@@ -91,7 +93,7 @@ def _window(
         step = _solve(matrix, gradient)
         candidate = _moved(chain, state, step, blocks)
         tried = _data(chain, energy, seen, has_data, candidate)
-        after = float(tried.cost.double().sum()) + _motion_cost(chain, candidate, motion)
+        after = float(tried.cost.double().sum()) + _motion_cost(candidate, motion)
         if not after < total:
             damping *= 30.0
             continue
@@ -156,7 +158,7 @@ def _rotations(state: State) -> np.ndarray:
     return np.concatenate([root, state.local.double().cpu().numpy().reshape(len(root), 15, 3, 3)], axis=1)
 
 
-def _motion_cost(chain: Chain, state: State, motion: Motion) -> float:
+def _motion_cost(state: State, motion: Motion) -> float:
     turning, _ = rotation_acceleration(_rotations(state))
     moving = place_acceleration(state.wrist.double().cpu().numpy())
     return float(np.square(turning / motion.rotation).sum() + np.square(moving / motion.place).sum())

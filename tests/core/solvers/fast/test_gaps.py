@@ -8,7 +8,7 @@ import torch
 
 from handfit_core.rotations import rotmat_to_rotvec
 from handfit_core.solvers.fast.chain import State
-from handfit_core.solvers.fast.gaps import LONGEST_GAP, bridged, spans
+from handfit_core.solvers.fast.gaps import LONGEST_GAP, bridged, jumps, missing_between, spans
 from tests.core.solvers.fast.hands import chain_of, make_state
 
 CHAIN = chain_of()
@@ -66,3 +66,18 @@ def test_filled_frames_lie_between() -> None:
 def test_nothing_missing_changes_nothing() -> None:
     state = make_state(4, CHAIN)
     assert bridged(state, np.ones(4, dtype=bool)) is state
+
+
+def test_a_jump_or_a_sudden_growth_is_a_cut() -> None:
+    hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
+    seen = np.stack([hand, hand + 30.0, hand + 300.0, 2.0 * hand + 300.0, 2.0 * hand + 310.0])
+    np.testing.assert_array_equal(jumps(seen), [False, True, True, False])
+
+
+def test_stretches_end_at_cuts_and_missing_pictures() -> None:
+    found = np.array([0, 1, 2, 5, 6])
+    cuts = np.array([False, True, False, False])
+    assert [s.tolist() for s in spans(found, 25.0, cuts)] == [[0, 1], [2, 3, 4, 5, 6]]
+    np.testing.assert_array_equal(missing_between(found, (3,)), [False, False, True, False])
+    np.testing.assert_array_equal(missing_between(found, (2, 5)), [False, False, True, True])
+    np.testing.assert_array_equal(missing_between(found, ()), [False] * 4)

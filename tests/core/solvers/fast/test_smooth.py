@@ -226,17 +226,16 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
     """Also where the last window is short."""
     truth, _, _ = clip()
     part = torch.arange(count)
-    # Sharp looks: what happens eight frames on has hardly any influence, as with real OVERLAPs.
+    # Sharp looks: what happens eight frames on has hardly any influence, as with real overlaps.
     seen, start = observe(CHAIN.pose(truth).points, noise=1.0, sigma=1.0).select(part), truth.select(part)
     monkeypatch.setattr(smooth, "ITERATIONS", 30)
     monkeypatch.setattr(smooth, "TOLERANCE", 1e-9)
     whole = run(seen, start)
     monkeypatch.setattr(smooth, "WINDOW", 12)
-    monkeypatch.setattr(smooth, "OVERLAP", 16)
     calls = []
     window = smooth._window
     monkeypatch.setattr(smooth, "_window", lambda *a: calls.append(len(a[4])) or window(*a))
-    found = run(seen, start)
+    found = run(seen, start, motion=replace(MOTION, overlap=16))
     assert len(calls) == -(-(count - 16) // 12)
     difference = np.linalg.norm(points_of(found) - points_of(whole), axis=-1)
     assert difference.max() < 2e-3  # metres
