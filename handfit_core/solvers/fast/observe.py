@@ -25,7 +25,7 @@ class Trust:
 
     plane: float = 0.3
     """of the way from the detector's x and y to the network's"""
-    depth: float = 0.6
+    depth: float = 0.7
     """of the way from the detector's fused depth to the network's"""
     plane_sigma: float = 0.5
     """of the network's expected error, x and y"""
