@@ -169,6 +169,8 @@ def _capture(args: argparse.Namespace) -> int:
         {
             "side": track.side,
             "frames": int(track.detected.sum()),
+            "filled": 0 if track.filled is None else int(track.filled.sum()),
+            "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
             "mean_reprojection_error_px": float(track.reprojection_error[track.detected].mean()),
         }
         for track in take.hands
@@ -283,7 +285,9 @@ class _TextOutput(_Output):
     def done(self, summary: dict[str, Any]) -> None:
         hands = "; ".join(
             f"{h['side']} hand in {h['frames']} of {summary['frames']} frames, "
-            f"{h['mean_reprojection_error_px']:.1f} px mean error"
+            + (f"{h['filled']} more filled, " if h["filled"] else "")
+            + (f"{h['doubtful']} doubtful, " if h["doubtful"] else "")
+            + f"{h['mean_reprojection_error_px']:.1f} px mean error"
             for h in summary["hands"]
         )
         self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")
