@@ -138,11 +138,11 @@ def test_garbage_is_doubtful() -> None:
     assert clean.doubtful.mean() <= 0.05
 
 
-def test_not_converged_is_doubtful(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_iterations_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "MAX_ITERATIONS", 1)
     fits = fit_frames(model_of("right"), detections_of("right", poses(4)), CAMERA)
     assert not fits.converged.any()
-    assert fits.doubtful.all()
+    assert (fits.iterations == 1).all()
 
 
 def clip(
