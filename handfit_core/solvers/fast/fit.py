@@ -30,8 +30,8 @@ from handfit_core.torch_threads import one_thread
 
 TRUST: Final = Trust()
 WEIGHTS: Final = Weights()
-MAX_ITERATIONS: Final = 8
-"""Most need five; what the others still gain after eight does not show (0.01 mm), and batches wait for it"""
+MAX_ITERATIONS: Final = 20
+"""Most need five to eight. Fists need more; on other hands what comes after eight does not show."""
 TOLERANCE: Final = 2e-3
 
 SHAPE_FRAMES: Final = 48
@@ -47,9 +47,9 @@ average, the pose may be wrong. On rendered pictures such hands err twice as muc
 DOUBTFUL_RESIDUAL: Final = 0.2
 """Of the hand's size: where the fit is so far from the landmarks on average, they are no hand's"""
 
-SMOOTH_ROTATION: Final = 14.0
+SMOOTH_ROTATION: Final = 12.5
 """radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
-SMOOTH_PLACE: Final = 1.2
+SMOOTH_PLACE: Final = 1.05
 """metres per second squared, of the wrist"""
 OVERLAP_SECONDS: Final = 2.4
 """Shared by two windows of a long clip at strength 1"""
