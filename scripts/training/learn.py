@@ -182,7 +182,10 @@ def train(
     points = true_landmarks(samples, landmarks)
     as_true = _canonical(samples, samples["side"])
     wrong_side = _canonical(samples, 1 - samples["side"])
-    tensor = lambda a: torch.tensor(a, dtype=torch.float32)  # noqa: E731
+
+    def tensor(a: np.ndarray) -> torch.Tensor:
+        return torch.tensor(a, dtype=torch.float32)
+
     features, goal = tensor(as_true.features), tensor(targets(samples, points, as_true) - as_true.fused)
     # The side is learned on the detector's own word and on its opposite.
     of_sides = torch.cat([features, tensor(wrong_side.features)])

@@ -74,7 +74,10 @@ class Energy:
     def __init__(self, chain: Chain, prior: PosePrior, joint_limits: JointLimits, weights: Weights) -> None:
         self._chain, self._weights = chain, weights
         prior = prior.of_side(chain.model.side)
-        tensor = lambda a: torch.tensor(np.ascontiguousarray(a), dtype=chain.dtype, device=chain.device)  # noqa: E731
+
+        def tensor(a: np.ndarray | list[float]) -> torch.Tensor:
+            return torch.tensor(np.ascontiguousarray(a), dtype=chain.dtype, device=chain.device)
+
         whiten = np.linalg.inv(np.linalg.cholesky(prior.covariance)) * np.sqrt(weights.prior)
         joints = np.array([FINGER_JOINTS[f] for f in FINGERS]) - 1
         self._lower = tensor(joint_limits.lower[joints].reshape(5, 9))
