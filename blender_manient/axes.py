@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.hand_model import HandModel, ShapedHand
-from handfit_core.rotations import rotmat_to_quat, rotvec_to_rotmat
+from handfit_core.rotations import quat_to_rotmat, rotmat_to_quat, rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -27,6 +27,9 @@ WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.
 
 REST_FROM_MODEL: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """(x, y, z) -> (x, -z, y)"""
+
+MIRROR_X: Final = np.diag([-1.0, 1.0, 1.0])
+"""Left and right exchanged, in rest space as in the camera frame"""
 
 BONE_SUFFIX: Final[dict[Side, str]] = {"right": ".R", "left": ".L"}
 """What Blender's mirror tools look for at the end of a bone's name."""
@@ -100,6 +103,45 @@ def bone_pose(
     wrist = shaped.joints[0]
     moved = points_to_world(wrist + transl) - points_to_rest(wrist)
     return rotmat_to_quat(local), moved @ frames[0]
+
+
+def pose_from_bones(
+    shaped: ShapedHand, frames: np.ndarray, quats: np.ndarray, locations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The inverse of `bone_pose`: what a take would say of a rig that stands like this.
+
+    frames (16, 3, 3); quats (T, 16, 4) as (w, x, y, z); locations (T, 3) metres. Returns global_orient
+    (T, 3) and hand_pose (T, 45) axis-angle in radians, and transl (T, 3) metres, camera frame.
+    """
+    rest_rotation = frames @ quat_to_rotmat(quats) @ np.swapaxes(frames, -1, -2)
+    global_orient = rotmat_to_rotvec(WORLD_FROM_CAMERA.T @ rest_rotation[:, 0] @ REST_FROM_MODEL)
+    hand_pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ rest_rotation[:, 1:] @ REST_FROM_MODEL)
+
+    wrist = shaped.joints[0]
+    moved = locations @ frames[0].T + points_to_rest(wrist)
+    return global_orient, hand_pose.reshape(-1, 3 * (NUM_JOINTS - 1)), moved @ WORLD_FROM_CAMERA - wrist
+
+
+def mirrored_bones(source: np.ndarray, target: np.ndarray, quats: np.ndarray) -> np.ndarray:
+    """A pose for the hand of the other side, as a mirror at x = 0 of rest space shows it.
+
+    source, target (16, 3, 3): `bone_frames` of the hand that has the pose and of the one that gets it;
+    quats (..., 16, 4) as (w, x, y, z). A mirror M turns a rotation R into M R M, so that about the
+    target's bones it is D R_bone D^T with D = B_target^T M B_source. Since det D = -1 the quaternion's
+    vector turns by -D.
+    """
+    turn = -np.swapaxes(target, -1, -2) @ MIRROR_X @ source
+    return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
+
+
+def turned_bones(source: np.ndarray, target: np.ndarray, quats: np.ndarray) -> np.ndarray:
+    """The same rotations about other bone axes.
+
+    source, target (16, 3, 3): the axes before and after; quats (..., 16, 4) as (w, x, y, z). About a bone's
+    axes B a rotation R of rest space is B^T R B, so the quaternion's vector turns by B_target^T B_source.
+    """
+    turn = np.swapaxes(target, -1, -2) @ source
+    return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
 
 
 def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
 """The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `model convert`, `model info`,
-`evaluate DATASET`."""
+`evaluate DATASET`; and `worker`, the process that Blender talks to."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from handfit_core.evaluate.commands import add_evaluate_command
 from handfit_core.files import check_writable
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model.commands import add_model_commands
-from handfit_core.pipeline import Progress, ProgressCallback, capture
+from handfit_core.pipeline import Progress, ProgressCallback, capture, hand_summaries
 from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, MOST_SMOOTHING, solver_names
 from handfit_core.version import __version__
 
@@ -90,6 +90,14 @@ def _parser() -> argparse.ArgumentParser:
         help="how to show progress (default: bar)",
     )
 
+    worker = commands.add_parser(
+        "worker", help="answer Blender's requests on stdin (docs/worker-protocol.md)"
+    )
+    worker.set_defaults(handler=_worker)
+    worker.add_argument(
+        "--threads", type=int, metavar="N", help="how many threads the numeric libraries use at most"
+    )
+
     add_model_commands(commands)
     add_evaluate_command(commands)
     for sub in _all_parsers(commands):
@@ -144,6 +152,19 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
         f"at most {MOST_SMOOTHING:g} (default: {DEFAULT_SMOOTHING:g})",
     )
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
+    parser.add_argument(
+        "--hand-length",
+        type=float,
+        metavar="MM",
+        help="wrist joint to the tip of the middle finger, in millimetres (default: an average adult's)",
+    )
+
+
+def _worker(args: argparse.Namespace) -> int:
+    from handfit_core.worker.server import serve
+
+    serve(args.threads)
+    return 0
 
 
 def _capture(args: argparse.Namespace) -> int:
@@ -163,24 +184,15 @@ def _capture(args: argparse.Namespace) -> int:
         landmark_model=args.landmark_model,
         smoothing=args.smoothing,
         persistent=not args.plain_detection,
+        hand_length=None if args.hand_length is None else args.hand_length / 1000.0,
     )
     path = take.save(args.output)
-    hands = [
-        {
-            "side": track.side,
-            "frames": int(track.detected.sum()),
-            "filled": 0 if track.filled is None else int(track.filled.sum()),
-            "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
-            "mean_reprojection_error_px": float(track.reprojection_error[track.detected].mean()),
-        }
-        for track in take.hands
-    ]
     output.done(
         {
             "output": str(path),
             "frames": len(take.frame_numbers),
             "seconds": round(time.perf_counter() - started, 3),
-            "hands": hands,
+            "hands": hand_summaries(take),
         }
     )
     return 0

@@ -41,3 +41,15 @@ class DatasetError(HandfitError):
 
 class OutputError(HandfitError):
     """A result could not be written (folder not writable, disk full, name taken)."""
+
+
+class ProtocolError(HandfitError):
+    """A message between Blender and the worker that the other side cannot read."""
+
+
+class Cancelled(HandfitError):
+    """The user stopped the work before there was anything to keep."""
+
+
+class BuildInterrupted(HandfitError):
+    """Data-blocks vanished while hands were being built (an undo, another file): build again."""

@@ -70,6 +70,9 @@ class Media:
     expected_frames: int
     """How many frames `frames()` will yield, for progress; a video's own header may lie about it"""
 
+    first_and_last: tuple[int, int]
+    """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
+
     def frames(self) -> Iterator[Frame]:
         """Yield the frames in order."""
         raise NotImplementedError
@@ -266,6 +269,7 @@ class _Pictures(Media):
         self._first_number = frames.first if frames.first is not None else numbers[0]
         self.fps = DEFAULT_FPS
         self.expected_frames = len(files)
+        self.first_and_last = numbers[0], numbers[-1]
         # The first picture that can be read decides the size; unreadable ones become empty frames.
         first_file, first, orientation = self._first_readable()
         self._read_already = {first_file: first}
@@ -324,7 +328,9 @@ class _Video(Media):
             raise InputError(f"{path}: frames {frames} lie behind its end; it has frames 1-{count}")
         self.fps = fps
         self.height, self.width = first.shape[:2]
-        self.expected_frames = sum(n in frames for n in range(1, count + 1)) if count > 0 else 0
+        used = [n for n in range(1, count + 1) if n in frames]
+        self.expected_frames = len(used)
+        self.first_and_last = (used[0], used[-1]) if used else (1, 1)
         self._count = count
         self.source = Source(kind="video", files=(str(path.resolve()),))
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from handfit_core.camera import Intrinsics
 from handfit_core.detect.tracks import HAND_CHOICES, HandChoice, link_tracks
-from handfit_core.errors import HandModelError, InputError, NoHandFoundError, OptionError
+from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.keypoints import DetectedTrack, HandDetection
@@ -21,8 +23,9 @@ from handfit_core.lens import known_intrinsics
 from handfit_core.media import Media, MediaInput, open_media
 from handfit_core.read_ahead import read_ahead
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, TrackFit, get_solver
-from handfit_core.take import HandTrack, Take
+from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, FAST_SOLVERS, TrackFit, get_solver
+from handfit_core.solvers.result import ShouldStop, never
+from handfit_core.take import HandTrack, Source, Take
 
 Stage = Literal["detect", "fit", "score"]
 """`score` is of evaluations only"""
@@ -41,6 +44,12 @@ class Progress:
 
 ProgressCallback = Callable[[Progress], None]
 
+log = logging.getLogger("handfit")
+
+LAST_FITS_SECONDS = 0.3
+"""What solvers that fit frame by frame get for what was found when detection was stopped. The fast solver
+gets the time that it needs, since that is a small part of what detecting took."""
+
 
 def capture(
     source: MediaInput,
@@ -56,6 +65,9 @@ def capture(
     landmark_model: str | os.PathLike[str] | None = None,
     smoothing: float = DEFAULT_SMOOTHING,
     persistent: bool = True,
+    hand_length: float | None = None,
+    lens: tuple[float, float, float] | None = None,
+    should_stop: ShouldStop | None = None,
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
 
@@ -81,17 +93,36 @@ def capture(
         default, up to `solvers.MOST_SMOOTHING`.
     persistent
         Look again where the detector finds too little.
+    hand_length
+        Metres from the wrist joint to the tip of the middle finger of the flat hand, 0.05 to 0.3; None for
+        an average adult's. Pictures do not show how large a hand is: its size decides its distance. For
+        the fast solvers.
+    lens
+        Instead of `intrinsics`, where the picture's size is not known: focal length in widths of the picture,
+        and the principal point in widths and heights of it, y downwards.
+    should_stop
+        Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
+        frames seen so far, or all frames with those hands that were fitted; the others count as not detected.
 
     Raises a `HandfitError` whose message is meant for the user: OptionError, InputError,
-    NoHandFoundError, HandModelError, LandmarkModelError.
+    NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a hand was
+    found.
     """
     if hands not in HAND_CHOICES:
         raise OptionError(f"hands must be one of {', '.join(HAND_CHOICES)}; got {hands!r}")
     if max_hands < 1:
         raise OptionError(f"max_hands must be at least 1, not {max_hands}")
-    solve = get_solver(solver, smoothing)
+    if lens is not None and intrinsics is not None:
+        raise OptionError("give the camera either as intrinsics or as a lens, not both")
+    solve = get_solver(solver, smoothing, hand_length)
+    if hand_length is not None and solver not in FAST_SOLVERS:
+        log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
+    stop = should_stop or never
     report = progress or (lambda _: None)
     media = open_media(source, frames)
+    if lens is not None:
+        focal = lens[0] * media.width
+        intrinsics = Intrinsics(focal, focal, lens[1] * media.width, lens[2] * media.height)
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
@@ -102,13 +133,18 @@ def capture(
         threshold=threshold,
         landmark_model=landmark_model,
         persistent=persistent,
+        should_stop=stop,
     )
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
         tracks = link_tracks(found, hands, max_hands, _rate(media, numbers), _holes(numbers))
     except NoHandFoundError as error:
+        if stop():
+            raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
         raise NoHandFoundError(f"{media.source.name}: {error}") from None
+    if stop():
+        stop = never if solver in FAST_SOLVERS else _after(LAST_FITS_SECONDS)
 
     total = sum(int(track.detected.sum()) for track in tracks)
     done = 0
@@ -121,10 +157,12 @@ def capture(
     models = {track.side: load_model(model, track.side) for track in tracks}
     fitted: list[HandTrack] = []
     for track in tracks:
-        fit = solve(models[track.side], track, intrinsics, one_more)
-        fitted.append(hand_track(models[track.side], track, fit, intrinsics))
+        if fitted and stop():
+            break
+        fit = solve(models[track.side], track, intrinsics, one_more, stop)
+        fitted.append(hand_track(models[track.side], _reached(track, fit), fit, intrinsics))
     return Take(
-        source=media.source,
+        source=_read_part(media.source, len(numbers)),
         fps=media.fps,
         frame_numbers=np.array(numbers, dtype=np.int64),
         width=media.width,
@@ -145,10 +183,14 @@ def detect_frames(
     threshold: float,
     landmark_model: str | os.PathLike[str] | None,
     persistent: bool = True,
+    should_stop: ShouldStop | None = None,
 ) -> tuple[list[int], list[tuple[HandDetection, ...]]]:
     """Frame numbers and the hands found in each frame; an unreadable frame has none.
 
-    `persistent`: look again where the plain detector finds too little (see `HandFinder`).
+    `persistent`: look again where the plain detector finds too little (see `HandFinder`). `should_stop` is
+    asked before every frame; the frames before that are returned.
+
+    Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
     """
     from handfit_core.detect.finder import HandFinder
 
@@ -163,6 +205,10 @@ def detect_frames(
     ) as finder:
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
+                if should_stop is not None and should_stop():
+                    if not numbers:
+                        raise Cancelled(f"{media.source.name}: stopped before a hand was found")
+                    break
                 numbers.append(frame.number)
                 found.append(finder.find(frame.rgb, frame.time))
                 report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
@@ -170,6 +216,22 @@ def detect_frames(
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")
     return numbers, found
+
+
+def _after(seconds: float) -> ShouldStop:
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() > end
+
+
+def _reached(track: DetectedTrack, fit: TrackFit) -> DetectedTrack:
+    """The track without the detections that a stopped solver did not come to."""
+    kept = [d if there else None for d, there in zip(track.detections, fit.present, strict=True)]
+    return replace(track, detections=tuple(kept))
+
+
+def _read_part(source: Source, count: int) -> Source:
+    """A sequence's source has the pictures that were read, and no more."""
+    return replace(source, files=source.files[:count]) if source.kind == "sequence" else source
 
 
 def _rate(media: Media, numbers: list[int]) -> float:
@@ -187,11 +249,17 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
     """What a take keeps of one fitted track: the parameters and what follows from them."""
     count = len(track.detections)
     keypoints_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
-    score = np.full(count, np.nan)
+    depth, world = np.full((count, NUM_KEYPOINTS), np.nan), np.full((count, NUM_KEYPOINTS, 3), np.nan)
+    score, right_side = np.full(count, np.nan), np.full(count, np.nan)
+    other = np.zeros(count, dtype=bool)
     for i, detection in enumerate(track.detections):
         if detection is not None:
-            keypoints_2d[i] = detection.keypoints_2d
+            keypoints_2d[i], depth[i] = detection.keypoints_2d, detection.keypoints[:, 2]
+            world[i] = detection.world
             score[i] = detection.score
+            other[i] = detection.side != track.side
+            if detection.right_side is not None:
+                right_side[i] = detection.right_side
     joints_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
     present = fit.present
     joints_3d[present] = model.keypoints(
@@ -212,7 +280,25 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         score=score,
         filled=present & ~seen,
         doubtful=fit.doubtful,
+        keypoints_depth=depth,
+        world_landmarks=world,
+        right_side=right_side,
+        other_side=other,
     )
+
+
+def hand_summaries(take: Take) -> list[dict[str, Any]]:
+    """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels."""
+    return [
+        {
+            "side": track.side,
+            "frames": int(track.detected.sum()),
+            "filled": 0 if track.filled is None else int(track.filled.sum()),
+            "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
+            "mean_reprojection_error_px": float(track.reprojection_error[track.detected].mean()),
+        }
+        for track in take.hands
+    ]
 
 
 def _check_some_side(model: str | os.PathLike[str]) -> None:

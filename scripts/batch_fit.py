@@ -22,12 +22,13 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
+from handfit_core.__main__ import parse_intrinsics
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.files import written_whole
 from handfit_core.frame_range import FrameRange
@@ -38,8 +39,11 @@ from handfit_core.media import (
     pictures_in,
     sequence_numbers,
 )
-from handfit_core.solvers import get_solver
+from handfit_core.solvers import DEFAULT_SOLVER, get_solver
 from handfit_core.take import Take
+
+if TYPE_CHECKING:  # without bpy these cannot be imported, which is told in a sentence
+    from blender_manient.worker.client import CaptureOptions, Worker
 
 EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 TAKE_SUFFIX = ".take.npz"
@@ -87,17 +91,17 @@ def main(argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()) 
             signal.signal(number, _interrupt)
     try:
         formats = _checked_formats(args.format)
-        if args.solver:
-            get_solver(args.solver)
         if args.frames:
             FrameRange.parse(args.frames)
+        options = _capture_options(args)
+        get_solver(options.solver or DEFAULT_SOLVER, hand_length=options.hand_length)
         jobs = with_free_names(
             [job for text in args.inputs for job in expand(text, args.grouping)],
             args.output,
             # In a flat folder names only need to differ from each other: results replace older ones.
             args.overwrite or args.flat,
         )
-        return _run(jobs, formats, args)
+        return _run(jobs, formats, options, args)
     except HandfitError as error:
         return _fail(error, args.debug, EXIT_USAGE)
     except KeyboardInterrupt:
@@ -133,6 +137,12 @@ def parse_arguments(
     parser.add_argument("--model", metavar="PATH", help="MANO file or folder (default: the open hand)")
     parser.add_argument("--threshold", type=float, help="detection threshold 0-1 (default: 0.5)")
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="the camera in pixels (default: assumed)")
+    parser.add_argument(
+        "--hand-length",
+        type=float,
+        metavar="MM",
+        help="wrist joint to the tip of the middle finger, in millimetres (default: an average adult's)",
+    )
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
     parser.add_argument("--smoothing", type=float, metavar="S", help="0: every frame by itself (default: 1)")
     parser.add_argument("--plain-detection", action="store_true", help="no second looks for missed hands")
@@ -240,14 +250,45 @@ def _checked_formats(text: str) -> list[str]:
     return formats
 
 
-def _run(jobs: list[Job], formats: list[str], args: argparse.Namespace) -> int:
+def _capture_options(args: argparse.Namespace) -> CaptureOptions:
+    """What every capture of the batch is told. Raises OptionError."""
+    from blender_manient.worker.client import CaptureOptions
+
+    camera = parse_intrinsics(args.intrinsics) if args.intrinsics else None
+    return CaptureOptions(
+        frames=args.frames,
+        hands=args.hands,
+        solver=args.solver,
+        model=args.model,
+        threshold=args.threshold,
+        intrinsics=None if camera is None else (camera.fx, camera.fy, camera.cx, camera.cy),
+        landmark_model=args.landmark_model,
+        smoothing=args.smoothing,
+        plain_detection=args.plain_detection or None,
+        hand_length=None if args.hand_length is None else args.hand_length / 1000.0,
+    )
+
+
+def _run(jobs: list[Job], formats: list[str], options: CaptureOptions, args: argparse.Namespace) -> int:
+    """Every job with one worker, which starts with the first capture and again after a crash."""
+    from blender_manient.worker.client import PYTHON_VARIABLE, Advice, Worker
+
+    where = f"with --python or in ${PYTHON_VARIABLE}"
+    advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
+    with Worker(args.python, debug=args.debug, advice=advice) as worker:
+        return _run_with(worker, jobs, formats, options, args)
+
+
+def _run_with(
+    worker: Worker, jobs: list[Job], formats: list[str], options: CaptureOptions, args: argparse.Namespace
+) -> int:
     results = [Result(job.shown, job.name) for job in jobs]
     report = args.output / "report.json"
     _write_report(report, results)  # also finds out now, not after an hour, that it cannot be written
     for number, (job, result) in enumerate(zip(jobs, results, strict=True), 1):
         started = time.perf_counter()
         try:
-            _fit_one(job, result, formats, args)
+            _fit_one(job, result, formats, worker, options, args)
             result.status = "ok"
         except KeyboardInterrupt:
             result.status, result.error = "interrupted", "stopped by the user"
@@ -271,14 +312,21 @@ def _run(jobs: list[Job], formats: list[str], args: argparse.Namespace) -> int:
     return EXIT_OK if all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
 
 
-def _fit_one(job: Job, result: Result, formats: list[str], args: argparse.Namespace) -> None:
+def _fit_one(
+    job: Job,
+    result: Result,
+    formats: list[str],
+    worker: Worker,
+    options: CaptureOptions,
+    args: argparse.Namespace,
+) -> None:
     """Capture, build, export: fills in `result` as it goes."""
     if job.error:
         raise InputError(job.error)
     folder = args.output if args.flat else args.output / job.name
     take_path = folder / f"{job.name}{TAKE_SUFFIX}"
     if job.take is None:
-        _capture(job, take_path, result, args)
+        _capture(job, take_path, result, worker, options, args.timeout)
         take = Take.load(take_path)
     else:
         take = Take.load(job.take)
@@ -312,34 +360,29 @@ def _fit_one(job: Job, result: Result, formats: list[str], args: argparse.Namesp
             result.files.append(_relative(path, args.output))
 
 
-def _capture(job: Job, take_path: Path, result: Result, args: argparse.Namespace) -> None:
-    from blender_manient.worker_client import CaptureOptions, capture_in_child
-
-    def progress(stage: str, done: int, total: int) -> None:
-        print(f"\r{job.name}: {stage} {done}/{total} ", end="", file=sys.stderr, flush=True)
-
+def _capture(
+    job: Job,
+    take_path: Path,
+    result: Result,
+    worker: Worker,
+    options: CaptureOptions,
+    timeout: float | None,
+) -> None:
+    """Write the take of one input. Raises HandfitError; after `timeout` seconds WorkerError."""
     shown = sys.stderr.isatty()
+
+    def on_event(event: dict[str, Any]) -> None:
+        if event["event"] == "warning":
+            result.warnings.append(str(event["message"]))
+        elif shown:
+            line = f"{job.name}: {event['stage']} {event['done']}/{event['total']} "
+            print(f"\r{line}", end="", file=sys.stderr, flush=True)
+
+    request = worker.request(
+        "capture", input=list(job.source), output=str(take_path), options=options.to_message()
+    )
     try:
-        capture_in_child(
-            job.source,
-            take_path,
-            python=args.python,
-            options=CaptureOptions(
-                frames=args.frames,
-                hands=args.hands,
-                solver=args.solver,
-                model=args.model,
-                threshold=args.threshold,
-                intrinsics=args.intrinsics,
-                landmark_model=args.landmark_model,
-                smoothing=args.smoothing,
-                plain_detection=args.plain_detection,
-                debug=args.debug,
-            ),
-            on_progress=progress if shown else None,
-            on_warning=result.warnings.append,
-            timeout=args.timeout,
-        )
+        worker.wait(request, on_event, timeout)
     finally:
         if shown:
             print("\r" + " " * 70 + "\r", end="", file=sys.stderr, flush=True)

@@ -29,10 +29,20 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
         description="Show the photo or video that was captured behind the hands",
         default=True,
     )
+    match_scene: bpy.props.BoolProperty(  # type: ignore
+        name="Match Scene to Footage",
+        description="Give the scene the footage's frame rate, frame range, size and camera",
+        default=True,
+    )
+
+    @classmethod
+    def poll(cls, context):
+        if not context.scene.is_editable:
+            cls.poll_message_set("This scene is linked from another file")
+            return False
+        return True
 
     def execute(self, context):
-        if context.mode != "OBJECT":
-            bpy.ops.object.mode_set(mode="OBJECT")
         try:
             take = Take.load(self.filepath)
             built = build_take(
@@ -40,6 +50,7 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
                 scene=context.scene,
                 pose_correctives=self.pose_correctives,
                 picture=self.picture,
+                match_scene=self.match_scene,
             )
         except HandfitError as error:
             self.report({"ERROR"}, str(error))

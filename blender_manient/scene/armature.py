@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Iterator
 
 import bpy
 import numpy as np
@@ -19,21 +20,19 @@ def bone_names(side: Side) -> list[str]:
     return [name + axes.BONE_SUFFIX[side] for name in JOINT_NAMES]
 
 
-def build_armature(
-    name: str, shaped: ShapedHand, side: Side, link: Callable[[bpy.types.Object], object]
-) -> bpy.types.Object:
+def build_armature(name: str, shaped: ShapedHand, side: Side) -> bpy.types.Object:
     """An armature object at the world's origin whose rest pose is the shaped, flat hand.
 
-    `link` puts the object into a collection of the current view layer: bones can only be edited
-    there. Pose bones are set to quaternions. The active object and the selection are put back.
+    It is not linked to any collection. Pose bones are set to quaternions. The open scene, with the artist's
+    mode, active object and selection, is not touched.
     """
     armature = bpy.data.armatures.new(name)
     obj = bpy.data.objects.new(name, armature)
-    link(obj)
     heads = axes.points_to_rest(shaped.joints)
     tails = axes.points_to_rest(axes.bone_tails(shaped))
     frames = axes.bone_frames(shaped, side)
-    _edit(obj, lambda: _add_bones(armature, bone_names(side), heads, tails, frames))
+    with edit_mode(obj):
+        _add_bones(armature, bone_names(side), heads, tails, frames)
 
     armature.display_type = "OCTAHEDRAL"
     obj.show_in_front = True
@@ -65,20 +64,29 @@ def _add_bones(
             bone.use_connect = bool(np.allclose(heads[i], tails[PARENTS[i]], atol=1e-7))
 
 
-def _edit(obj: bpy.types.Object, work: Callable[[], None]) -> None:
-    """Run `work` while `obj` is in edit mode, then put selection and active object back."""
-    layer = bpy.context.view_layer
-    active = layer.objects.active
-    selected = [o for o in layer.objects if o.select_get()]
-    for other in selected:
-        other.select_set(False)
-    layer.objects.active = obj
-    bpy.ops.object.mode_set(mode="EDIT")
+@contextlib.contextmanager
+def edit_mode(obj: bpy.types.Object) -> Iterator[None]:
+    """Have an unlinked armature in edit mode, in a scene that nobody sees and that is removed again.
+
+    Bones can be made in edit mode only. There, the artist's own scene is neither seen nor evaluated.
+    """
+    scene = bpy.data.scenes.new("armature")
     try:
-        work()
+        scene.collection.objects.link(obj)
+        layer = scene.view_layers[0]
+        layer.objects.active = obj
+        with bpy.context.temp_override(
+            scene=scene,
+            view_layer=layer,
+            active_object=obj,
+            object=obj,
+            edit_object=None,
+            selected_objects=[obj],
+        ):
+            bpy.ops.object.mode_set(mode="EDIT")
+            try:
+                yield
+            finally:
+                bpy.ops.object.mode_set(mode="OBJECT")
     finally:
-        bpy.ops.object.mode_set(mode="OBJECT")
-        obj.select_set(False)
-        layer.objects.active = active
-        for other in selected:
-            other.select_set(True)
+        bpy.data.scenes.remove(scene)

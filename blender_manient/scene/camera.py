@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
+from mathutils import Euler, Matrix
 
 from handfit_core.take import Take
 
@@ -16,10 +17,18 @@ _LOOK_ALONG_Y = (math.pi / 2.0, 0.0, 0.0)
 """Blender's cameras look along their own -Z; this turns that to +Y, with Z up"""
 
 
-def build_camera(name: str, take: Take, plate: Plate | None) -> bpy.types.Object:
+def build_camera(
+    name: str,
+    take: Take,
+    plate: Plate | None,
+    *,
+    scene: bpy.types.Scene | None = None,
+    units_per_metre: float = 1.0,
+) -> bpy.types.Object:
     """A camera at the world's origin that projects as `take.intrinsics` does, with the plate behind.
 
-    It is not linked to any collection. `frame_scene` sets the scene's half of the projection.
+    It is not linked to any collection. `frame_scene` sets the scene's half of the projection; where the
+    scene keeps its own size, give it as `scene`: the picture's full width is then the frame's.
     """
     k, width, height = take.intrinsics, take.width, take.height
     camera = bpy.data.cameras.new(name)
@@ -30,14 +39,26 @@ def build_camera(name: str, take: Take, plate: Plate | None) -> bpy.types.Object
     # Shifts are in units of the picture's width, measured in square pixels.
     camera.shift_x = (width / 2.0 - k.cx) / width
     camera.shift_y = (k.cy - height / 2.0) / width * (k.fx / k.fy)
-    camera.clip_start = 0.01
-    camera.clip_end = 100.0
+    camera.clip_start = 0.01 * units_per_metre
+    camera.clip_end = 100.0 * units_per_metre
+    camera.display_size *= units_per_metre
     camera.passepartout_alpha = 0.8
     if plate is not None:
-        _show_behind(camera, plate)
+        show_behind(camera, plate, take, scene)
     obj = bpy.data.objects.new(name, camera)
     obj.rotation_euler = _LOOK_ALONG_Y
     return obj
+
+
+def put_before(armature: bpy.types.Object, camera: bpy.types.Object) -> None:
+    """Hang an armature on a camera that is there already, so that its hand lies where that camera sees it.
+
+    Cameras ignore their scale; children would not, so it is taken back.
+    """
+    armature.parent = camera
+    scale = camera.matrix_world.to_scale()
+    undone = Matrix.Diagonal((*(1.0 / s if s else 1.0 for s in scale), 1.0))
+    armature.matrix_parent_inverse = undone @ Euler(_LOOK_ALONG_Y).to_matrix().to_4x4().inverted()
 
 
 def frame_scene(scene: bpy.types.Scene, take: Take, scale: float = 1.0) -> None:
@@ -46,17 +67,35 @@ def frame_scene(scene: bpy.types.Scene, take: Take, scale: float = 1.0) -> None:
     render.resolution_x = max(4, round(take.width * scale))
     render.resolution_y = max(4, round(take.height * scale))
     render.resolution_percentage = 100
-    ratio = take.intrinsics.fx / take.intrinsics.fy  # pixel height over pixel width; Blender wants both >= 1
-    render.pixel_aspect_x = max(1.0, 1.0 / ratio)
+    ratio = _pixel_height(take)
+    render.pixel_aspect_x = max(1.0, 1.0 / ratio)  # Blender wants both >= 1
     render.pixel_aspect_y = max(1.0, ratio)
 
 
-def _show_behind(camera: bpy.types.Camera, plate: Plate) -> None:
+def show_behind(
+    camera: bpy.types.Camera, plate: Plate, take: Take, scene: bpy.types.Scene | None
+) -> bpy.types.CameraBackgroundImage:
+    """Add the plate as a background image: over the whole frame, or with the frame's width in a scene that
+    keeps its own size."""
     camera.show_background_images = True
     background = camera.background_images.new()
     background.source = "IMAGE"
     background.image = plate.image
     background.alpha = 1.0
     background.display_depth = "BACK"
-    background.frame_method = "STRETCH"
+    if scene is None:
+        background.frame_method = "STRETCH"
+    else:
+        plate.image.display_aspect = (1.0, _pixel_height(take))
+        picture = take.width / (take.height * _pixel_height(take))
+        render = scene.render
+        frame = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
+        # Either touches two sides of the frame; these are left and right.
+        background.frame_method = "FIT" if picture > frame else "CROP"
     plate.apply_timing(background.image_user)
+    return background
+
+
+def _pixel_height(take: Take) -> float:
+    """How high a pixel of the picture is if it is one wide."""
+    return take.intrinsics.fx / take.intrinsics.fy

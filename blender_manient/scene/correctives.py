@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import bpy
 import numpy as np
 
 from handfit_core.hand_model import HandModel
-from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.skeleton import NUM_JOINTS, Side
 
 from .. import axes
 from .armature import bone_names, rest_frames
@@ -33,11 +35,18 @@ def add_correctives(mesh: bpy.types.Object, armature: bpy.types.Object, model: H
     set on the bones. Returns how many keys were made.
     """
     offsets = axes.corrective_offsets(model, rest_frames(armature, model.side))
-    names = bone_names(model.side)
+    return sum(adding_correctives(mesh, armature, model.side, offsets))
+
+
+def adding_correctives(
+    mesh: bpy.types.Object, armature: bpy.types.Object, side: Side, offsets: np.ndarray
+) -> Iterator[int]:
+    """The same a key at a time, from `axes.corrective_offsets` (15, 3, 3, V, 3). Yields how many keys each
+    step made: 1, or 0 for a joint's elements that are left out."""
+    names = bone_names(side)
     basis = np.empty((len(mesh.data.vertices), 3), dtype=np.float32)
     mesh.data.vertices.foreach_get("co", basis.ravel())
     mesh.shape_key_add(name="Basis", from_mix=False)
-    made = 0
     for joint in range(1, NUM_JOINTS):
         for row in range(3):
             for column in range(3):
@@ -49,8 +58,8 @@ def add_correctives(mesh: bpy.types.Object, armature: bpy.types.Object, model: H
                 key.data.foreach_set("co", (basis + sign * offset).astype(np.float32).ravel())
                 key.slider_min, key.slider_max = -1.0, 2.0
                 _drive(key, expression, armature, names[joint])
-                made += 1
-    return made
+                yield 1
+        yield 0
 
 
 def _drive(key: bpy.types.ShapeKey, expression: str, armature: bpy.types.Object, bone: str) -> None:

@@ -1,43 +1,144 @@
-"""Writing a built take to files of other programs: only its armatures and meshes, over its frames."""
+"""Writing hands to files of other programs: only their armatures and meshes, over a range of frames.
+
+Presets say what a program expects of a format beyond Blender's habits:
+
+* PLAIN: Blender's objects as they are.
+* UNITY: metres, with every object's scale 1 and rotation 0 under Unity's axes (Y up), so that "Convert
+  Units" and "Bake Axis Conversion" have nothing to do; in glTF four bones per vertex, as many as its
+  default quality uses.
+* UNREAL: FBX in centimetres (its importers take a unit for one, whatever the file says) with Z up and
+  -Y to the front, which is what it turns files into, smoothing groups (it warns without), and an armature
+  object that makes a good root bone: its importer turns the object into the root, unless it is called
+  "Armature". The object stands still, so that the root does.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import bpy
+import numpy as np
+from bpy_extras.io_utils import axis_conversion
 
 from handfit_core.errors import OptionError, OutputError
 from handfit_core.files import written_whole
 from handfit_core.take import Take
 
-from .build import BuiltHand, BuiltTake, set_timing
+from .build import BuiltTake
 from .camera import frame_scene
+from .clean_rig import Rig, clean_rig
 from .own_scene import own_scene
+from .timing import set_timing
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Timing and size of what is written."""
+
+    fps: int
+    fps_base: float
+    first: int
+    last: int
+    width: int
+    height: int
+    pixel_aspect: tuple[float, float] = (1.0, 1.0)
+    metres_per_unit: float = 1.0
+    """of the scene that the hands are in"""
+
+    @classmethod
+    def of_scene(cls, scene: bpy.types.Scene, first: int | None = None, last: int | None = None) -> Stage:
+        """A scene's own; `first` and `last` replace its frame range."""
+        render = scene.render
+        return cls(
+            render.fps,
+            render.fps_base,
+            scene.frame_start if first is None else first,
+            scene.frame_end if last is None else last,
+            render.resolution_x,
+            render.resolution_y,
+            (render.pixel_aspect_x, render.pixel_aspect_y),
+            scene.unit_settings.scale_length,
+        )
+
+    @classmethod
+    def of_take(cls, take: Take) -> Stage:
+        """What a scene gets that is matched to the take; the unit of length is the open scene's."""
+        metres_per_unit = _open_scene().unit_settings.scale_length
+        with own_scene("take") as scene:
+            scene.unit_settings.scale_length = metres_per_unit
+            set_timing(scene, take)
+            frame_scene(scene, take)
+            return cls.of_scene(scene)
+
+    def apply(self, scene: bpy.types.Scene) -> None:
+        """Give it to a scene, whose unit of length stays."""
+        render = scene.render
+        render.fps, render.fps_base = self.fps, self.fps_base
+        scene.frame_start, scene.frame_end = self.first, self.last
+        render.resolution_x, render.resolution_y = self.width, self.height
+        render.resolution_percentage = 100
+        render.pixel_aspect_x, render.pixel_aspect_y = self.pixel_aspect
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What one program wants of one format."""
+
+    keywords: dict[str, Any] = field(default_factory=dict)
+    """For Blender's exporter, over those of the format"""
+    clean: bool = True
+    """Whether the rig is written as `clean_rig` makes it"""
+    units: float = 1.0
+    """How many units of the file a metre is"""
+    turn: np.ndarray | None = None
+    """(3, 3) what the data is turned by, so that the objects need not be"""
+    root: str = ""
+    """What the armature object is called; empty: as in Blender"""
 
 
 @dataclass(frozen=True)
 class Format:
-    """One file format that a take can be written in."""
+    """One file format that hands can be written in."""
 
     suffix: str
     operator: str
     """The Blender operator that it needs, as module.name; empty for none"""
-    write: Callable[[Path, tuple[BuiltHand, ...]], None]
-    """Called with a scene open that holds nothing but the take, at its frame range and rate"""
+    write: Callable[[Path, tuple[Rig, ...], Preset], None]
+    """Called with a scene open that holds nothing but the hands, at their frame range and rate"""
     per_hand: bool = False
     """Whether each hand needs a file of its own"""
+    presets: dict[str, Preset] = field(default_factory=dict)
+    """What differs for UNITY and UNREAL"""
 
 
 def export_take(built: BuiltTake, take: Take, folder: Path, name: str, fmt: str) -> list[Path]:
-    """Write one format into `folder` and return the files written, each whole or not at all.
+    """Write a built take as it was captured: `export_hands` with its own range, rate and size."""
+    rigs = tuple(Rig(hand.side, hand.armature, hand.mesh) for hand in built.hands)
+    return export_hands(rigs, Stage.of_take(take), folder, name, fmt, whole=(built.collection, built.camera))
+
+
+def export_hands(
+    hands: tuple[Rig, ...],
+    stage: Stage,
+    folder: Path,
+    name: str,
+    fmt: str,
+    *,
+    preset: str = "PLAIN",
+    whole: tuple[bpy.types.Collection, bpy.types.Object] | None = None,
+) -> list[Path]:
+    """Write hands in one format into `folder` and return the files written, each whole or not at all.
 
     The files are `name.<suffix>`; formats that hold one skeleton (BVH) get one file per hand, with
     `_left` and `_right` where there are two (`_left` and `_left2` for two left hands). Frame numbers
-    are kept. The rest of the open Blender file is neither written nor changed. Raises OptionError and
-    OutputError.
+    are kept. `whole`, a collection and its camera, is what .blend files hold. Lengths are in metres
+    (Unreal's FBX: centimetres), whatever the scene's unit. The rest of the open Blender file is neither
+    written nor changed. Raises OptionError and OutputError.
     """
     chosen = find_format(fmt)
     if not available(chosen):
@@ -45,17 +146,20 @@ def export_take(built: BuiltTake, take: Take, folder: Path, name: str, fmt: str)
             f"this Blender cannot write {fmt}: it has no {chosen.operator}; choose from "
             f"{', '.join(k for k, f in FORMATS.items() if available(f))}"
         )
+    if preset not in PRESETS:
+        raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(PRESETS)}")
+    # Only hands of scenes in metres are as they should be in the file without more ado.
+    wanted = chosen.presets.get(preset, Preset(clean=not np.isclose(stage.metres_per_unit, 1.0)))
     if not chosen.per_hand:
-        return [_write_one(chosen, built, take, folder / (name + chosen.suffix))]
+        return [_write_one(chosen, wanted, hands, stage, folder / (name + chosen.suffix), whole)]
     files = []
-    for hand in built.hands:
-        side = f"_{hand.side}" if len(built.hands) > 1 else ""
+    for hand in hands:
+        side = f"_{hand.side}" if len(hands) > 1 else ""
         path = folder / f"{name}{side}{chosen.suffix}"
-        for number in range(2, len(built.hands) + 1):
+        for number in range(2, len(hands) + 1):
             if path in files:
                 path = folder / f"{name}{side}{number}{chosen.suffix}"
-        only = BuiltTake(built.collection, built.camera, (hand,), built.warnings)
-        files.append(_write_one(chosen, only, take, path))
+        files.append(_write_one(chosen, wanted, (hand,), stage, path, whole))
     return files
 
 
@@ -75,11 +179,18 @@ def available(fmt: Format) -> bool:
     return operator in dir(getattr(bpy.ops, module))
 
 
-def _write_one(fmt: Format, built: BuiltTake, take: Take, path: Path) -> Path:
+def _write_one(
+    fmt: Format,
+    preset: Preset,
+    hands: tuple[Rig, ...],
+    stage: Stage,
+    path: Path,
+    whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
+) -> Path:
     with written_whole(path) as beside:
         try:
-            with _only(built, take, whole=fmt.suffix == ".blend"):
-                fmt.write(beside, built.hands)
+            with _only(hands, stage, preset, whole if fmt.suffix == ".blend" else None) as written:
+                fmt.write(beside, written, preset)
         except RuntimeError as error:
             reason = " ".join(str(error).split())
             raise OutputError(f"{path}: Blender could not write it ({reason})") from error
@@ -89,71 +200,122 @@ def _write_one(fmt: Format, built: BuiltTake, take: Take, path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _only(built: BuiltTake, take: Take, *, whole: bool) -> Iterator[bpy.types.Scene]:
-    """Open a scene of its own with nothing but the take: its objects, frame range and frame rate.
+def _only(
+    hands: tuple[Rig, ...],
+    stage: Stage,
+    preset: Preset,
+    whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
+) -> Iterator[tuple[Rig, ...]]:
+    """Open a scene of its own with nothing but the hands, and yield what is in it.
 
-    Exporters write what the open scene holds, at its frame rate and over its range. `whole` links
-    the collection with the camera instead of only armatures and meshes.
+    Exporters write what the open scene holds, at its frame rate and over its range. With `whole` it
+    holds the collection with its camera instead of only armatures and meshes.
     """
-    with own_scene(built.collection.name) as scene:
-        set_timing(scene, take)
-        frame_scene(scene, take)
-        if whole:
-            scene.collection.children.link(built.collection)
-            scene.camera = built.camera
+    name = whole[0].name if whole is not None else "export"
+    with own_scene(name) as scene, contextlib.ExitStack() as copies:
+        stage.apply(scene)
+        if whole is not None:
+            scene.collection.children.link(whole[0])
+            scene.camera = whole[1]
+            scene.unit_settings.scale_length = stage.metres_per_unit
         else:
-            for hand in built.hands:
+            for hand in hands:
                 scene.collection.objects.link(hand.armature)
-                scene.collection.objects.link(hand.mesh)
+                if hand.mesh is not None:
+                    scene.collection.objects.link(hand.mesh)
+            if preset.clean:
+                frames = range(stage.first, stage.last + 1)
+                hands = tuple(
+                    copies.enter_context(
+                        clean_rig(
+                            hand,
+                            _root_name(preset.root, hands, index),
+                            frames,
+                            metres_per_unit=stage.metres_per_unit,
+                            units=preset.units,
+                            turn=preset.turn,
+                        )
+                    )
+                    for index, hand in enumerate(hands)
+                )
         scene.frame_set(scene.frame_start)
-        yield scene
+        yield hands
 
 
-def _gltf(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
+def _root_name(root: str, hands: Sequence[Rig], index: int) -> str:
+    """`root` for one hand, `left_root` and so on for several."""
+    if not root or len(hands) == 1:
+        return root
+    side = hands[index].side
+    before = sum(hand.side == side for hand in hands[:index])
+    return f"{side}{before + 1 if before else ''}_{root}"
+
+
+@contextlib.contextmanager
+def _own_settings_left_out() -> Iterator[None]:
+    """Keep what the add-on itself notes on objects out of glTF's extras, which up to Blender 4.5 take all
+    that add-ons register for custom properties."""
+    left_out = []
+    for module in ("extras", "gltf2_blender_extras"):  # the second up to Blender 4.2
+        with contextlib.suppress(ImportError):
+            left_out.append(importlib.import_module(f"io_scene_gltf2.blender.com.{module}").BLACK_LIST)
+    for names in left_out:
+        names.append("manient")
+    try:
+        yield
+    finally:
+        for names in left_out:
+            names.remove("manient")
+
+
+def _gltf(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
     # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
     render = _open_scene().render
     render.fps_base = 1.0 / render.fps_base
-    bpy.ops.export_scene.gltf(
-        filepath=str(path),
-        check_existing=False,
-        export_format="GLB",
-        use_active_scene=True,
-        export_cameras=False,
-        export_lights=False,
-        export_extras=True,
-        export_apply=False,  # applying modifiers would drop the shape keys
-        export_all_influences=True,  # the default keeps four per vertex, which is another skin
-        export_animations=True,
+    keywords = {
+        "filepath": str(path),
+        "check_existing": False,
+        "export_format": "GLB",
+        "use_active_scene": True,
+        "export_cameras": False,
+        "export_lights": False,
+        "export_extras": True,
+        "export_apply": False,  # applying modifiers would drop the shape keys
+        "export_all_influences": True,  # the default keeps four per vertex, which is another skin
+        "export_animations": True,
         # One clip with both hands; the other modes add every action in the file that would fit.
-        export_animation_mode="SCENE",
-        export_anim_scene_split_object=False,
-        export_frame_range=True,
-        export_force_sampling=True,
-        export_optimize_animation_size=False,
-        export_morph_normal=False,
-    )
+        "export_animation_mode": "SCENE",
+        "export_anim_scene_split_object": False,
+        "export_frame_range": True,
+        "export_force_sampling": True,
+        "export_optimize_animation_size": False,
+        "export_morph_normal": False,
+    }
+    with _own_settings_left_out():
+        bpy.ops.export_scene.gltf(**keywords | preset.keywords)
 
 
-def _fbx(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
-    bpy.ops.export_scene.fbx(
-        filepath=str(path),
-        check_existing=False,
-        object_types={"ARMATURE", "MESH"},
-        use_custom_props=True,
-        add_leaf_bones=False,
-        use_armature_deform_only=False,
-        apply_scale_options="FBX_SCALE_ALL",  # metres arrive as metres, without a scale of 100 on the rig
-        bake_anim=True,
-        bake_anim_use_all_bones=True,
-        bake_anim_use_nla_strips=False,
-        bake_anim_use_all_actions=False,
-        bake_anim_force_startend_keying=True,
-        bake_anim_step=1.0,
-        bake_anim_simplify_factor=0.0,
-    )
+def _fbx(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
+    keywords = {
+        "filepath": str(path),
+        "check_existing": False,
+        "object_types": {"ARMATURE", "MESH"},
+        "use_custom_props": True,
+        "add_leaf_bones": False,
+        "use_armature_deform_only": False,
+        "apply_scale_options": "FBX_SCALE_ALL",  # metres arrive as metres, without a scale of 100 on the rig
+        "bake_anim": True,
+        "bake_anim_use_all_bones": True,
+        "bake_anim_use_nla_strips": False,
+        "bake_anim_use_all_actions": False,
+        "bake_anim_force_startend_keying": True,
+        "bake_anim_step": 1.0,
+        "bake_anim_simplify_factor": 0.0,
+    }
+    bpy.ops.export_scene.fbx(**keywords | preset.keywords)
 
 
-def _usd(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
+def _usd(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
     bpy.ops.wm.usd_export(
         filepath=str(path),
         check_existing=False,
@@ -166,7 +328,7 @@ def _usd(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
     )
 
 
-def _alembic(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
+def _alembic(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
     scene = _open_scene()
     bpy.ops.wm.alembic_export(
         filepath=str(path),
@@ -179,7 +341,7 @@ def _alembic(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
     )
 
 
-def _bvh(path: Path, hands: tuple[BuiltHand, ...]) -> None:
+def _bvh(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
     armature = hands[0].armature
     scene = _open_scene()
     layer = bpy.context.view_layer
@@ -195,7 +357,7 @@ def _bvh(path: Path, hands: tuple[BuiltHand, ...]) -> None:
     )
 
 
-def _blend(path: Path, _hands: tuple[BuiltHand, ...]) -> None:
+def _blend(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
     # Picture paths become relative to the file wherever both lie on one drive.
     bpy.data.libraries.write(
         str(path), {_open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
@@ -208,10 +370,36 @@ def _open_scene() -> bpy.types.Scene:
     return scene
 
 
+_Y_UP = np.array(axis_conversion(to_forward="-Z", to_up="Y"))
+"""Blender's axes to those that its FBX exporter writes by default"""
+
+_FBX_PRESETS = {
+    # Y up and -Z forward, as the exporter writes by default; FBX_SCALE_ALL: metres with UnitScaleFactor 100.
+    "UNITY": Preset({"axis_forward": "-Z", "axis_up": "Y"}, turn=_Y_UP),
+    "UNREAL": Preset(
+        {
+            "axis_forward": "Y",  # Blender's own axes: what the exporter calls forward, FBX calls back
+            "axis_up": "Z",
+            "global_scale": 0.01,  # with FBX_SCALE_ALL: the data as it is, UnitScaleFactor 1, a centimetre
+            "mesh_smooth_type": "FACE",
+        },
+        units=100.0,
+        root="root",
+    ),
+}
+_GLTF_PRESETS = {
+    # glTF itself says: metres, Y up.
+    "UNITY": Preset({"export_all_influences": False, "export_influence_nb": 4}),
+    "UNREAL": Preset(root="root"),
+}
+
+PRESETS = ("PLAIN", "UNITY", "UNREAL")
+"""Names of the presets"""
+
 FORMATS = {
     "blend": Format(".blend", "", _blend),
-    "glb": Format(".glb", "export_scene.gltf", _gltf),
-    "fbx": Format(".fbx", "export_scene.fbx", _fbx),
+    "glb": Format(".glb", "export_scene.gltf", _gltf, presets=_GLTF_PRESETS),
+    "fbx": Format(".fbx", "export_scene.fbx", _fbx, presets=_FBX_PRESETS),
     "usd": Format(".usdc", "wm.usd_export", _usd),
     "bvh": Format(".bvh", "export_anim.bvh", _bvh, per_hand=True),
     "abc": Format(".abc", "wm.alembic_export", _alembic),

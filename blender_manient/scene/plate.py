@@ -12,6 +12,8 @@ from handfit_core.exif import upright
 from handfit_core.media import sequence_numbers
 from handfit_core.take import Take
 
+from .timing import Timing
+
 
 @dataclass(frozen=True)
 class Plate:
@@ -30,11 +32,13 @@ class Plate:
         user.use_auto_refresh = True
 
 
-def load_plate(take: Take) -> tuple[Plate | None, list[str]]:
+def load_plate(take: Take, timing: Timing | None = None) -> tuple[Plate | None, list[str]]:
     """The take's picture, and what the user should know about it.
 
+    `timing` says where the take lies in the scene's time; without it, on its own frame numbers.
     A file that is missing or unreadable gives no plate and a warning.
     """
+    timing = timing or Timing()
     path = Path(take.source.files[0])
     if not path.is_file():
         return None, [f"{path}: the picture is not there any more, so nothing is shown behind the hands"]
@@ -49,17 +53,17 @@ def load_plate(take: Take) -> tuple[Plate | None, list[str]]:
         return None, [_unreadable(path)]
     if take.source.kind == "video":
         image.source = "MOVIE"
-        plate = Plate(image, frame_duration=max(image.frame_duration, int(take.frame_numbers[-1])))
+        plate = _movie(image, take, timing)
     elif take.source.kind == "sequence":
         image.source = "SEQUENCE"
-        plate = _sequence(image, take)
+        plate = _sequence(image, take, timing)
     else:
         plate = Plate(image)
     if take.source.kind == "photo" and take.source.orientation != 1:
         plate = Plate(_upright_copy(image, take.source.orientation))
         bpy.data.images.remove(image)
         size = tuple(plate.image.size)
-    return plate, _mismatches(path, size, take)
+    return plate, _mismatches(path, size, take) + _other_rate(path, take, timing)
 
 
 def _unreadable(path: Path) -> str:
@@ -88,10 +92,33 @@ def _mismatches(path: Path, size: tuple[int, ...], take: Take) -> list[str]:
     return []
 
 
-def _sequence(image: bpy.types.Image, take: Take) -> Plate:
+def _other_rate(path: Path, take: Take, timing: Timing) -> list[str]:
+    if timing.scale == 1.0 or take.source.kind != "video":
+        return []
+    return [
+        f"{path}: the video has {take.fps:g} frames per second, the scene {take.fps * timing.scale:g}, and "
+        "Blender shows one video frame per scene frame, so only the first frame fits its hands; match the "
+        "scene to the footage to see them together"
+    ]
+
+
+def _movie(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
+    """Blender shows frame (scene frame - start + 1): the take's first frame where its first keys are."""
+    start = _first_scene_frame(take, timing) - int(take.frame_numbers[0]) + 1
+    return Plate(
+        image, frame_start=start, frame_duration=max(image.frame_duration, int(take.frame_numbers[-1]))
+    )
+
+
+def _sequence(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
     """Blender shows file number (scene frame - start + 1 + offset): both ends on the same numbers."""
     first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
-    return Plate(image, frame_start=first, frame_offset=first - 1, frame_duration=last - first + 1)
+    start = _first_scene_frame(take, timing)
+    return Plate(image, frame_start=start, frame_offset=first - 1, frame_duration=last - first + 1)
+
+
+def _first_scene_frame(take: Take, timing: Timing) -> int:
+    return round(float(timing.scene_frames(take.frame_numbers[:1])[0]))
 
 
 def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:

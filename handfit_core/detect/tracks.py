@@ -120,7 +120,7 @@ def link_tracks(
     tracks = _merge(tracks, _may_return)
     if not tracks:
         raise NoHandFoundError(
-            "no hand was found in any frame; try a lower detection threshold (--threshold 0.3), a larger "
+            "no hand was found in any frame; try a lower detection threshold, such as 0.3, a larger "
             "or brighter picture, or one where the whole hand is in view"
         )
     tracks.sort(key=lambda t: t.weight, reverse=True)

@@ -11,11 +11,16 @@ The joint order is MANO's without the wrist: index, middle, little, ring, thumb,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from handfit_core.hand_model.data import HandModel
+from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
+
+_LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
 
 
 def anatomical_axes(model: HandModel) -> np.ndarray:
@@ -57,6 +62,32 @@ def anatomical_angles(rotmats: np.ndarray, axes: np.ndarray) -> np.ndarray:
         ],
         axis=-1,
     )
+
+
+def rotmats_from_angles(angles: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """The inverse of `anatomical_angles`: (..., 15, 3) twist, spread, bend in radians, (15, 3, 3) axes ->
+    (..., 15, 3, 3) local joint rotations, Rx(twist) Ry(spread) Rz(bend) about the joint's own axes."""
+    angles = np.asarray(angles, dtype=np.float64)
+    local = rotvec_to_rotmat(angles[..., 0:1] * np.array([1.0, 0.0, 0.0]))
+    local = local @ rotvec_to_rotmat(angles[..., 1:2] * np.array([0.0, 1.0, 0.0]))
+    local = local @ rotvec_to_rotmat(angles[..., 2:3] * np.array([0.0, 0.0, 1.0]))
+    return axes @ local @ np.swapaxes(axes, -1, -2)
+
+
+def relaxed_pose(model: HandModel) -> np.ndarray:
+    """(45,) axis-angle in radians of a relaxed hand: the mean of many detected hands' joint angles.
+
+    The numbers come with the landmarks' calibration (data/landmarks.npz, pose_mean: five fingers in
+    the order of `FINGERS`, three joints each of twist, spread, bend, for the right hand).
+    """
+    with np.load(_LANDMARKS_FILE, allow_pickle=False) as arrays:
+        by_finger = np.asarray(arrays["pose_mean"], dtype=np.float64).reshape(len(FINGERS), 3, 3)
+    angles = np.empty((15, 3))
+    for finger, rows in zip(FINGERS, by_finger, strict=True):
+        angles[np.array(FINGER_JOINTS[finger]) - 1] = rows
+    if model.side == "left":
+        angles[:, :2] *= -1.0  # mirrored, as in `joint_limits`
+    return rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(model))).reshape(45)
 
 
 @dataclass(frozen=True, eq=False)

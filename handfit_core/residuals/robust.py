@@ -54,3 +54,20 @@ class GemanMcClure:
     def weight(self, squared: torch.Tensor) -> torch.Tensor:
         """rho'(s), elementwise."""
         return (self.scale**2 / (self.scale**2 + squared)) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticWhere:
+    """Squares where `certain` says so, else another kernel."""
+
+    certain: torch.Tensor
+    """bool, of the residuals' shape"""
+    other: Kernel
+
+    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho(s), elementwise."""
+        return torch.where(self.certain, squared, self.other.cost(squared))
+
+    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+        """rho'(s), elementwise."""
+        return torch.where(self.certain, torch.ones_like(squared), self.other.weight(squared))

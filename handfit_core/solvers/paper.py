@@ -22,7 +22,7 @@ from handfit_core.keypoints import DetectedTrack
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.solvers.placement import PlacedHand, place, turn_to_ray
-from handfit_core.solvers.result import OnFrame, TrackFit
+from handfit_core.solvers.result import OnFrame, ShouldStop, TrackFit, never
 from handfit_core.torch_threads import one_thread
 
 MM = 1000.0
@@ -231,10 +231,17 @@ class PaperFitter:
             return minimize(cost, first, jac=True, method=self._options.method, options=options)
 
 
-def _shape_of_clip(fitter: PaperFitter, keypoints: Sequence[np.ndarray]) -> np.ndarray:
-    """The median shape (10,) of a few evenly spread frames."""
+def _shape_of_clip(
+    fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
+) -> np.ndarray:
+    """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
     spread = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
-    return np.median([fitter.fit(keypoints[i]).betas for i in spread], axis=0)
+    shapes: list[np.ndarray] = []
+    for i in spread:
+        shapes.append(fitter.fit(keypoints[i]).betas)
+        if should_stop():
+            break
+    return np.median(shapes, axis=0)
 
 
 def fit_track(
@@ -243,15 +250,17 @@ def fit_track(
     track: DetectedTrack,
     intrinsics: Intrinsics,
     on_frame: OnFrame,
+    should_stop: ShouldStop = never,
 ) -> TrackFit:
     """Fit every detected frame with one shape and place the hand before the camera.
 
     The paper fits single pictures. A clip's hand has one shape: the median of the shapes that a few
-    evenly spread frames ask for; all frames are then fitted with that.
+    evenly spread frames ask for; all frames are then fitted with that. When stopped, the frames that were not
+    reached are NaN.
     """
     fitter = PaperFitter(model, options)
     found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
-    shape = _shape_of_clip(fitter, list(found.values())) if len(found) > 1 else None
+    shape = _shape_of_clip(fitter, list(found.values()), should_stop) if len(found) > 1 else None
     fit_shape = shape is None
     count = len(track.detections)
     global_orient, hand_pose = np.full((count, 3), np.nan), np.full((count, 45), np.nan)
@@ -266,6 +275,8 @@ def fit_track(
         global_orient[index], hand_pose[index] = placed.global_orient, placed.hand_pose
         transl[index], converged[index] = placed.transl, fit.converged
         on_frame()
+        if should_stop():
+            break
     assert shape is not None, "a track has at least one detection"
     return TrackFit(
         betas=shape,

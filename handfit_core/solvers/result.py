@@ -40,14 +40,27 @@ class TrackFit:
 
 
 OnFrame = Callable[[], None]
-"""Called once for every frame that is done; may raise to stop the run."""
+"""Called once for every frame that is done; may raise to end the run with nothing."""
+
+ShouldStop = Callable[[], bool]
+"""Asked between frames, or groups of them; True: return what is fitted so far, at least one frame"""
+
+
+def never() -> bool:
+    """The `ShouldStop` of those who want everything."""
+    return False
 
 
 class TrackSolver(Protocol):
     """Fits one hand model to one detected track, seen through one camera."""
 
     def __call__(
-        self, model: HandModel, track: DetectedTrack, intrinsics: Intrinsics, on_frame: OnFrame
+        self,
+        model: HandModel,
+        track: DetectedTrack,
+        intrinsics: Intrinsics,
+        on_frame: OnFrame,
+        should_stop: ShouldStop = never,
     ) -> TrackFit:
-        """Fit; calls `on_frame` once for every detected frame."""
+        """Fit; calls `on_frame` once for every detected frame that was fitted."""
         ...

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
+import blender_manient
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.export import FORMATS, available, export_take
@@ -192,3 +193,31 @@ def test_unwritable_folder_is_one_sentence(make_take, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(OutputError, match="cannot write here"):
         export_take(built, made.take, tmp_path / "file", "x", "glb")
+
+
+@pytest.mark.parametrize("fmt", ["glb", "fbx"])
+def test_metres_in_any_unit(make_take, tmp_path, fmt):
+    """From a scene in centimetres, with the add-on's own settings on the objects."""
+    blender_manient.register()
+    try:
+        bpy.context.scene.unit_settings.scale_length = 0.01
+        made = make_take()
+        built = build_take(made.take)
+        assert built.hands[0].armature.scale.x == pytest.approx(100.0)
+        (path,) = export_take(built, made.take, tmp_path, "x", fmt)
+        assert built.hands[0].armature.scale.x == pytest.approx(100.0)
+    finally:
+        blender_manient.unregister()
+    if fmt == "glb":
+        data = path.read_bytes()
+        content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+        extras = [set(node["extras"]) for node in content["nodes"] if "extras" in node]
+        own = {"side", "betas", "model", "solver", "source", "reprojection_error_px"}
+        assert extras == [own, own]
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    if fmt == "glb":
+        bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
+    else:
+        bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    assert worst_joint_error(made) < 1e-3

@@ -7,14 +7,18 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
 
 from blender_manient.scene.animation import ERROR_PROPERTY, action_curves
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
+from handfit_core.camera import Intrinsics
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.hand_model import load_model
+from handfit_core.take import Source
 
-from .conftest import FRAMES, UNSEEN, joint_heads, world
+from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, evaluated_vertices, joint_heads, world
 
 
 def keys_of(curve) -> np.ndarray:
@@ -166,3 +170,132 @@ def test_single_photo(make_take):
     built = build_take(made.take)
     assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == (1, 1)
     assert all(len(c.keyframe_points) == 1 for c in action_curves(built.hands[0].action))
+
+
+def picture_error(made, built, frames) -> float:
+    """Largest distance in pixels of the picture between where the scene's camera sees a joint, with the
+    picture's full width over the frame's, and where the take has it. `frames`: scene frame of each row."""
+    scene = bpy.context.scene
+    render, k = scene.render, made.take.intrinsics
+    aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
+    worst = 0.0
+    for row, _ in made.seen:
+        scene.frame_set(int(frames[row]), subframe=float(frames[row] % 1.0))
+        for hand in built.hands:
+            expected = k.project(made.joints[hand.side][row])
+            for head, pixel in zip(joint_heads(hand.armature, hand.side), expected, strict=True):
+                view = world_to_camera_view(scene, built.camera, Vector(head))
+                # Heights in square pixels are picture heights times fx / fy.
+                up = (view.y - 0.5) * WIDTH / aspect * k.fy / k.fx
+                found = np.array([view.x * WIDTH, HEIGHT / 2 - up])
+                worst = max(worst, float(np.linalg.norm(found - pixel)))
+    print(f"worst projection error {worst:.5f} px")
+    return worst
+
+
+def settings() -> tuple:
+    scene, render = bpy.context.scene, bpy.context.scene.render
+    return (
+        (scene.frame_start, scene.frame_end, scene.frame_current, scene.camera, render.fps, render.fps_base),
+        (render.resolution_x, render.resolution_y, render.pixel_aspect_x, render.pixel_aspect_y),
+    )
+
+
+@pytest.mark.parametrize("size", [(1920, 1080, 1.0, 1.0), (1080, 1920, 1.0, 1.0), (720, 576, 1.0, 1.5)])
+def test_an_unmatched_scene_stays_as_it_is(make_take, size):
+    scene, render = bpy.context.scene, bpy.context.scene.render
+    scene.frame_start, scene.frame_end, scene.frame_current = 50, 90, 61
+    render.fps = 30
+    render.resolution_x, render.resolution_y, render.pixel_aspect_x, render.pixel_aspect_y = size
+    before = settings()
+    made = make_take(fps=24.0)  # a photo has no rate of its own
+    built = build_take(made.take, match_scene=False)
+    assert settings() == before
+    assert built.warnings == ()
+    frames = 61 + FRAMES - FRAMES[0]
+    for hand in built.hands:
+        for curve in action_curves(hand.action):
+            np.testing.assert_allclose(keys_of(curve)[:, 0], np.delete(frames, UNSEEN))
+    assert picture_error(made, built, frames) < 0.05
+
+    background = built.camera.data.background_images[0]
+    k = made.take.intrinsics
+    picture = WIDTH / (HEIGHT * k.fx / k.fy)
+    frame = size[0] * size[2] / (size[1] * size[3])
+    # FIT lets the longer side touch the frame, CROP the shorter: the picture must touch left and right.
+    assert background.frame_method == ("FIT" if picture > frame else "CROP")
+    assert background.image.display_aspect[1] / background.image.display_aspect[0] == pytest.approx(
+        k.fx / k.fy
+    )
+
+
+def test_a_video_is_retimed_to_the_scenes_rate(make_take, picture):
+    scene = bpy.context.scene
+    scene.render.fps = 24
+    scene.frame_set(101)
+    made = make_take(source=Source("video", (str(picture),)), fps=30.0)
+    built = build_take(made.take, match_scene=False, picture=False)
+    frames = 101 + (FRAMES - FRAMES[0]) * 24 / 30
+    for curve in action_curves(built.hands[0].action):
+        np.testing.assert_allclose(keys_of(curve)[:, 0], np.delete(frames, UNSEEN), atol=1e-4)
+    assert picture_error(made, built, frames) < 0.05
+    warned = build_take(made.take, match_scene=False).warnings
+    assert any("has 30 frames per second, the scene 24" in w for w in warned)
+
+
+def test_an_unmatched_sequence_shows_its_first_file_at_the_first_keys(make_take, tmp_path, picture):
+    numbers = np.array([8, 9, 11, 12])
+    files = []
+    for number in range(8, 13):
+        path = tmp_path / f"shot.{number:04d}.png"
+        path.write_bytes(picture.read_bytes())
+        files += [str(path)] if number in numbers else []
+    bpy.context.scene.frame_set(108)
+    made = make_take(source=Source("sequence", tuple(files)), frame_numbers=numbers)
+    built = build_take(made.take, match_scene=False)
+    assert built.warnings == ()
+    user = built.camera.data.background_images[0].image_user
+    # Blender shows file (scene frame - start + 1 + offset): 108 shows 8.
+    assert (user.frame_start, user.frame_offset, user.frame_duration) == (108, 7, 5)
+
+
+@pytest.mark.parametrize("metres_per_unit", [0.01, 1.0, 0.0254, 1000.0])
+def test_hands_are_life_size_in_any_unit(make_take, model, metres_per_unit):
+    bpy.context.scene.unit_settings.scale_length = metres_per_unit
+    made = make_take(model=model)
+    built = build_take(made.take)
+    row, frame = made.seen[2]
+    bpy.context.scene.frame_set(frame)
+    for hand in built.hands:
+        metres = joint_heads(hand.armature, hand.side) * metres_per_unit
+        np.testing.assert_allclose(metres, world(made.joints[hand.side][row]), atol=1e-5)
+        vertices = evaluated_vertices(hand.mesh) * metres_per_unit
+        np.testing.assert_allclose(vertices, world(made.vertices[hand.side][row]), atol=1e-4)
+        depth = vertices[:, 1] / metres_per_unit
+        assert built.camera.data.clip_start < depth.min() < depth.max() < built.camera.data.clip_end
+    assert picture_error(made, built, FRAMES) < 0.05
+
+
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
+def test_hands_hang_on_a_camera_that_is_there(make_take, metres_per_unit):
+    """Moved, turned and scaled; its lens is what the take was captured with, as `lens_of_camera` tells."""
+    scene = bpy.context.scene
+    scene.unit_settings.scale_length = metres_per_unit
+    scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
+    camera = bpy.data.objects.new("Artist's", bpy.data.cameras.new("Artist's"))
+    scene.collection.objects.link(camera)
+    camera.location, camera.rotation_euler, camera.scale = (3.0, -2.0, 1.5), (1.2, 0.1, -0.7), (2.0, 2.0, 2.0)
+    bpy.context.view_layer.update()
+    focal = camera.data.lens / camera.data.sensor_width * WIDTH
+    made = make_take(intrinsics=Intrinsics(focal, focal, WIDTH / 2, HEIGHT / 2))
+    built = build_take(made.take, camera=camera)
+    assert built.camera == camera
+    assert [o for o in bpy.data.objects if o.type == "CAMERA"] == [camera]
+    assert scene.camera is None
+    assert len(camera.data.background_images) == 1
+    assert picture_error(made, built, FRAMES) < 0.05
+    camera.location.x += 5.0
+    assert picture_error(made, built, FRAMES) < 0.05
+    build_take(made.take, camera=camera)
+    assert len(camera.data.background_images) == 1, "the same picture is not shown twice"
+    assert len(bpy.data.images) == 1

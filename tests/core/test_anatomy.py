@@ -3,7 +3,13 @@ import pytest
 import torch
 
 from handfit_core.hand_model import load_model
-from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
+from handfit_core.hand_model.anatomy import (
+    anatomical_angles,
+    anatomical_axes,
+    joint_limits,
+    relaxed_pose,
+    rotmats_from_angles,
+)
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 from handfit_core.solvers.anatomical import AnatomicalPenalty
@@ -53,6 +59,36 @@ def test_angles_round_trip(side: Side) -> None:
     axes = anatomical_axes(load_model(None, side))
     angles = np.random.default_rng(0).uniform(-1.3, 1.3, (15, 3))
     np.testing.assert_allclose(anatomical_angles(rotmats_of(angles, axes), axes), angles, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_rotations_from_angles_are_the_inverse(side: Side) -> None:
+    axes = anatomical_axes(load_model(None, side))
+    rng = np.random.default_rng(4)
+    angles = rng.uniform(-1.3, 1.3, (6, 15, 3))
+    rotmats = rotmats_from_angles(angles, axes)
+    np.testing.assert_allclose(anatomical_angles(rotmats, axes), angles, atol=1e-12)
+    for one, expected in zip(rotmats, angles, strict=True):
+        np.testing.assert_allclose(one, rotmats_of(expected, axes), atol=1e-12)
+    # And the other way round, for rotations that no angles were chosen for.
+    pose = rotvec_to_rotmat(rng.normal(scale=0.5, size=(15, 3)))
+    np.testing.assert_allclose(rotmats_from_angles(anatomical_angles(pose, axes), axes), pose, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_relaxed_hand_is_half_closed_and_within_its_limits(side: Side) -> None:
+    axes, limits = anatomical_axes(load_model(None, side)), joint_limits(side)
+    rotmats = rotvec_to_rotmat(relaxed_pose(load_model(None, side)).reshape(15, 3))
+    angles = anatomical_angles(rotmats, axes)
+    assert np.all(angles >= limits.lower)
+    assert np.all(angles <= limits.upper)
+    assert np.all(np.degrees(angles[:12, 2]) > 10)  # every joint of the four fingers is bent
+    assert np.all(np.degrees(angles[:, 2]) < 60)
+
+
+def test_relaxed_hands_are_mirror_images() -> None:
+    right, left = (relaxed_pose(load_model(None, side)).reshape(15, 3) for side in ("right", "left"))
+    np.testing.assert_allclose(left, right * MIRROR, atol=1e-6)
 
 
 def test_torch_angles_are_the_same() -> None:

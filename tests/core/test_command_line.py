@@ -56,6 +56,18 @@ def test_intrinsics(tmp_path: Path) -> None:
     assert vars(Take.load(tmp_path / "a.npz").intrinsics) == {"fx": 700, "fy": 710, "cx": 320, "cy": 240}
 
 
+def test_hand_length_is_in_millimetres(tmp_path: Path) -> None:
+    depths = []
+    for length in ("150", "200"):
+        result = run("capture", PHOTO, "--hand-length", length, "-o", tmp_path / "a.npz")
+        assert result.returncode == 0, result.stderr
+        depths.append(Take.load(tmp_path / "a.npz").hands[0].transl[0, 2])
+    assert depths[1] / depths[0] == pytest.approx(200 / 150, rel=0.05)
+    result = run("capture", PHOTO, "--hand-length", "0.18", "-o", tmp_path / "b.npz")
+    assert result.returncode == 1
+    assert "between 50 and 300 mm" in result.stderr
+
+
 def test_smoothing_and_plain_detection_reach_the_capture(tmp_path: Path) -> None:
     pattern = PHOTO.parent / "hand.%04d.jpg"
     takes = []

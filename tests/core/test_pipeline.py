@@ -1,16 +1,18 @@
 """The whole core on the bundled sample, against the pose that was rendered; and on real photos."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import handfit_core
-from handfit_core import Intrinsics, Progress, Take, capture
+from handfit_core import Intrinsics, Progress, Take, capture, pipeline
 from handfit_core.align import align
-from handfit_core.errors import HandModelError, NoHandFoundError, OptionError
+from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import load_model, save_model_npz
+from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.media import open_media
 from handfit_core.pipeline import _rate, hand_track
@@ -91,6 +93,90 @@ def test_progress_can_stop_the_capture() -> None:
         capture(PATTERN, progress=stop)
 
 
+def stopping_at(stage: str, done: int) -> tuple[list[Progress], Callable[[], bool]]:
+    """A list to append progress to, and a `should_stop` that says True from there on."""
+    seen: list[Progress] = []
+    return seen, lambda: any(p.stage == stage and p.done >= done for p in seen)
+
+
+def test_stopped_while_finding_keeps_what_was_found() -> None:
+    seen, stop = stopping_at("detect", 5)
+    take = capture(PATTERN, progress=seen.append, should_stop=stop)
+    np.testing.assert_array_equal(take.frame_numbers, range(1, 6))
+    assert [Path(f).name for f in take.source.files] == [f"hand.{n:04d}.jpg" for n in range(1, 6)]
+    assert take.hands[0].detected.all()
+    assert [p.done for p in seen if p.stage == "fit"] == [1, 2, 3, 4, 5]
+    assert np.all(take.hands[0].reprojection_error < 15.0)
+
+
+def test_stopped_while_fitting_keeps_what_was_fitted() -> None:
+    seen, stop = stopping_at("fit", 2)
+    frames = FrameRange.parse("1-5")
+    take = capture(PATTERN, solver="paper-a-plus", progress=seen.append, should_stop=stop, frames=frames)
+    np.testing.assert_array_equal(take.frame_numbers, range(1, 6))
+    (hand,) = take.hands
+    np.testing.assert_array_equal(hand.detected, [True, True, False, False, False])
+    assert np.isnan(hand.keypoints_2d[2:]).all()
+    assert np.isfinite(hand.joints_3d[:2]).all()
+
+
+def test_stopped_while_finding_with_a_slow_solver_fits_a_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "LAST_FITS_SECONDS", 0.0)
+    seen, stop = stopping_at("detect", 4)
+    take = capture(PATTERN, solver="paper-a", progress=seen.append, should_stop=stop)
+    np.testing.assert_array_equal(take.frame_numbers, range(1, 5))
+    np.testing.assert_array_equal(take.hands[0].detected, [True, False, False, False])
+
+
+def test_stopped_before_a_hand_was_found() -> None:
+    with pytest.raises(Cancelled, match="hand: stopped before a hand was found"):
+        capture(PATTERN, should_stop=lambda: True)
+    seen, stop = stopping_at("detect", 2)
+    with pytest.raises(Cancelled, match="stopped before"):
+        capture(PATTERN, hands="left", progress=seen.append, should_stop=stop)
+    # Asked to stop once all is done, it is done.
+    seen, stop = stopping_at("fit", 3)
+    take = capture(PATTERN, frames=FrameRange.parse("1-3"), progress=seen.append, should_stop=stop)
+    assert take.hands[0].detected.all()
+
+
+def test_detections_can_be_taken_from_the_take(take: Take) -> None:
+    (hand,) = take.hands
+    assert hand.refinable
+    for row in range(len(take.frame_numbers)):
+        detection = hand.detection(row)
+        assert detection is not None
+        np.testing.assert_array_equal(detection.keypoints_2d, hand.keypoints_2d[row])
+        assert abs(detection.keypoints[0, 2]) < 1.0  # pixels; depth is relative to the wrist
+        assert 0.1 < np.linalg.norm(np.ptp(detection.world, axis=0)) < 0.3  # a hand, in metres
+        assert detection.right_side is not None
+        assert detection.right_side > 0.5
+
+
+def test_hand_length_decides_size_and_distance(caplog: pytest.LogCaptureFixture) -> None:
+    photo, model = SAMPLE / "hand.0001.jpg", load_model(None, "right")
+    small, large = (capture(photo, hand_length=length).hands[0] for length in (0.16, 0.20))
+    for hand, length in ((small, 0.16), (large, 0.20)):
+        assert flat_hand_length(model, hand.betas) == pytest.approx(length, rel=0.01)
+    assert large.transl[0, 2] / small.transl[0, 2] == pytest.approx(0.20 / 0.16, rel=0.05)
+    assert not caplog.records
+    capture(photo, hand_length=0.16, solver="paper-a")
+    assert "paper-a takes no notice of the hand's length" in caplog.text
+
+
+@pytest.mark.parametrize("length", [0.049, 0.31, 18.0, float("nan")])
+def test_hand_length_out_of_range(length: float) -> None:
+    with pytest.raises(OptionError, match="between 50 and 300 mm"):
+        capture(PATTERN, hand_length=length)
+
+
+def test_lens_is_in_parts_of_the_picture() -> None:
+    photo = SAMPLE / "hand.0001.jpg"
+    assert capture(photo, lens=(1.5, 0.5, 0.25)).intrinsics == Intrinsics(960.0, 960.0, 320.0, 120.0)
+    with pytest.raises(OptionError, match="not both"):
+        capture(photo, lens=(1.5, 0.5, 0.5), intrinsics=Intrinsics(1.0, 1.0, 0.0, 0.0))
+
+
 def test_camera_is_assumed_when_none_is_given() -> None:
     found = capture(SAMPLE / "hand.0001.jpg", solver="paper-a")
     assert found.intrinsics == Intrinsics(640.0, 640.0, 320.0, 240.0)
@@ -130,6 +216,10 @@ def test_filled_frames_have_a_pose_but_nothing_seen() -> None:
         assert np.isfinite(seen_only[0]).all()
         assert np.isnan(seen_only[1:]).all()
     assert track.doubtful is None  # nobody looked
+    assert track.keypoints_depth is not None
+    assert track.right_side is not None
+    assert np.isnan(track.keypoints_depth[1:]).all()
+    assert np.isnan(track.right_side).all()  # nobody judged
 
 
 @pytest.mark.parametrize("smoothing", [-1.0, 11.0])

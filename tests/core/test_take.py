@@ -162,6 +162,111 @@ def test_flags_are_one_a_frame(tmp_path: Path, name: str) -> None:
     assert "capture it again" in message_of(path)
 
 
+DETECTED = np.array([True, True, False, True])
+
+
+def as_detected(**changes: Any) -> HandTrack:
+    """A track that holds what the detector found; its second frame was named the other side."""
+    rng = np.random.default_rng(5)
+    arrays: dict[str, Any] = {
+        "keypoints_depth": rng.normal(size=(FRAMES, 21)),
+        "world_landmarks": rng.normal(size=(FRAMES, 21, 3)) * 0.05,
+        "right_side": np.array([0.9, 0.3, 0.0, np.nan]),
+    }
+    for array in arrays.values():
+        array[~DETECTED] = np.nan
+    return track(**{**arrays, "other_side": np.array([False, True, False, False]), **changes})
+
+
+def test_what_the_detector_found_comes_back(tmp_path: Path) -> None:
+    original = as_detected()
+    (hand, old) = Take.load(take(hands=(original, track("left"))).save(tmp_path / "t.npz")).hands
+    assert hand.refinable
+    for name in ("keypoints_depth", "world_landmarks", "right_side", "other_side"):
+        np.testing.assert_array_equal(getattr(hand, name), getattr(original, name), err_msg=name)
+        assert getattr(old, name) is None
+    first, second, third, fourth = (hand.detection(row) for row in range(FRAMES))
+    assert first is not None
+    assert second is not None
+    assert fourth is not None
+    assert third is None
+    assert original.keypoints_depth is not None
+    assert original.world_landmarks is not None
+    np.testing.assert_array_equal(first.keypoints_2d, original.keypoints_2d[0])
+    np.testing.assert_array_equal(first.keypoints[:, 2], original.keypoints_depth[0])
+    np.testing.assert_array_equal(first.world, original.world_landmarks[0])
+    assert (first.side, first.score, first.right_side) == ("right", original.score[0], 0.9)
+    assert (second.side, second.right_side, second.likely_side) == ("left", 0.3, "right")
+    assert (fourth.side, fourth.right_side) == ("right", None)
+
+
+def test_older_takes_cannot_be_fitted_again(tmp_path: Path) -> None:
+    (hand,) = Take.load(take(hands=(track(),)).save(tmp_path / "t.npz")).hands
+    assert not hand.refinable
+    with pytest.raises(TakeError, match="capture it again"):
+        hand.detection(0)
+    assert not dataclasses.replace(as_detected(), world_landmarks=None).refinable
+    plain = dataclasses.replace(as_detected(), right_side=None, other_side=None).detection(1)
+    assert plain is not None
+    assert (plain.side, plain.right_side) == ("right", None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"keypoints_depth": np.zeros((FRAMES, 20))}, "keypoints_depth has shape"),
+        ({"world_landmarks": np.zeros((FRAMES, 21))}, "world_landmarks has shape"),
+        ({"keypoints_depth": np.full((FRAMES, 21), np.nan)}, "keypoints_depth is not finite"),
+        ({"world_landmarks": np.full((FRAMES, 21, 3), np.inf)}, "world_landmarks is not finite"),
+        ({"right_side": np.zeros((FRAMES, 1))}, "right_side has shape"),
+        ({"right_side": np.full(FRAMES, 1.5)}, "right_side must lie between 0 and 1"),
+        ({"other_side": np.zeros(2, dtype=bool)}, "other_side has the wrong shape"),
+    ],
+    ids=str,
+)
+def test_what_the_detector_found_is_checked(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(TakeError, match=said):
+        take(hands=(as_detected(**changes),))
+    path = take(hands=(as_detected(),)).save(tmp_path / "t.npz")
+    name, array = next(iter(changes.items()))
+    assert said in message_of(edited(path, **{f"hand0_{name}": array}))
+
+
+@pytest.mark.parametrize("compact", [True, False])
+def test_as_bytes(compact: bool) -> None:
+    original = take(hands=(as_detected(), track("left", 1)))
+    data = original.to_bytes(compact=compact)
+    back = Take.from_bytes(data)
+    assert back.source == original.source
+    assert back.intrinsics == original.intrinsics
+    np.testing.assert_array_equal(back.frame_numbers, original.frame_numbers)
+    for ours, theirs in zip(back.hands, original.hands, strict=True):
+        for field in dataclasses.fields(HandTrack):
+            found, expected = getattr(ours, field.name), getattr(theirs, field.name)
+            if expected is None or field.name == "side":
+                assert found == expected
+                continue
+            assert found.dtype == expected.dtype, field.name
+            if compact and found.dtype == np.float64:
+                np.testing.assert_array_equal(found, expected.astype(np.float32), err_msg=field.name)
+            else:
+                np.testing.assert_array_equal(found, expected, err_msg=field.name)
+
+
+def test_compact_bytes_are_much_smaller_and_deterministic_in_content() -> None:
+    original = take(hands=(as_detected(), track("left", 1)))
+    small, whole = original.to_bytes(), original.to_bytes(compact=False)
+    assert len(small) < 0.7 * len(whole)
+    # Compact once is compact for good.
+    assert Take.from_bytes(small).to_bytes() == Take.from_bytes(Take.from_bytes(small).to_bytes()).to_bytes()
+
+
+def test_bytes_that_are_no_take() -> None:
+    for data in (b"", b"hello", take().to_bytes()[:-30]):
+        with pytest.raises(TakeError, match=r"^the take in shot\.blend: not a take file"):
+            Take.from_bytes(data, where="the take in shot.blend")
+
+
 def test_wrong_sides_are_refused() -> None:
     with pytest.raises(TakeError, match="'middle'"):
         take(hands=(track("middle"),))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +40,9 @@ needs_capture = pytest.mark.skipif(
     not SAMPLES.is_dir() or not can_capture(),
     reason="needs the samples, and a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON",
 )
+
+
+needs_scripts = pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
 
 
 @pytest.fixture(params=["wheel", "blender"])
@@ -232,6 +237,118 @@ def test_a_python_that_cannot_capture_is_named(batch, tmp_path):
     (entry,) = report(tmp_path / "out")
     assert "no-python" in entry["error"]
     assert "--python" in entry["error"]
+
+
+@pytest.fixture
+def peer(tmp_path, take_file):
+    """A Python whose worker does as the input's name says: crashes, sleeps, or gives a small take."""
+    take = take_file("given")
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    path = tmp_path / "peer"
+    path.write_text(
+        f"#!{python}\n"
+        "import json, os, shutil, sys, time\n"
+        "def say(**event): print(json.dumps(event), flush=True)\n"
+        "open('pids', 'a').write(f'{os.getpid()}\\n')\n"
+        "say(event='ready', protocol=1, version='0', pid=os.getpid(), python='3')\n"
+        "for line in sys.stdin:\n"
+        "    request = json.loads(line)\n"
+        "    name = request['input'][0]\n"
+        "    say(event='progress', id=request['id'], stage='detect', done=0, total=1)\n"
+        "    if 'crash' in name: os.abort()\n"
+        "    if 'slow' in name: time.sleep(600)\n"
+        "    os.makedirs(os.path.dirname(request['output']), exist_ok=True)\n"
+        f"    shutil.copy({str(take)!r}, request['output'])\n"
+        "    say(event='done', id=request['id'], output=request['output'])\n"
+    )
+    path.chmod(0o755)
+    return path
+
+
+def pids(folder: Path) -> list[int]:
+    """The processes that `peer` was, in order."""
+    return [int(line) for line in (folder / "pids").read_text().split()]
+
+
+def exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@needs_scripts
+def test_one_process_for_all_inputs_and_another_after_a_crash(batch, peer, tmp_path):
+    out = tmp_path / "out"
+    done = batch(*"a.jpg b.jpg crash.jpg c.jpg d.jpg".split(), "-o", out, "--format", "bvh", "--python", peer)
+    assert done.returncode == 1
+    entries = report(out)
+    assert [e["status"] for e in entries] == ["ok", "ok", "failed", "ok", "ok"]
+    assert "SIGABRT" in entries[2]["error"]
+    assert "--debug" in entries[2]["error"]
+    assert len(pids(tmp_path)) == 2
+    assert not (out / "crash").exists()
+
+
+@needs_scripts
+def test_the_time_limit_is_for_each_input(batch, peer, tmp_path):
+    out = tmp_path / "out"
+    options = ("--format", "bvh", "--python", peer, "--timeout", "3")
+    done = batch("a.jpg", "slow.jpg", "b.jpg", "-o", out, *options)
+    assert done.returncode == 1
+    entries = report(out)
+    assert [e["status"] for e in entries] == ["ok", "failed", "ok"]
+    assert entries[1]["error"] == "the capture took longer than 3 seconds and was stopped"
+    assert len(pids(tmp_path)) == 2
+
+
+@needs_scripts
+def test_ctrl_c_ends_the_worker_too(peer, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, str(SCRIPT), "a.jpg", "slow.jpg", "c.jpg", "-o", str(out), "--format", "bvh"]
+    running = subprocess.Popen(
+        [*command, "--python", str(peer)], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (out / "report.json").exists():
+        time.sleep(0.05)
+    while time.monotonic() < deadline and report(out)[0]["status"] != "ok":
+        time.sleep(0.05)
+    time.sleep(0.5)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130, said
+    assert "what was finished is kept" in said
+    assert [e["status"] for e in report(out)] == ["ok", "interrupted", "pending"]
+    (pid,) = pids(tmp_path)
+    deadline = time.monotonic() + 5  # the system's init may need a moment to let go of its number
+    while exists(pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not exists(pid)
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [("--hand-length=5", "between 50 and 300 mm"), ("--intrinsics=1,2,3", "FX,FY,CX,CY")],
+)
+def test_wrong_numbers_are_refused_before_any_work(batch, tmp_path, option, expected):
+    done = batch("a.jpg", "-o", tmp_path / "out", option)
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@needs_capture
+def test_the_hands_length_decides_its_distance(batch, tmp_path):
+    photo = SAMPLES / "photos" / "thumb_up.jpg"
+    depths = []
+    for length in (150, 210):
+        out = tmp_path / f"{length} mm"
+        done = batch(photo, "-o", out, "--format", "bvh", "--hand-length", length)
+        assert done.returncode == 0, done.stdout + done.stderr
+        depths.append(Take.load(out / "thumb_up" / "thumb_up.take.npz").hands[0].transl[0, 2])
+    assert depths[1] / depths[0] == pytest.approx(210 / 150, rel=0.1)
 
 
 @needs_capture

@@ -43,6 +43,23 @@ class Blocks:
         """The problems of that index."""
         return Blocks(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
+    def holding(self, of_hand: torch.Tensor, of_fingers: torch.Tensor) -> Blocks:
+        """The same problems with some variables held: their increments come out as exactly zero, and the
+        others' as if they were no variables. `of_hand` (B, n) and `of_fingers` (B, 5, 9) bool."""
+        hand_free, finger_free = (~of_hand).to(self.cost.dtype), (~of_fingers).to(self.cost.dtype)
+        hand = self.hand * hand_free[:, :, None] * hand_free[:, None]
+        finger = self.finger * finger_free[..., None] * finger_free[..., None, :]
+        hand.diagonal(dim1=-2, dim2=-1).add_(1.0 - hand_free)
+        finger.diagonal(dim1=-2, dim2=-1).add_(1.0 - finger_free)
+        return Blocks(
+            hand,
+            self.mixed * finger_free[..., None] * hand_free[:, None, None],
+            finger,
+            self.hand_gradient * hand_free,
+            self.finger_gradient * finger_free,
+            self.cost,
+        )
+
     def step(self, damping: torch.Tensor, *, shared: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
         """Increments (B, n) and (B, 5, 9) under Levenberg-Marquardt damping (B,), relative to the diagonals.
 

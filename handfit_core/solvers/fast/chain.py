@@ -197,6 +197,26 @@ class Chain:
         rotmats = self._tensor(rotvec_to_rotmat(hand_pose.reshape(-1, 15, 3)))[:, _JOINTS - 1]
         return self._axes.mT @ rotmats @ self._axes
 
+    def state(
+        self,
+        betas: np.ndarray,
+        global_orient: np.ndarray,
+        hand_pose: np.ndarray,
+        transl: np.ndarray,
+        offsets: np.ndarray,
+    ) -> State:
+        """The inverse of `parameters`: betas (B, 10), global_orient (B, 3), hand_pose (B, 45), transl (B, 3)
+        in MANO's convention; offsets (B, m) metres."""
+        from handfit_core.rotations import rotvec_to_rotmat
+
+        return State(
+            root=self._tensor(rotvec_to_rotmat(global_orient)),
+            local=self.local_from_pose(hand_pose),
+            wrist=self._tensor(transl + self._wrist_template + betas @ self._wrist_dirs.T),
+            betas=self._tensor(betas),
+            offsets=self._tensor(offsets),
+        )
+
     def parameters(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """betas (B, 10), global_orient (B, 3), hand_pose (B, 45) and transl (B, 3) in MANO's convention."""
         from handfit_core.rotations import rotmat_to_rotvec

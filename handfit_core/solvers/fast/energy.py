@@ -10,10 +10,11 @@ import torch
 from handfit_core.hand_model.anatomy import JointLimits
 from handfit_core.residuals.coupling import coupling
 from handfit_core.residuals.depth import depth
+from handfit_core.residuals.hand_length import hand_length
 from handfit_core.residuals.limits import limits
 from handfit_core.residuals.pose_prior import pose_prior
 from handfit_core.residuals.reprojection import reprojection
-from handfit_core.residuals.robust import Huber
+from handfit_core.residuals.robust import Huber, Kernel, QuadraticWhere
 from handfit_core.residuals.rows import AngleRows, PointRows
 from handfit_core.residuals.shape_prior import shape_prior
 from handfit_core.residuals.world import world
@@ -45,6 +46,8 @@ class Weights:
     coupling_sigma: float = float(np.radians(18.0))
     prior: float = 0.7
     shape_sigma: float = 1.0
+    length_sigma: float = 0.001
+    """metres, of a length that was measured; left to `shape_sigma` alone, proportions would overrule it"""
     world_sigma: float = 0.010
     """metres"""
     pixel_kernel: Huber = _KERNEL
@@ -68,10 +71,30 @@ class PosePrior:
         return PosePrior(self.mean * sign, self.covariance * sign[:, None] * sign)
 
 
-class Energy:
-    """All terms of one model's frames. Holds nothing of a problem but constants."""
+@dataclass(frozen=True, eq=False)
+class MeasuredHand:
+    """What is known of a hand's shape."""
 
-    def __init__(self, chain: Chain, prior: PosePrior, joint_limits: JointLimits, weights: Weights) -> None:
+    betas: np.ndarray
+    """(10,) the likeliest shape of its length"""
+    length_rates: np.ndarray
+    """(10,) metres by which the length grows with each beta"""
+
+
+class Energy:
+    """All terms of one model's frames. Holds nothing of a problem but constants.
+
+    `measured`: where the hand's length is known; None: an average hand is expected.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        prior: PosePrior,
+        joint_limits: JointLimits,
+        weights: Weights,
+        measured: MeasuredHand | None = None,
+    ) -> None:
         self._chain, self._weights = chain, weights
         prior = prior.of_side(chain.model.side)
 
@@ -95,6 +118,8 @@ class Energy:
         emphasis[list(TIP_KEYPOINTS)] *= np.sqrt(weights.tips)
         self._emphasis = tensor(emphasis)
         self._shape_sigma = tensor(np.full(10, weights.shape_sigma))
+        self._shape_mean = tensor(np.zeros(10) if measured is None else measured.betas)
+        self._length_rates = None if measured is None else tensor(measured.length_rates)
         self._same_joint = tensor(np.eye(3))[:, None, :, None]
 
     def of(self, posed: Posed, seen: Observation, *, shape: bool, shape_weight: float = 1.0) -> Blocks:
@@ -117,10 +142,16 @@ class Energy:
         hand, hand_gradient = corner[:, :-1, :-1], corner[:, :-1, -1]
         cost = cost + angle_cost
         if shape:
-            of_shape, slope = shape_prior(posed.state.betas, self._shape_sigma)
+            of_shape, slope = shape_prior(posed.state.betas, self._shape_sigma, self._shape_mean)
             cost = cost + shape_weight * of_shape.square().sum(dim=1)
             hand_gradient[:, -10:] += shape_weight * slope * of_shape
             hand.diagonal(dim1=1, dim2=2)[:, -10:] += shape_weight * slope * slope
+            if self._length_rates is not None:
+                sigma = self._weights.length_sigma
+                off, slope = hand_length(posed.state.betas, self._shape_mean, self._length_rates, sigma)
+                cost = cost + shape_weight * off.square()
+                hand_gradient[:, -10:] += shape_weight * off[:, None] * slope
+                hand[:, -10:, -10:] += shape_weight * slope[:, None] * slope
         return Blocks(hand, sides[..., 9:-1], finger, hand_gradient, finger_gradient, cost)
 
     def _of_angles(self, local: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -146,8 +177,11 @@ class Energy:
         and the cost (B,)."""
         weights, points, offsets = self._weights, posed.points, posed.state.offsets
         sigma = seen.pixel_sigma / self._emphasis[:, None]
-        terms = [
-            (reprojection(points, seen.pixels, sigma, seen.focal, seen.centre), 1.0, weights.pixel_kernel),
+        of_pixels: Kernel = weights.pixel_kernel
+        if seen.pinned is not None:
+            of_pixels = QuadraticWhere(seen.pinned, of_pixels)
+        terms: list[tuple[PointRows, float, Kernel]] = [
+            (reprojection(points, seen.pixels, sigma, seen.focal, seen.centre), 1.0, of_pixels),
             (
                 depth(points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(dim=1), offsets[:, :1]),
                 weights.depth,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -14,18 +15,20 @@ from handfit_core.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import FILE, detector_landmarks
+from handfit_core.hand_model.length import betas_of_length, flat_hand_length, length_rates
 from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.residuals.reprojection import NEAREST
 from handfit_core.skeleton import NUM_BETAS
 from handfit_core.solvers.fast.chain import Chain, State, joined
-from handfit_core.solvers.fast.energy import Energy, PosePrior, Weights
+from handfit_core.solvers.fast.energy import Energy, MeasuredHand, PosePrior, Weights
 from handfit_core.solvers.fast.gaps import bridged, jumps, missing_between, spans
+from handfit_core.solvers.fast.holding import Held
 from handfit_core.solvers.fast.levenberg import Solution, solve
 from handfit_core.solvers.fast.observation import Observation
 from handfit_core.solvers.fast.observe import Trust, landmarked
 from handfit_core.solvers.fast.smooth import Motion, smoothed
 from handfit_core.solvers.fast.start import relaxed_start
-from handfit_core.solvers.result import OnFrame, TrackFit
+from handfit_core.solvers.result import OnFrame, ShouldStop, TrackFit, never
 from handfit_core.torch_threads import one_thread
 
 TRUST: Final = Trust()
@@ -54,6 +57,13 @@ SMOOTH_PLACE: Final = 1.05
 OVERLAP_SECONDS: Final = 2.4
 """Shared by two windows of a long clip at strength 1"""
 
+ODD_SHAPE: Final = 3.0
+FARTHEST_SHAPE: Final = 6.0
+"""Standard deviations from the mean: where a given hand length is remarked on, and where it ends. The open
+hand's mesh begins to fold at six and a half."""
+
+log = logging.getLogger("handfit")
+
 
 @dataclass(frozen=True, eq=False)
 class FrameFits:
@@ -78,14 +88,27 @@ class FrameFits:
 
 
 class FastFitter:
-    """One hand model, ready to be fitted."""
+    """One hand model, ready to be fitted.
 
-    def __init__(self, model: HandModel, dtype: torch.dtype, device: torch.device | str = "cpu") -> None:
+    `hand_length`: metres from the wrist joint to the tip of the middle finger that the shape is expected to
+    have; None: the mean shape is.
+    """
+
+    def __init__(
+        self,
+        model: HandModel,
+        dtype: torch.dtype,
+        device: torch.device | str = "cpu",
+        hand_length: float | None = None,
+    ) -> None:
         self.model, self.dtype, self.device = model, dtype, device
         self.chain = Chain(model, detector_landmarks(), dtype, device)
         with np.load(FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"])
-        self.energy = Energy(self.chain, prior, joint_limits(model.side), WEIGHTS)
+        measured = None if hand_length is None else measured_hand(model, hand_length)
+        expected = np.zeros(NUM_BETAS) if measured is None else measured.betas
+        self._betas = torch.tensor(expected, dtype=dtype, device=device)
+        self.energy = Energy(self.chain, prior, joint_limits(model.side), WEIGHTS, measured)
         self._relaxed = torch.tensor(
             prior.of_side(model.side).mean[None].copy(), dtype=dtype, device=device
         )  # (1, 5, 9)
@@ -96,20 +119,27 @@ class FastFitter:
         return seen.observation(intrinsics, self.dtype, self.device)
 
     def start(self, seen: Observation, betas: torch.Tensor | None = None) -> State:
-        """A relaxed hand laid over the landmarks, of the mean shape or of betas (10,)."""
+        """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
         count = len(seen)
         if betas is None:
-            betas = torch.zeros(NUM_BETAS, dtype=self.dtype, device=self.device)
+            betas = self._betas
         return relaxed_start(
             self.chain, seen, self._relaxed.expand(count, 5, 9), betas.expand(count, NUM_BETAS)
         )
 
-    def solve_each(self, seen: Observation, start: State, *, shape: bool) -> Solution:
-        """Independent frames, each with its own shape or with the start's."""
+    def solve_each(
+        self, seen: Observation, start: State, *, shape: bool, held: Held | None = None
+    ) -> Solution:
+        """Independent frames, each with its own shape or the start's. `held` joints stay as in `start`."""
 
         def linearise(state: State, index: torch.Tensor):
-            part = seen if len(index) == len(seen) else seen.select(index)
-            return self.energy.of(self.chain.pose(state), part, shape=shape)
+            whole = len(index) == len(seen)
+            blocks = self.energy.of(
+                self.chain.pose(state), seen if whole else seen.select(index), shape=shape
+            )
+            if held is None:
+                return blocks
+            return (held if whole else held.select(index)).of(blocks)
 
         return solve(self.chain, linearise, start, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
 
@@ -131,17 +161,48 @@ class FastFitter:
         return solution.state.betas[0]
 
 
+def measured_hand(model: HandModel, length: float) -> MeasuredHand:
+    """The shape nearest to the mean that has that length in metres, no farther from the mean than meshes
+    keep their form."""
+    betas = betas_of_length(model, length)
+    betas = betas * min(1.0, FARTHEST_SHAPE / max(float(np.linalg.norm(betas)), 1e-9))
+    return MeasuredHand(betas, length_rates(model, betas))
+
+
+def _tell_of_odd_shapes(model: HandModel, length: float) -> None:
+    """Warn where a length asks for a shape that hardly any hand has."""
+    away = float(np.linalg.norm(betas_of_length(model, length)))
+    if away <= ODD_SHAPE:
+        return
+    reached = flat_hand_length(model, measured_hand(model, length).betas)
+    log.warning(
+        "a hand %.0f mm long is %.1f standard deviations from the model's average of %.0f mm; its "
+        "proportions may look odd%s",
+        length * 1e3,
+        away,
+        flat_hand_length(model) * 1e3,
+        "" if abs(reached - length) < 5e-4 else f", and {reached * 1e3:.0f} mm is as far as it goes",
+    )
+
+
 @lru_cache(maxsize=8)
-def fitter_of(model: HandModel, dtype: torch.dtype, device: str = "cpu") -> FastFitter:
+def fitter_of(
+    model: HandModel, dtype: torch.dtype, device: str = "cpu", hand_length: float | None = None
+) -> FastFitter:
     """Kept between calls: an edit that is answered while the artist drags should not build it again."""
-    return FastFitter(model, dtype, device)
+    return FastFitter(model, dtype, device, hand_length)
 
 
 def fit_frames(
-    model: HandModel, detections: Sequence[HandDetection], intrinsics: Intrinsics, device: str = "cpu"
+    model: HandModel,
+    detections: Sequence[HandDetection],
+    intrinsics: Intrinsics,
+    device: str = "cpu",
+    hand_length: float | None = None,
 ) -> FrameFits:
-    """Fit B pictures of a hand independently, each with a shape of its own."""
-    fitter = fitter_of(model, torch.float32, device)
+    """Fit B pictures of a hand independently, each with a shape of its own, which is expected to have that
+    length (metres; None: an average one)."""
+    fitter = fitter_of(model, torch.float32, device, hand_length)
     with one_thread(), torch.inference_mode():
         seen = fitter.observe(detections, intrinsics)
         solution = fitter.solve_each(seen, fitter.start(seen), shape=True)
@@ -169,36 +230,48 @@ def _uncertain(fitter: FastFitter, seen: Observation, state: State) -> np.ndarra
 
 
 def fit_track(
-    smoothing: float, model: HandModel, track: DetectedTrack, intrinsics: Intrinsics, on_frame: OnFrame
+    smoothing: float,
+    model: HandModel,
+    track: DetectedTrack,
+    intrinsics: Intrinsics,
+    on_frame: OnFrame,
+    should_stop: ShouldStop = never,
+    hand_length: float | None = None,
 ) -> TrackFit:
     """Fit a followed hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
 
-    Gaps up to `gaps.LONGEST_GAP` are filled.
+    Gaps up to `gaps.LONGEST_GAP` are filled. `should_stop` is asked after every `CHUNK` frames; those that
+    were not reached are NaN. `hand_length` is as `FastFitter` has it.
     """
     found = np.flatnonzero(track.detected)
     detections = [d for d in track.detections if d is not None]
+    if hand_length is not None:
+        _tell_of_odd_shapes(model, hand_length)
     with one_thread(), torch.inference_mode():
         if len(detections) == 1:
             # A picture by itself: float32, since nothing is summed over frames.
-            fits = fit_frames(model, detections, intrinsics)
+            fits = fit_frames(model, detections, intrinsics, hand_length=hand_length)
             parameters = [fits.betas, fits.global_orient, fits.hand_pose, fits.transl]
             frames, converged, doubtful = found, fits.converged, fits.doubtful
         else:
-            fitter = fitter_of(model, torch.float64)
+            fitter = fitter_of(model, torch.float64, hand_length=hand_length)
             seen = landmarked(detections, model.side, TRUST).observation(intrinsics, fitter.dtype)
-            solution = _clip(fitter, seen)
+            solution = _clip(fitter, seen, should_stop)
+            if len(solution.state) < len(found):
+                found = found[: len(solution.state)]
+                seen = seen.select(torch.arange(len(found)))
             converged = solution.converged.numpy()
             doubtful = _uncertain(fitter, seen, solution.state)
             cuts = jumps(seen.pixels.numpy()) | missing_between(found, track.holes)
-            frames, state = _over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
+            frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
             parameters = list(fitter.chain.parameters(state))
-    for _ in detections:
+    for _ in found:
         on_frame()
     return _track_fit(parameters, frames, found, converged, doubtful, len(track.detections))
 
 
-def _clip(fitter: FastFitter, seen: Observation) -> Solution:
-    """Every frame by itself, all with one shape."""
+def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Solution:
+    """Every frame by itself, all with one shape; fewer when stopped."""
     count = len(seen)
     spread = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
     betas = fitter.solve_shape(seen.select(torch.tensor(np.unique(spread))))
@@ -206,6 +279,8 @@ def _clip(fitter: FastFitter, seen: Observation) -> Solution:
     for first in range(0, count, CHUNK):
         chunk = seen.select(torch.arange(first, min(first + CHUNK, count)))
         parts.append(fitter.solve_each(chunk, fitter.start(chunk, betas), shape=False))
+        if should_stop():
+            break
     return Solution(
         state=joined([p.state for p in parts]),
         cost=torch.cat([p.cost for p in parts]),
@@ -221,7 +296,7 @@ def _motion(smoothing: float, fps: float) -> Motion:
     return Motion(SMOOTH_ROTATION * per_frame, SMOOTH_PLACE * per_frame, overlap)
 
 
-def _over_time(
+def over_time(
     fitter: FastFitter,
     seen: Observation,
     state: State,
@@ -229,19 +304,27 @@ def _over_time(
     cuts: np.ndarray,
     smoothing: float,
     fps: float,
+    held: Held | None = None,
+    before_each: Callable[[], None] = lambda: None,
 ) -> tuple[np.ndarray, State]:
     """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their
-    states."""
+    states. `held` has a row for each of the track's frames; `before_each` stretch may raise to stop."""
     motion = _motion(smoothing, fps)
     frames, states = [], []
     for stretch in spans(found, fps, cuts):
+        before_each()
         known = np.isin(stretch, found)
         rows = torch.tensor(np.flatnonzero(np.isin(found, stretch)))
         guess = bridged(state.select(rows), known)
+        here = None if held is None else held.select(torch.tensor(stretch))
+        guess = guess if here is None else here.put(guess)
         if smoothing > 0:
             # Rows of frames without a detection repeat another's; they are not looked at.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
-            guess = smoothed(fitter.chain, fitter.energy, seen.select(nearest), known, guess, motion)
+            guess = smoothed(
+                fitter.chain, fitter.energy, seen.select(nearest), known, guess, motion,
+                None if here is None else here.variables(),
+            )  # fmt: skip
         frames.append(stretch)
         states.append(guess)
     return np.concatenate(frames), joined(states)

@@ -25,6 +25,9 @@ class Observation:
     """(B, 2) pixels"""
     centre: torch.Tensor
     """(B, 2) pixels"""
+    pinned: torch.Tensor | None = None
+    """(B, 21) bool: pixels that are true, put there by a person: their cost grows with the square, so that no
+    number of other landmarks can outvote them. None: there are none"""
     world: torch.Tensor | None = None
     """(B, 21, 3) world landmarks in metres; None where they are in `depth` already"""
 

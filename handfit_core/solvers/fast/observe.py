@@ -46,6 +46,8 @@ class Landmarked:
     """(N, 21) about its mean"""
     depth_sigma: np.ndarray
     """(N, 21)"""
+    pinned: np.ndarray | None = None
+    """(N, 21) bool: pixels that a person has put there; None: there are none"""
 
     def observation(
         self, intrinsics: Intrinsics, dtype: torch.dtype, device: torch.device | str = "cpu"
@@ -67,6 +69,7 @@ class Landmarked:
             ray=tensor(rays),
             focal=tensor(np.array([intrinsics.fx, intrinsics.fy])).expand(count, 2),
             centre=tensor(np.array([intrinsics.cx, intrinsics.cy])).expand(count, 2),
+            pinned=None if self.pinned is None else torch.tensor(self.pinned, device=device),
         )
 
 

@@ -45,21 +45,32 @@ WINDOW = 600
 
 
 def smoothed(
-    chain: Chain, energy: Energy, seen: Observation, has_data: np.ndarray, start: State, motion: Motion
+    chain: Chain,
+    energy: Energy,
+    seen: Observation,
+    has_data: np.ndarray,
+    start: State,
+    motion: Motion,
+    held: np.ndarray | None = None,
 ) -> State:
     """Smooth T frames, window by window.
 
     `seen` and `start` have T rows; rows where `has_data` (T,) is False are not looked at in `seen`, and in
-    `start` hold a guess.
+    `start` hold a guess. `held` (T, 51) bool: variables (root, joints finger by finger, place) that stay as
+    they are in `start`; None: none does.
     """
     count = len(start)
+    held = np.zeros((count, SIZE), dtype=bool) if held is None else held
     if count <= WINDOW + motion.overlap:
-        return _window(chain, energy, seen, has_data, start, motion)
+        return _window(chain, energy, seen, has_data, start, motion, held)
     state, first = start, 0
     while True:
         last = min(first + WINDOW + motion.overlap, count)
         part = torch.arange(first, last)
-        found = _window(chain, energy, seen.select(part), has_data[first:last], start.select(part), motion)
+        rows = slice(first, last)
+        found = _window(
+            chain, energy, seen.select(part), has_data[rows], start.select(part), motion, held[rows]
+        )
         # In the shared part the first half is the earlier window's, the second the later's.
         keep = 0 if first == 0 else motion.overlap // 2
         state = _put(state, found, first, keep)
@@ -78,7 +89,13 @@ def _put(whole: State, part: State, first: int, keep: int) -> State:
 
 
 def _window(
-    chain: Chain, energy: Energy, seen: Observation, has_data: np.ndarray, start: State, motion: Motion
+    chain: Chain,
+    energy: Energy,
+    seen: Observation,
+    has_data: np.ndarray,
+    start: State,
+    motion: Motion,
+    held: np.ndarray,
 ) -> State:
     if len(start) < 3:
         return start
@@ -89,6 +106,7 @@ def _window(
     for _ in range(ITERATIONS):
         matrix, gradient = _banded(blocks, has_data)
         _add_motion(matrix, gradient, state, motion)
+        _hold(matrix, gradient, held)
         matrix[0] += damping * matrix[0] + 1e-6
         step = _solve(matrix, gradient)
         candidate = _moved(chain, state, step, blocks)
@@ -191,6 +209,17 @@ def _add_motion(band: np.ndarray, gradient: np.ndarray, state: State, motion: Mo
         gradient[a : count - 2 + a, 48:] += ca * moving
         for b, cb in enumerate(coefficients[: a + 1]):
             view[(a - b) * SIZE, b : count - 2 + b, 48:] += ca * cb / motion.place**2
+
+
+def _hold(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
+    """Take held variables (T, 51) out of the matrix and the gradient in place: their increments are zero."""
+    at = np.flatnonzero(held)
+    gradient[held] = 0.0
+    band[:, at] = 0.0
+    for below in range(1, len(band)):
+        rows = at[at >= below]
+        band[below, rows - below] = 0.0
+    band[0, at] = 1.0
 
 
 def _solve(band: np.ndarray, gradient: np.ndarray) -> np.ndarray:

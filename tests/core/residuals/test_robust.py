@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from handfit_core.residuals.robust import GemanMcClure, Huber, Kernel
+from handfit_core.residuals.robust import GemanMcClure, Huber, Kernel, QuadraticWhere
 from tests.core.residuals.differences import STEP
 
 KERNELS = [Huber(2.0), Huber(0.5), GemanMcClure(1.0), GemanMcClure(3.0)]
@@ -45,3 +45,14 @@ def test_geman_mcclure_saturates() -> None:
     assert float(kernel.cost(far)) == pytest.approx(9.0)
     assert float(kernel.weight(far)) < 1e-15
     assert float(kernel.cost(torch.tensor([9.0]))) == pytest.approx(4.5)
+
+
+def test_what_is_certain_is_squared() -> None:
+    other, certain = Huber(1.0), torch.arange(len(SQUARED)) % 2 == 0
+    kernel = QuadraticWhere(certain, other)
+    for value, plain, quadratic in (
+        (kernel.cost(SQUARED), other.cost(SQUARED), SQUARED),
+        (kernel.weight(SQUARED), other.weight(SQUARED), torch.ones_like(SQUARED)),
+    ):
+        torch.testing.assert_close(value[certain], quadratic[certain])
+        torch.testing.assert_close(value[~certain], plain[~certain])

@@ -14,5 +14,13 @@ def test_residuals_and_their_derivatives() -> None:
     torch.testing.assert_close(torch.diag(slope), differences, rtol=1e-6, atol=1e-8)
 
 
+def test_about_another_mean() -> None:
+    betas, mean = random(3, 10), random(10, seed=2)
+    residual, slope = shape_prior(betas, SIGMA, mean)
+    torch.testing.assert_close(residual, shape_prior(betas - mean, SIGMA)[0])
+    torch.testing.assert_close(slope, shape_prior(betas, SIGMA)[1])
+    assert shape_prior(mean[None], SIGMA, mean)[0].abs().max() == 0
+
+
 def test_the_mean_shape_costs_nothing() -> None:
     assert shape_prior(torch.zeros(2, 10, dtype=torch.float64), SIGMA)[0].abs().max() == 0

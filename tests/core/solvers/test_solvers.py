@@ -35,6 +35,12 @@ def test_smoothing_out_of_range(name: str, smoothing: float) -> None:
         get_solver(name, smoothing)
 
 
+@pytest.mark.parametrize("length", [0.0, 0.049, 0.301, 18.0, float("nan")])
+def test_hand_length_out_of_range(length: float) -> None:
+    with pytest.raises(OptionError, match="between 50 and 300 mm"):
+        get_solver("fast", hand_length=length)
+
+
 @pytest.mark.parametrize("smoothing", [0.0, 1.0, MOST_SMOOTHING])
 def test_smoothing_within_range(smoothing: float) -> None:
     assert callable(get_solver("fast", smoothing))

@@ -114,3 +114,24 @@ def test_where_chooses_problem_by_problem() -> None:
     for name in Blocks.__dataclass_fields__:
         assert torch.equal(getattr(mixed, name)[0], getattr(second, name)[0])
         assert torch.equal(getattr(mixed, name)[1], getattr(first, name)[1])
+
+
+def test_held_variables_stay_and_the_others_are_solved_without_them() -> None:
+    """Against a dense solve without their rows and columns; another set in each problem."""
+    n = 7
+    blocks, whole, gradient = make_blocks(3, n)
+    held = random(3, n + 45, seed=5) > 0.8
+    held[0, :6] = True
+    held[1] = False
+    damping = torch.tensor([1e-3, 0.1, 1e-7], dtype=torch.float64)
+    of_hand, of_fingers = blocks.holding(held[:, :n], held[:, n:].view(3, 5, 9)).step(damping)
+    found = torch.cat([of_hand, of_fingers.flatten(1)], dim=1)
+    full = damped(whole, damping)
+    for i in range(3):
+        free = torch.nonzero(~held[i])[:, 0]
+        expected = -torch.linalg.solve(full[i][free][:, free], gradient[i][free])
+        torch.testing.assert_close(found[i][free], expected, rtol=1e-7, atol=1e-9)
+        assert (found[i][held[i]] == 0).all()
+    # The blocks themselves are left as they are.
+    again, _ = blocks.step(damping)
+    assert (again[0, :6] != 0).all()

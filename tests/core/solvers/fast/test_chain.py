@@ -101,6 +101,9 @@ def test_parameters_round_trip(side: Side) -> None:
     chain, given = chain_of(side), parameters(5)
     for found, expected in zip(chain.parameters(state_from(chain, *given)), given, strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    back, aim = chain.state(*given, np.zeros((5, 1))), state_from(chain, *given)
+    for name in State.__dataclass_fields__:
+        torch.testing.assert_close(getattr(back, name), getattr(aim, name))
 
 
 def test_local_rotations_have_the_anatomical_angles() -> None:

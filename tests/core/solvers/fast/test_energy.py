@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from handfit_core.hand_model.anatomy import joint_limits
+from handfit_core.hand_model.length import betas_of_length, length_rates
 from handfit_core.residuals.robust import Huber
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers.fast.blocks import Blocks
 from handfit_core.solvers.fast.chain import Chain, State
-from handfit_core.solvers.fast.energy import PosePrior, Weights
+from handfit_core.solvers.fast.energy import Energy, MeasuredHand, PosePrior, Weights
 from tests.core.residuals.differences import of_increments
 from tests.core.solvers.fast.hands import (
     OFFSETS,
@@ -71,6 +73,16 @@ def test_gradient_with_world_landmarks(shape: bool) -> None:
     state = make_state(1, chain, seed=1, offsets=4)
     seen = observe(chain.pose(make_state(1, chain, seed=1, spread=0.2)).points, noise=1.0, world=True)
     _check_gradient(chain, energy, state, seen, shape)
+
+
+def test_gradient_with_a_measured_length() -> None:
+    chain = chain_of("right", OFFSETS)
+    betas = betas_of_length(chain.model, 0.17)
+    measured = MeasuredHand(betas, length_rates(chain.model, betas))
+    energy = Energy(chain, prior_about_relaxed(), joint_limits("right"), Weights(), measured)
+    state = make_state(1, chain, seed=1)
+    seen = observe(chain.pose(make_state(1, chain, seed=1, spread=0.2)).points, noise=1.0)
+    _check_gradient(chain, energy, state, seen, shape=True)
 
 
 def _check_gradient(chain, energy, state: State, seen, shape: bool) -> None:

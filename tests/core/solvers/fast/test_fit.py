@@ -10,6 +10,7 @@ import torch
 
 from handfit_core.align import align
 from handfit_core.hand_model.anatomy import joint_limits
+from handfit_core.hand_model.length import betas_of_length, flat_hand_length
 from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import PARENTS, SIDES, Side
@@ -248,6 +249,60 @@ def test_long_clips_are_cut_into_chunks(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(fit, "CHUNK", 4)
     cut = fitted(track, 0.0)
     np.testing.assert_allclose(points_of_track("right", cut), points_of_track("right", whole), atol=1e-4)
+
+
+def test_a_stopped_clip_keeps_the_chunks_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, track = clip("right", 9, missing=(1,), noise=2.0)
+    monkeypatch.setattr(fit, "CHUNK", 3)
+    calls: list[int] = []
+    answers = iter([False, True])
+    found = fit_track(1.0, model_of("right"), track, CAMERA, lambda: calls.append(1), lambda: next(answers))
+    assert len(calls) == 6
+    # Six of the eight detections, and the gap among them, which is filled.
+    np.testing.assert_array_equal(found.present, [True] * 7 + [False] * 2)
+    assert found.filled is not None
+    np.testing.assert_array_equal(np.flatnonzero(found.filled), [1])
+    assert not found.converged[7:].any()
+    whole = points_of_track("right", fitted(track, 0.0))[:7]
+    assert laid_error(points_of_track("right", found)[:7], whole).max() < 0.004  # metres
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("length", [0.15, 0.17, 0.21])
+def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> None:
+    model = model_of(side)
+    _, orient, pose, transl = parameters_of(side, 12, seed=5)
+    betas = np.tile(betas_of_length(model, length), (12, 1))
+    true = (betas, orient, pose, transl)
+    detections = detections_of(side, true, noise=2.0)
+    guessed = fit_frames(model, detections, CAMERA)
+    told = fit_frames(model, detections, CAMERA, hand_length=length)
+    lengths = np.array([flat_hand_length(model, b) for b in told.betas])
+    np.testing.assert_allclose(lengths, length, rtol=0.01)
+
+    def distance(fits: FrameFits) -> np.ndarray:
+        return points_of(side, fits)[:, 0, 2] / keypoints_of(side, *true)[:, 0, 2]
+
+    assert abs(distance(told).mean() - 1.0) < 0.02
+    assert abs(distance(guessed).mean() - 1.0) > 0.05  # without being told it is an average hand's
+    track = DetectedTrack(side, tuple(detections), FPS)
+    found = fit_track(0.0, model, track, CAMERA, lambda: None, hand_length=length)
+    assert flat_hand_length(model, found.betas) == pytest.approx(length, rel=0.01)
+
+
+def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCaptureFixture) -> None:
+    _, track = clip("right", 2)
+    model = model_of("right")
+    for length, said, reached in [
+        (0.17, None, 0.17),
+        (0.14, "140 mm long is 3.5 standard deviations from the model's average of 187 mm", 0.14),
+        (0.06, "106 mm is as far as it goes", 0.106),
+    ]:
+        caplog.clear()
+        found = fit_track(1.0, model, track, CAMERA, lambda: None, hand_length=length)
+        assert (said or "") in caplog.text
+        assert bool(caplog.records) == (said is not None)
+        assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)
 
 
 def test_threads_are_given_back() -> None:

@@ -13,6 +13,7 @@ from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.solvers.fast import smooth
 from handfit_core.solvers.fast.angles import rotation_of
 from handfit_core.solvers.fast.chain import State
+from handfit_core.solvers.fast.holding import Held
 from handfit_core.solvers.fast.observation import Observation
 from handfit_core.solvers.fast.smooth import Motion, smoothed
 from tests.core.solvers.fast.hands import RELAXED, chain_of, energy_of, observe
@@ -255,3 +256,27 @@ def test_shape_is_not_touched() -> None:
     betas = tensor(np.tile(np.linspace(-1, 1, 10), (COUNT, 1)))
     found = run(seen, replace(start, betas=betas))
     torch.testing.assert_close(found.betas, betas)
+
+
+@pytest.mark.parametrize("window", [600, 12])
+def test_held_variables_stay_and_the_others_find_their_minimum(
+    monkeypatch: pytest.MonkeyPatch, window: int
+) -> None:
+    monkeypatch.setattr(smooth, "WINDOW", window)
+    _, seen, start = clip()
+    joints = np.zeros((COUNT, 16), dtype=bool)
+    joints[:, [1, 2, 15]] = True
+    joints[10:20, 0] = True
+    held = Held(joints, start)
+    found = smoothed(
+        CHAIN, ENERGY, seen, np.ones(COUNT, dtype=bool), start, replace(MOTION, overlap=16), held.variables()
+    )
+    torch.testing.assert_close(held.put(found).local, found.local, atol=1e-9, rtol=0)
+    torch.testing.assert_close(found.root[10:20], start.root[10:20], atol=1e-9, rtol=0)
+    assert torch.equal(found.wrist[10:20], start.wrist[10:20])
+    # Thumb 13, 14, 15 and index 1, 2, 3 come first.
+    moved = (found.local - start.local).abs().amax(dim=(0, 3, 4))
+    assert (moved[:2] > 1e-3).tolist() == [[True, True, False], [False, False, True]]
+    assert (found.wrist[:10] != start.wrist[:10]).all()
+    known = np.ones(COUNT, dtype=bool)
+    assert total_cost(seen, known, found) < 0.7 * total_cost(seen, known, start)

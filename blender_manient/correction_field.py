@@ -1,0 +1,279 @@
+"""Corrections of a hand by the artist, and how they fade out over the frames around them.
+
+A correction of a source frame turns every bone by exp(rotation), about the bone's own axes after its
+own pose, and moves the wrist. Between corrected frames the field
+
+    c(frame) = sum over the corrected frames g of w_g(frame) c_g
+
+mixes them: w_g is 1 at g, falls along a smoothstep and is 0 from the correction's spread on, or from the
+next corrected frame on where that is nearer. Two corrections within each other's spread share what lies
+between them: their weights add up to 1.
+
+Keys hold the pose after the field, q = q_base exp(c). A field that changes therefore only multiplies:
+q exp(-c_old) exp(c_new). What an artist did to the key by hand stays on it, and a field that is taken
+away leaves the key as it was. NumPy only, so that it can be tested without Blender.
+"""
+
+from __future__ import annotations
+
+import bisect
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.errors import TakeError
+from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS
+
+FORMAT_VERSION: Final = 1
+_DECIMALS: Final = 8
+"""of a correction: what is written into the .blend is what was applied, to the last digit"""
+
+_ARRAYS: Final[dict[str, tuple[int, ...]]] = {
+    "rotation": (NUM_JOINTS, 3),
+    "location": (3,),
+    "start_rotation": (NUM_JOINTS, 3),
+    "start_location": (3,),
+}
+
+Pins = Mapping[int, tuple[float, float]]
+"""Keypoint index -> (x, y) pixels of the upright picture"""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the artist changed in one source frame."""
+
+    pins: Pins
+    """Keypoints that were dragged, and where they belong"""
+    rotation: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
+    """(16, 3) axis-angle in radians per bone, in the bone's own posed axes"""
+    location: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) metres, added to the wrist bone's location"""
+    spread: float = 0.0
+    """frames over which it fades out, before and after"""
+    added_key: bool = False
+    """Whether the frame had no key before, so that its key goes with the correction"""
+    start_rotation: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
+    """(16, 3) what its neighbours' corrections did here when it was made: the part of `rotation` that pins
+    are not answerable for, and that stays when they change"""
+    start_location: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) the same of `location`"""
+
+    def __post_init__(self) -> None:
+        pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in self.pins.items()}
+        # Only finite numbers of the right shape ever reach keys.
+        if not all(0 <= k < NUM_KEYPOINTS for k in pins) or not np.all(np.isfinite(list(pins.values()))):
+            raise ValueError(f"pins belong to keypoints 0 to {NUM_KEYPOINTS - 1}, at finite places")
+        if not (np.isfinite(self.spread) and self.spread >= 0.0):
+            raise ValueError(f"a spread is finite and not negative; got {self.spread}")
+        object.__setattr__(self, "pins", pins)
+        object.__setattr__(self, "spread", float(self.spread))
+        for name, shape in _ARRAYS.items():
+            array = np.round(np.asarray(getattr(self, name), dtype=np.float64), _DECIMALS)
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                raise ValueError(f"{name} of a correction is finite and of the shape {shape}")
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionField:
+    """All corrections of a hand, by source frame."""
+
+    corrections: Mapping[int, Correction] = field(default_factory=dict)
+
+    @cached_property
+    def frames(self) -> np.ndarray:
+        """(K,) corrected source frames, increasing."""
+        return np.array(sorted(self.corrections), dtype=np.float64)
+
+    def weights(self, frames: np.ndarray) -> np.ndarray:
+        """(N,) source frames, whole or not -> (N, K) weight of each correction there, 0..1."""
+        frames = np.asarray(frames, dtype=np.float64)
+        own = self.frames
+        spread = np.array([self.corrections[int(g)].spread for g in own])
+        gap = np.diff(own)
+        before = np.minimum(spread, np.concatenate([[np.inf], gap]))[: len(own)]
+        after = np.minimum(spread, np.concatenate([gap, [np.inf]]))[: len(own)]
+        away = frames[:, None] - own
+        reach = np.where(away < 0, before, after)
+        part = np.abs(away) / np.where(reach > 0, reach, 1.0)
+        # Without a spread a correction stays on its own frame.
+        part = np.where(reach > 0, part, np.where(away == 0, 0.0, 1.0))
+        return fade(part)
+
+    def touches(self, frames: np.ndarray) -> np.ndarray:
+        """(N,) source frames -> (N,) bool: whether any correction reaches there."""
+        return np.any(self.weights(frames) > 0.0, axis=1)
+
+    def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) source frames -> rotations (N, 16, 3) in radians and wrist movements (N, 3) in metres."""
+        weights = self.weights(frames)
+        chosen = [self.corrections[int(g)] for g in self.frames]
+        rotation = np.array([c.rotation for c in chosen]).reshape(-1, NUM_JOINTS, 3)
+        location = np.array([c.location for c in chosen]).reshape(-1, 3)
+        return np.einsum("nk,kja->nja", weights, rotation), weights @ location
+
+    def pins(self, frame: int) -> Pins:
+        """The pins of a source frame; none where it has no correction."""
+        correction = self.corrections.get(int(frame))
+        return correction.pins if correction is not None else {}
+
+    def with_correction(self, frame: int, correction: Correction) -> CorrectionField:
+        """The same with this correction of one source frame."""
+        return CorrectionField({**self.corrections, int(frame): correction})
+
+    def without(self, frames: Iterable[int]) -> CorrectionField:
+        """The same without the corrections of these source frames."""
+        gone = {int(f) for f in frames}
+        return CorrectionField({g: c for g, c in self.corrections.items() if g not in gone})
+
+    def absorbed(self, frames: Iterable[int]) -> CorrectionField:
+        """The same after these source frames were fitted anew: their keys hold the correction now, so only
+        the pins are left."""
+        wanted = {int(f) for f in frames}
+        return CorrectionField(
+            {
+                g: Correction(pins=c.pins, spread=c.spread) if g in wanted else c
+                for g, c in self.corrections.items()
+            }
+        )
+
+    def to_json(self) -> str:
+        """As text for the .blend; empty where there is nothing to keep."""
+        if not self.corrections:
+            return ""
+        kept = {
+            str(frame): {
+                "pins": {str(k): list(place) for k, place in c.pins.items()},
+                "spread": c.spread,
+                "added_key": c.added_key,
+                **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
+            }
+            for frame, c in sorted(self.corrections.items())
+        }
+        return json.dumps({"version": FORMAT_VERSION, "frames": kept}, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str) -> CorrectionField:
+        """Read `to_json`'s text. Raises TakeError for anything else, and for a newer format."""
+        if not text:
+            return cls()
+        try:
+            content = json.loads(text)
+            version = int(content["version"])
+            if version <= FORMAT_VERSION:
+                return cls({int(frame): _correction(c) for frame, c in content["frames"].items()})
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise TakeError(
+                "the hand's corrections cannot be read; undo what changed them, or clear all corrections"
+            ) from error
+        raise TakeError(
+            f"the hand's corrections have format version {version}, this add-on reads up to "
+            f"{FORMAT_VERSION}; update the add-on"
+        )
+
+
+def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
+    """Stretches of source frames, apart from each other, outside of which the two fields are the same.
+
+    A correction that comes, goes or changes matters up to the nearest unchanged ones; these reach
+    further, or less far, towards it.
+    """
+    same = sorted(
+        g for g, c in old.corrections.items() if g in new.corrections and _equal(c, new.corrections[g])
+    )
+    stretches = []
+    for g in sorted((set(old.corrections) | set(new.corrections)) - set(same)):
+        spread = max(one.corrections[g].spread for one in (old, new) if g in one.corrections)
+        first, last = float(g - spread), float(g + spread)
+        at = bisect.bisect_left(same, g)
+        if at > 0:
+            left = same[at - 1]
+            reach = left + old.corrections[left].spread
+            first, last = (left, max(last, reach)) if reach > g else (max(first, left), last)
+        if at < len(same):
+            right = same[at]
+            reach = right - old.corrections[right].spread
+            first, last = (min(first, reach), right) if reach < g else (first, min(last, right))
+            first = first if at == 0 else max(first, same[at - 1])
+        stretches.append((float(first), float(last)))
+    merged: list[tuple[float, float]] = []
+    for first, last in sorted(stretches):
+        if merged and first <= merged[-1][1]:
+            first, last = merged[-1][0], max(last, merged.pop()[1])
+        merged.append((first, last))
+    return merged
+
+
+def _equal(one: Correction, other: Correction) -> bool:
+    """Whether they are the same to the keys; pins do not matter."""
+    return (
+        one.spread == other.spread
+        and np.array_equal(one.rotation, other.rotation)
+        and np.array_equal(one.location, other.location)
+    )
+
+
+def _correction(content: Mapping[str, Any]) -> Correction:
+    return Correction(
+        pins={int(k): (place[0], place[1]) for k, place in content["pins"].items()},
+        spread=float(content["spread"]),
+        added_key=bool(content.get("added_key", False)),
+        **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
+    )
+
+
+def fade(part: np.ndarray) -> np.ndarray:
+    """Smoothstep from 1 at 0 to 0 at 1 and beyond."""
+    part = np.clip(part, 0.0, 1.0)
+    return 1.0 - part * part * (3.0 - 2.0 * part)
+
+
+def changed_quats(quats: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Keys (..., 4) as (w, x, y, z) under a field (..., 3) that goes from `old` to `new`, in radians.
+
+    Returns q exp(-old) exp(new), of the same length. Signs are kept as they come: the field changes
+    gradually from key to key, so neighbouring quaternions stay on the same side.
+    """
+    return quat_multiply(quat_multiply(quats, rotvec_to_quat(-old)), rotvec_to_quat(new))
+
+
+def correction_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """The turns (..., 3) in radians that lead from quaternions `before` (..., 4) to `after` (..., 4)."""
+    return quat_to_rotvec(quat_multiply(_conjugate(_unit(before)), _unit(after)))
+
+
+def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions (..., 4) as (w, x, y, z)."""
+    aw, av = a[..., :1], a[..., 1:]
+    bw, bv = b[..., :1], b[..., 1:]
+    scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
+    return np.concatenate([scalar, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
+
+
+def rotvec_to_quat(rotvec: np.ndarray) -> np.ndarray:
+    """(..., 3) axis-angle in radians -> (..., 4) unit quaternions (w, x, y, z); exact at zero."""
+    half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2.0
+    # sin(x) / x, which numpy defines as sinc(x / pi)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotvec], axis=-1)
+
+
+def quat_to_rotvec(quat: np.ndarray) -> np.ndarray:
+    """(..., 4) unit quaternions (w, x, y, z) -> (..., 3) axis-angle in radians, of at most pi."""
+    quat = np.where(quat[..., :1] < 0.0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quat[..., :1])
+    scale = np.where(sine < 1e-12, 2.0, angle / np.where(sine < 1e-12, 1.0, sine))
+    return quat[..., 1:] * scale
+
+
+def _conjugate(quat: np.ndarray) -> np.ndarray:
+    return quat * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def _unit(quat: np.ndarray) -> np.ndarray:
+    return quat / np.linalg.norm(quat, axis=-1, keepdims=True)

@@ -1,0 +1,51 @@
+"""Text blocks for what does not fit into one sentence: what went wrong, and on which system."""
+
+from __future__ import annotations
+
+import platform
+import sys
+
+import bpy
+import numpy as np
+
+from handfit_core.version import __version__
+
+TEXT_NAME = "Hand Capture Details"
+
+
+def write_details(title: str, sentence: str, details: str) -> bpy.types.Text:
+    """Replace the text block Hand Capture Details: what was tried, what the interface said about it, the
+    versions at play, and `details` (a traceback, a process's last words)."""
+    parts = [title, "", sentence, "", system_text()]
+    if details.strip():
+        parts += ["", details.strip()]
+    return write_text(TEXT_NAME, "\n".join(parts) + "\n")
+
+
+def write_text(name: str, content: str) -> bpy.types.Text:
+    """The text block of this name with this content; made if the file has none of its own."""
+    text = local_text(name) or bpy.data.texts.new(name)
+    text.clear()
+    text.write(content)
+    text.cursor_set(0)
+    return text
+
+
+def local_text(name: str) -> bpy.types.Text | None:
+    """The file's own text block of this name; a linked one of the same name does not count."""
+    return next((t for t in bpy.data.texts if t.name == name and t.library is None), None)
+
+
+def system_text() -> str:
+    """Versions of the add-on, Blender and the operating system; a few lines."""
+    build = bpy.app.build_hash
+    commit = build.decode("ascii", "replace") if isinstance(build, bytes) else str(build)
+    return "\n".join(
+        (
+            f"Manient Hand Capture {__version__}",
+            f"Blender {bpy.app.version_string} ({commit})",
+            f"Python {platform.python_version()}, NumPy {np.__version__}",
+            f"{platform.platform()} ({platform.machine()})",
+            f"{'background' if bpy.app.background else 'window'}, {sys.executable}",
+        )
+    )

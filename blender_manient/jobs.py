@@ -1,0 +1,363 @@
+"""Captures that wait, run and are built: a queue that somebody ticks.
+
+The worker process finds and fits; the take that it wrote is read, and the scene built, in slices. There are
+no threads: Blender up to 5.0 can crash when another thread runs Python during an operator. Data-blocks are
+named, never held, from one tick to the next: an undo may replace them.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError, OptionError
+from handfit_core.take import Take
+
+from . import details
+from .cache import temporary_take
+from .scene.apply import apply_track, track_for
+from .scene.build import building
+from .scene.store import hand_of
+from .worker import shared
+from .worker.client import CaptureOptions
+
+State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
+
+_SLICE = 0.008
+"""seconds after which a tick begins no other step of building"""
+_KEPT = 6
+"""finished jobs that the panel still shows"""
+
+
+@dataclass(frozen=True)
+class Building:
+    """What to do with the take."""
+
+    scene: str
+    target: Literal["NEW", "ANIMATION", "POSE"] = "NEW"
+    hand: str = ""
+    """The armature that ANIMATION and POSE are for"""
+    frame: float = 1.0
+    """The scene frame of POSE"""
+    pose_correctives: bool = True
+    match_scene: bool = True
+    camera: str = ""
+    """An existing camera to look through instead of a new one"""
+
+
+@dataclass(eq=False)
+class Job:
+    """One capture from the button to the rig."""
+
+    name: str
+    files: tuple[str, ...]
+    options: CaptureOptions
+    building: Building
+    state: State = "waiting"
+    stage: str = ""
+    done: int = 0
+    total: int = 0
+    fraction: float = 0.0
+    """0..1 of the whole job"""
+    message: str = ""
+    """What went wrong, or what is to be known, in one sentence"""
+    warnings: list[str] = field(default_factory=list)
+    stopped: bool = False
+    """Whether it was cancelled, and what was finished kept"""
+    hands: tuple[str, ...] = ()
+    """Names of the armatures that came of it"""
+    _request: int = 0
+    _stage_began: float = 0.0
+    _stage_first: int = 0
+    _take_path: Path | None = None
+    _builder: Generator[float, None, Any] | None = None
+    _stopping: bool = False
+
+    @property
+    def running(self) -> bool:
+        """Whether it waits for nothing but work."""
+        return self.state in ("capturing", "building")
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing more happens to it."""
+        return self.state in ("done", "failed", "cancelled")
+
+    @property
+    def rate(self) -> float:
+        """Frames per second of the present stage; 0 while nobody knows."""
+        spent, frames = time.monotonic() - self._stage_began, self.done - self._stage_first
+        return frames / spent if self._stage_began and frames > 0 and spent > 0.2 else 0.0
+
+    def status(self) -> str:
+        """A line for the panel and the status bar."""
+        if self.state == "waiting":
+            return "Waiting"
+        if self.state == "building":
+            return self.message or "Building hands"
+        if self.state == "capturing":
+            if self._stopping:
+                return "Stopping, keeping what is finished"
+            if not self.stage:
+                return "Starting"
+            text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
+            if self.total > 1:
+                text += f"  {self.done}/{self.total}"
+                if self.rate:
+                    left = (self.total - self.done) / self.rate
+                    text += f"  {self.rate:.0f} fps  {_duration(left)} left"
+            return text
+        return self.message
+
+
+_queue: list[Job] = []
+
+
+def jobs() -> tuple[Job, ...]:
+    """All jobs, the oldest first; finished ones are forgotten after a while."""
+    return tuple(_queue)
+
+
+def busy() -> bool:
+    """Whether something is captured, built, or waits for it."""
+    return any(not job.finished for job in _queue)
+
+
+def current() -> Job | None:
+    """The job that runs."""
+    return next((job for job in _queue if job.running), None)
+
+
+def submit(job: Job) -> None:
+    """Put a job behind the others."""
+    _queue.append(job)
+    finished = [j for j in _queue if j.finished]
+    for old in finished[: max(0, len(finished) - _KEPT)]:
+        _queue.remove(old)
+
+
+def forget_finished() -> None:
+    """Drop what is over from the list."""
+    _queue[:] = [job for job in _queue if not job.finished]
+
+
+def cancel(job: Job) -> None:
+    """Stop a job as soon as it can be, keeping the frames that are finished; of a second time: nothing."""
+    if job.state == "waiting":
+        job.state, job.message = "cancelled", "Cancelled"
+    elif job.state == "capturing" and not job._stopping:
+        job._stopping = True
+        shared.worker().cancel(job._request)
+    elif job.state == "capturing":
+        shared.worker().stop()
+        job.state, job.message = "cancelled", "Cancelled"
+    elif job.state == "building":
+        if job._builder is not None:
+            job._builder.close()
+        job.state, job.message = "cancelled", "Cancelled"
+
+
+def cancel_all() -> None:
+    """Stop everything."""
+    for job in list(_queue):
+        if not job.finished:
+            cancel(job)
+
+
+def abandon() -> None:
+    """Stop everything without keeping anything: another file is opened, or the add-on goes."""
+    if current() is not None:
+        shared.stop()
+    for job in _queue:
+        if job._builder is not None:
+            job._builder.close()
+    _queue.clear()
+
+
+def tick() -> bool:
+    """Go on for at most a few milliseconds. Returns whether anything changed."""
+    job = current() or next((j for j in _queue if j.state == "waiting"), None)
+    if job is None:
+        return False
+    try:
+        if job.state == "waiting":
+            _start(job)
+            return True
+        if job.state == "capturing":
+            return _follow(job)
+        return _build(job)
+    except Cancelled:
+        job.state, job.message = "cancelled", "Cancelled"
+    except HandfitError as error:
+        _fail(job, str(error), getattr(error, "details", "") or "")
+    except Exception as error:  # a defect of ours, which must not end the queue
+        _fail(job, f"Unexpected {type(error).__name__}: {error}", traceback.format_exc())
+    return True
+
+
+def run(job: Job) -> Job:
+    """Submit and wait, without a window. Progress is not shown."""
+    submit(job)
+    while not job.finished:
+        if not tick():
+            time.sleep(0.005)
+    return job
+
+
+def _start(job: Job) -> None:
+    job._take_path = temporary_take(job.name)
+    job._request = shared.worker().request(
+        "capture",
+        input=list(job.files),
+        output=str(job._take_path),
+        options=job.options.to_message(),
+        compact=True,
+    )
+    job.state = "capturing"
+
+
+def _follow(job: Job) -> bool:
+    changed = False
+    for event in shared.worker().poll(job._request):
+        changed = True
+        kind = event.get("event")
+        if kind == "progress":
+            _progressed(job, event)
+        elif kind == "warning":
+            job.warnings.append(str(event.get("message", "")))
+        elif kind == "error":
+            if event.get("type") == "Cancelled":
+                raise Cancelled(str(event.get("message", "")))
+            _fail(job, str(event.get("message", "")), str(event.get("details", "")))
+        elif kind == "done":
+            job.stopped = bool(event.get("stopped"))
+            job.state, job.fraction = "building", 0.9
+    return changed
+
+
+def _progressed(job: Job, event: dict[str, Any]) -> None:
+    stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
+    if stage != job.stage:
+        job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
+    job.done, job.total = done, total
+    part = done / total if total else 0.0
+    # Detection takes nearly all of a capture's time, except with the paper's solvers.
+    share = 0.1 if (job.options.solver or "").startswith("paper") else 0.85
+    job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
+
+
+def _build(job: Job) -> bool:
+    """One slice of building."""
+    ended = time.perf_counter() + _SLICE
+    try:
+        if job._builder is None:
+            job._builder = _builder(job)
+        while time.perf_counter() < ended:
+            job.fraction = 0.9 + 0.1 * next(job._builder)
+    except StopIteration as stop:
+        job._builder = None
+        job.hands, warnings, job.message = stop.value
+        job.warnings += warnings
+        job.state, job.fraction = "done", 1.0
+        _make_active(job.hands)
+        bpy.ops.ed.undo_push(message="Capture Hands")
+    except BuildInterrupted:
+        job._builder = None  # an undo took away what was half built: from the start
+    return True
+
+
+def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str], str]]:
+    """Yields how far it is; returns the armatures' names, warnings and a summary."""
+    assert job._take_path is not None
+    try:
+        data = job._take_path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{job._take_path}: the captured take is gone ({error.strerror})") from error
+    reading = Take.reading(data)
+    while True:
+        try:
+            next(reading)
+        except StopIteration as stop:
+            take: Take = stop.value
+            break
+        yield 0.0
+    plan = job.building
+    if plan.target != "NEW":
+        target = bpy.data.objects.get(plan.hand)
+        if target is None or hand_of(target) is None:
+            raise OptionError(f"the hand '{plan.hand}' is gone: choose another output, or New Hands")
+        yield 0.5
+        apply_track(target, take, track_for(take, target.manient.side), plan.target, plan.frame)
+        return (target.name,), [], _summary(job, take)
+    scene = bpy.data.scenes.get(plan.scene)
+    while scene is not None and bpy.context.scene != scene:
+        job.message = f"Open the scene {plan.scene} to get the captured hands"
+        yield 0.0
+        scene = bpy.data.scenes.get(plan.scene)
+    job.message = ""
+    built = yield from building(
+        take,
+        data=data,
+        pose_correctives=plan.pose_correctives,
+        match_scene=plan.match_scene,
+        camera=bpy.data.objects.get(plan.camera) if plan.camera else None,
+    )
+    return tuple(hand.armature.name for hand in built.hands), list(built.warnings), _summary(job, take)
+
+
+def _make_active(hands: tuple[str, ...]) -> None:
+    """Select what was built, unless the artist is in the middle of something else."""
+    layer = bpy.context.view_layer
+    armatures = [o for name in hands if (o := layer.objects.get(name)) is not None]
+    if bpy.context.mode != "OBJECT" or not armatures:
+        return
+    for other in layer.objects.selected:
+        other.select_set(False)
+    for armature in armatures:
+        armature.select_set(True)
+    layer.objects.active = armatures[0]
+
+
+def _fail(job: Job, sentence: str, more: str) -> None:
+    sentence = sentence or "the capture failed"
+    job.state, job.message = "failed", sentence[:1].upper() + sentence[1:]
+    job._builder = None
+    details.write_details(f"Capture of {job.name}", job.message, more)
+
+
+def _summary(job: Job, take: Take) -> str:
+    seen, count = int(np.any([track.present for track in take.hands], axis=0).sum()), len(take.frame_numbers)
+    hands = "1 hand" if len(take.hands) == 1 else f"{len(take.hands)} hands"
+    frames = "1 frame" if count == 1 else f"{count} frames" if seen == count else f"{seen} of {count} frames"
+    text = f"{hands} in {frames}"
+    return f"{text}, stopped early" if job.stopped else text
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{max(1, round(seconds))} s"
+    return f"{int(seconds // 60)}:{int(seconds % 60):02d} min"
+
+
+@bpy.app.handlers.persistent
+def _on_load(*_args) -> None:
+    abandon()
+
+
+def register() -> None:
+    """Forget all jobs when another file is opened."""
+    bpy.app.handlers.load_pre.append(_on_load)
+
+
+def unregister() -> None:
+    """Stop everything."""
+    abandon()
+    if _on_load in bpy.app.handlers.load_pre:
+        bpy.app.handlers.load_pre.remove(_on_load)

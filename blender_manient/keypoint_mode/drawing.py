@@ -1,0 +1,171 @@
+"""The 21 points over the picture: a skeleton in the fingers' colours, and handles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, NUM_KEYPOINTS, PALM_KEYPOINTS
+
+FINGER_COLORS: Final = {
+    "thumb": (1.00, 0.42, 0.33),
+    "index": (1.00, 0.76, 0.20),
+    "middle": (0.45, 0.88, 0.36),
+    "ring": (0.28, 0.72, 1.00),
+    "little": (0.78, 0.50, 1.00),
+}
+WRIST_COLOR: Final = (0.92, 0.92, 0.92)
+PIN_COLOR: Final = (1.0, 1.0, 1.0)
+DARK: Final = (0.05, 0.05, 0.05)
+DOUBT_COLOR: Final = (1.0, 0.55, 0.15)
+
+RADIUS: Final = 5.0
+"""pixels of a handle, at a user interface scale of 1"""
+
+_PARTS: Final = {
+    "thumb": ("Base", "Knuckle", "Joint", "Tip"),
+    "other": ("Knuckle", "Middle Joint", "End Joint", "Tip"),
+}
+
+
+def title(keypoint: int) -> str:
+    """What an artist calls a keypoint: `Index Tip`."""
+    if keypoint == 0:
+        return "Wrist"
+    finger, part = FINGERS[(keypoint - 1) // 4], (keypoint - 1) % 4
+    return f"{finger.capitalize()} {_PARTS.get(finger, _PARTS['other'])[part]}"
+
+
+def color(keypoint: int) -> tuple[float, float, float]:
+    """A keypoint's colour: its finger's."""
+    return WRIST_COLOR if keypoint == 0 else FINGER_COLORS[FINGERS[(keypoint - 1) // 4]]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What is to be drawn."""
+
+    places: np.ndarray
+    """(21, 2) pixels of the region; NaN: not drawn"""
+    pinned: frozenset[int]
+    hovered: int | None
+    dragged: int | None
+    text: str
+    """A line at the top of the picture"""
+    warning: bool
+    """Whether that line is one to worry about"""
+    corner: tuple[float, float]
+    """pixels of the region: where the line begins"""
+
+
+def draw(picture: Picture) -> None:
+    """Draw in the current region, in pixels."""
+    scale = _scale()
+    gpu.state.blend_set("ALPHA")
+    try:
+        _draw_skeleton(picture, scale)
+        _draw_handles(picture, scale)
+    finally:
+        gpu.state.blend_set("NONE")
+    _draw_name(picture, scale)
+    if picture.text:
+        shade = DOUBT_COLOR if picture.warning else WRIST_COLOR
+        _write(picture.text, *picture.corner, shade, scale)
+
+
+def _draw_skeleton(picture: Picture, scale: float) -> None:
+    ends = picture.places[_LINES]  # (20, 2, 2)
+    there = np.isfinite(ends).all(axis=(1, 2))
+    if not there.any():
+        return
+    shader = gpu.shader.from_builtin("POLYLINE_FLAT_COLOR")
+    shader.bind()
+    shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+    shader.uniform_float("lineWidth", 2.0 * scale)
+    _batch(shader, "LINES", ends[there].reshape(-1, 2), np.repeat(_LINE_COLORS[there], 2, axis=0))
+
+
+def _draw_handles(picture: Picture, scale: float) -> None:
+    corners: list[np.ndarray] = []
+    colors: list[np.ndarray] = []
+
+    def shape(fan: np.ndarray, place: np.ndarray, radius: float, shade: tuple[float, ...]) -> None:
+        corners.append(place + radius * fan)
+        colors.append(np.broadcast_to(np.array(shade, dtype=np.float32), (len(fan), 4)))
+
+    for keypoint in range(NUM_KEYPOINTS):
+        place = picture.places[keypoint]
+        if np.isnan(place).any():
+            continue
+        active = keypoint in (picture.hovered, picture.dragged)
+        radius = RADIUS * scale * (1.35 if active else 1.0)
+        if keypoint in picture.pinned:
+            # A pin: a diamond in a white frame.
+            shape(_DIAMOND, place, radius * 2.1, (*DARK, 0.9))
+            shape(_DIAMOND, place, radius * 1.8, (*PIN_COLOR, 1.0))
+            shape(_DIAMOND, place, radius * 1.1, (*color(keypoint), 1.0))
+        else:
+            shape(_DISC, place, radius + 1.5 * scale, (*DARK, 0.8))
+            shape(_DISC, place, radius, (*(PIN_COLOR if active else color(keypoint)), 1.0))
+    if not corners:
+        return
+    shader = gpu.shader.from_builtin("FLAT_COLOR")
+    shader.bind()
+    _batch(shader, "TRIS", np.concatenate(corners), np.concatenate(colors))
+
+
+def _batch(shader: gpu.types.GPUShader, kind: str, points: np.ndarray, colors: np.ndarray) -> None:
+    """Draw (N, 2) points with (N, 4) colours."""
+    flat = np.zeros((len(points), 3), dtype=np.float32)
+    flat[:, :2] = points
+    batch_for_shader(shader, kind, {"pos": flat, "color": np.ascontiguousarray(colors, np.float32)}).draw(
+        shader
+    )
+
+
+def _draw_name(picture: Picture, scale: float) -> None:
+    keypoint = picture.dragged if picture.dragged is not None else picture.hovered
+    if keypoint is None or np.isnan(picture.places[keypoint]).any():
+        return
+    x, y = picture.places[keypoint] + (RADIUS + 8.0) * scale
+    pinned = keypoint in picture.pinned and picture.dragged is None
+    _write(title(keypoint) + ("  (pinned)" if pinned else ""), x, y, PIN_COLOR, scale)
+
+
+def _write(text: str, x: float, y: float, shade: tuple[float, float, float], scale: float) -> None:
+    font = 0
+    blf.size(font, 13.0 * scale)
+    blf.enable(font, blf.SHADOW)
+    blf.shadow(font, 5, 0.0, 0.0, 0.0, 0.9)
+    blf.shadow_offset(font, 1, -1)
+    blf.color(font, *shade, 1.0)
+    blf.position(font, x, y, 0.0)
+    blf.draw(font, text)
+    blf.disable(font, blf.SHADOW)
+
+
+def _fan(sides: int) -> np.ndarray:
+    """(3 sides, 2) triangles of a regular polygon about 0, the first corner on top."""
+    angles = np.pi / 2 + np.arange(sides + 1) * (2 * np.pi / sides)
+    outline = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.stack([np.zeros((sides, 2)), outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
+
+
+_DISC: Final = _fan(20)
+_DIAMOND: Final = _fan(4)
+_LINES: Final = np.array([(KEYPOINT_PARENTS[k], k) for k in range(1, NUM_KEYPOINTS)])
+# The palm's lines stay behind: there are five from the wrist.
+_LINE_COLORS: Final = np.array(
+    [(*color(k), 0.45 if k in PALM_KEYPOINTS else 0.85) for k in range(1, NUM_KEYPOINTS)], dtype=np.float32
+)
+
+
+def _scale() -> float:
+    preferences = bpy.context.preferences
+    return preferences.system.ui_scale if preferences is not None else 1.0

@@ -1,0 +1,489 @@
+"""What happens while keypoints are edited: hovering, dragging, and hands that follow.
+
+Of a drag at most one request is with the worker; the newest place of the mouse goes there as soon as the
+answer is back. Bones follow at once, without keys; releasing the mouse writes the keys, the neighbours'
+too, and one undo step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandfitError
+from handfit_core.skeleton import NUM_KEYPOINTS, Side
+
+from .. import details, jobs, screen
+from ..correction_field import Pins
+from ..picture_map import mapped
+from ..refiner import BonePoses, Refiner
+from ..scene import corrections
+from ..scene.armature import bone_names
+from ..scene.keys import set_pose
+from ..worker import shared
+from ..worker.client import as_error
+from . import drawing, view
+from .abandoned import abandon
+
+REACH: Final = 14.0
+"""pixels from a handle within which the mouse takes it, at a user interface scale of 1"""
+_SLOW: Final = 0.06
+"""seconds after which the dragged point is drawn without the hand. Before that the answer is nearly there,
+and drawing twice would only make it later"""
+_STILL: Final = 3
+"""pixels. A press that moves less is a click"""
+
+latencies: deque[float] = deque(maxlen=2000)
+"""seconds from a movement of the mouse to the hand that followed it, newest last"""
+
+
+@dataclass(eq=False)
+class _Drag:
+    """One keypoint between press and release, or one that is let go of."""
+
+    keypoint: int
+    row: int
+    frame: float
+    """Scene frame"""
+    before: Pins
+    """The frame's pins until now"""
+    start: BonePoses
+    """What the pins are measured against"""
+    shown: BonePoses
+    """What the bones are put back to when it is cancelled"""
+    mouse: tuple[int, int]
+    grip: np.ndarray
+    """(2,) pixels of the region from the mouse to the handle"""
+    place: np.ndarray | None = None
+    """(2,) pixels of the picture: where the pin is to be; None: it goes"""
+    moved_at: float = 0.0
+    moved: bool = False
+    released: bool = False
+    request: int = 0
+    sent: np.ndarray | None = None
+    sent_at: float = 0.0
+    is_sent: bool = False
+    answer: BonePoses | None = None
+    drawn: bool = True
+    """Whether the view was asked to show the newest place"""
+
+    @property
+    def pins(self) -> Pins:
+        """The frame's pins with this one where it is to be."""
+        others = {k: p for k, p in self.before.items() if k != self.keypoint}
+        if self.place is None:
+            return others
+        return {**others, self.keypoint: (float(self.place[0]), float(self.place[1]))}
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the newest place has not been asked for yet."""
+        return not self.is_sent or self.sent is not self.place
+
+
+class KeypointMode:
+    """The state of the mode, from its start to `end`. Data-blocks are named, never held."""
+
+    def __init__(self, context: bpy.types.Context, refiner: Refiner, viewport: view.Viewport) -> None:
+        """Turn the viewport to the capture camera and warm the worker up. Raises HandfitError."""
+        self.refiner = refiner
+        self.drag: _Drag | None = None
+        self.hovered: int | None = None
+        self.message = ""
+        self.undone = 0
+        self.done = 0
+        """drags of this mode that can be undone, and those that can be done again"""
+        self.own_undo = False
+        self.ended: str | None = None
+        """Why the mode is over, in a sentence; empty: because the artist said so"""
+        camera = refiner.hand.camera
+        assert camera is not None
+        self._warming = shared.worker().request("warm")
+        self.view = view.CaptureView(viewport, camera, context)
+        self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
+        bpy.app.handlers.undo_post.append(self._on_undo)
+        bpy.app.handlers.redo_post.append(self._on_undo)
+        bpy.app.handlers.load_pre.append(self._on_load)
+        viewport.area.tag_redraw()
+
+    # Beginning and end
+
+    def end(self, context: bpy.types.Context) -> None:
+        """Leave nothing behind. May be called twice."""
+        if self._handler is None:
+            return
+        if self.drag is not None:
+            self.cancel_drag(context)
+        bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
+        self._handler = None
+        for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+            if self._on_undo in handlers:
+                handlers.remove(self._on_undo)
+        if self._on_load in bpy.app.handlers.load_pre:
+            bpy.app.handlers.load_pre.remove(self._on_load)
+        if self._warming:
+            abandon(self._warming)
+        self.view.leave(context)
+        screen.redraw_viewports(context)
+
+    def trouble(self, context: bpy.types.Context) -> str | None:
+        """Why the mode cannot go on, in a sentence."""
+        if self.ended is not None:
+            return self.ended
+        if jobs.busy():
+            return "Keypoints: a capture has begun"
+        if view.viewport_at(context, self.view.address) is None:
+            return "Keypoints: the viewport is gone"
+        armature = bpy.data.objects.get(self.refiner.name)
+        if armature is None or armature.name not in context.view_layer.objects:
+            return "Keypoints: the hand is gone"
+        try:
+            if self.refiner.hand.camera is None:
+                return "Keypoints: the capture camera is gone"
+        except HandfitError as error:
+            return f"Keypoints: {error}"
+        if context.mode not in ("OBJECT", "POSE"):
+            return "Keypoints: refining works in Object and Pose mode"
+        return None
+
+    def _on_undo(self, *_args) -> None:
+        if not self.own_undo:
+            self.ended = "Keypoints: ended by an undo"
+
+    def _on_load(self, *_args) -> None:
+        self.ended = ""
+        self.end(bpy.context)
+
+    # Where the handles are
+
+    def row(self) -> int | None:
+        """The take's row that the scene shows."""
+        scene = bpy.context.scene
+        return None if scene is None else self.refiner.row_at(scene.frame_current_final)
+
+    def picture_places(self) -> np.ndarray:
+        """(21, 2) pixels of the picture: pins, else the fitted hand's points where the frame was re-fitted,
+        else what was detected, else the points of the animated hand."""
+        row = self.row()
+        if row is None:
+            return np.full((NUM_KEYPOINTS, 2), np.nan)
+        pins: Pins = self.refiner.pins(row)
+        if self.drag is not None:
+            pins = self.drag.pins
+        if self.drag is not None or self.refiner.is_corrected(row) or not self.refiner.track.detected[row]:
+            places = self.refiner.shown_landmarks()
+        else:
+            places = np.array(self.refiner.track.keypoints_2d[row], dtype=np.float64)
+        for keypoint, place in pins.items():
+            places[keypoint] = place
+        return places
+
+    def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
+        """Picture to region; None while the viewport does not look through the capture camera."""
+        camera = self.refiner.hand.camera
+        if camera is None or not self.view.shows(viewport):
+            return None
+        return view.picture_matrix(viewport, camera, self.refiner.take.intrinsics)
+
+    def region_places(self, viewport: view.Viewport) -> np.ndarray:
+        """(21, 2) pixels of the region; NaN where there is no handle."""
+        matrix = self.matrix(viewport)
+        if matrix is None:
+            return np.full((NUM_KEYPOINTS, 2), np.nan)
+        return mapped(matrix, self.picture_places())
+
+    def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
+        """The handle nearest to a place in window pixels, within reach."""
+        mouse = np.array([x - viewport.region.x, y - viewport.region.y])
+        away = np.linalg.norm(self.region_places(viewport) - mouse, axis=-1)
+        if np.isnan(away).all():
+            return None
+        nearest = int(np.nanargmin(away))
+        return nearest if away[nearest] <= REACH * ui_scale() else None
+
+    # Dragging
+
+    def press(self, context: bpy.types.Context, viewport: view.Viewport, x: int, y: int) -> bool:
+        """Take the handle there, if there is one."""
+        keypoint, row = self.handle_at(viewport, x, y), self.row()
+        if keypoint is None or row is None or self.drag is not None:
+            return False
+        if context.screen is not None and context.screen.is_animation_playing:
+            bpy.ops.screen.animation_cancel(restore_frame=False)
+        places = self.region_places(viewport)
+        grip = places[keypoint] - [x - viewport.region.x, y - viewport.region.y]
+        self.drag = self._begun(keypoint, row, (x, y), grip)
+        self.message = ""
+        return True
+
+    def move(self, viewport: view.Viewport, x: int, y: int) -> None:
+        """The mouse drags the handle there."""
+        drag, matrix = self.drag, self.matrix(viewport)
+        if drag is None or matrix is None or drag.released:
+            return
+        drag.moved |= max(abs(x - drag.mouse[0]), abs(y - drag.mouse[1])) >= _STILL
+        if not drag.moved:
+            return
+        region = np.array([x - viewport.region.x, y - viewport.region.y]) + drag.grip
+        size = self.refiner.take.width, self.refiner.take.height
+        # A hand may well reach out of the picture, but not for miles.
+        drag.place = np.clip(mapped(np.linalg.inv(matrix), region), -np.array(size), 2 * np.array(size))
+        drag.moved_at = time.perf_counter()
+        drag.drawn = False
+
+    def release(self) -> None:
+        """The mouse lets go: what it asked for last is still waited for."""
+        if self.drag is None:
+            return
+        if self.drag.moved:
+            self.drag.released = True
+        else:
+            self.drag = None
+
+    def unpin(self, keypoint: int) -> bool:
+        """Let a pinned keypoint go: the hand follows the other pins only."""
+        row = self.row()
+        if row is None or self.drag is not None or keypoint not in self.refiner.pins(row):
+            return False
+        self.drag = self._begun(keypoint, row, (0, 0), np.zeros(2))
+        self.drag.moved = self.drag.released = True
+        self.drag.moved_at = time.perf_counter()
+        return True
+
+    def cancel_drag(self, context: bpy.types.Context) -> None:
+        """Put the hand back to before the drag."""
+        drag, self.drag = self.drag, None
+        if drag is None:
+            return
+        if drag.request:
+            shared.worker().cancel(drag.request)
+            abandon(drag.request)
+        armature = bpy.data.objects.get(self.refiner.name)
+        if armature is not None and armature.manient.is_hand:
+            set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
+        screen.redraw_viewports(context)
+
+    def tick(self, context: bpy.types.Context) -> None:
+        """Look for answers, and ask for what has not been asked for."""
+        if self._warming:
+            self._follow_warming()
+        drag = self.drag
+        if drag is None:
+            return
+        try:
+            if context.scene.frame_current_final != drag.frame:
+                self.cancel_drag(context)
+                return
+            if drag.request:
+                for event in shared.worker().poll(drag.request):
+                    if event["event"] == "error":
+                        drag.request = 0
+                        raise as_error(event)
+                    if event["event"] == "done":
+                        drag.request = 0
+                        self._show(context, drag, self.refiner.poses(event))
+            if not drag.request and drag.moved and drag.waiting:
+                if drag.place is None and not drag.pins:
+                    self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
+                else:
+                    self._send(drag)
+            elif not drag.request and drag.released:
+                self._finish(context, drag)
+            if not drag.drawn and time.perf_counter() - drag.moved_at > _SLOW:
+                drag.drawn = True
+                self._redraw(context)
+        except HandfitError as error:
+            self._failed(context, error)
+
+    def _redraw(self, context: bpy.types.Context) -> None:
+        """The picture and what is over it; not the headers and the sidebar beside it."""
+        viewport = view.viewport_at(context, self.view.address)
+        if viewport is not None:
+            viewport.region.tag_redraw()
+
+    def _begun(self, keypoint: int, row: int, mouse: tuple[int, int], grip: np.ndarray) -> _Drag:
+        refiner = self.refiner
+        return _Drag(
+            keypoint,
+            row,
+            bpy.context.scene.frame_current_final,
+            refiner.pins(row),
+            refiner.start_poses([row]),
+            refiner.keyed_poses([row]),
+            mouse,
+            grip,
+        )
+
+    def _send(self, drag: _Drag) -> None:
+        drag.sent, drag.sent_at, drag.is_sent = drag.place, drag.moved_at, True
+        fields = self.refiner.request([drag.row], [drag.pins], drag.start)()
+        drag.request = shared.worker().request("refit", **fields)
+
+    def _show(self, context: bpy.types.Context, drag: _Drag, poses: BonePoses) -> None:
+        if not poses.present[0]:
+            self.message = "No hand can be fitted to these points"
+            return
+        drag.answer = poses
+        armature = self.refiner.armature
+        if not _set_quietly(armature, self.refiner.side, poses):
+            set_pose(armature, self.refiner.side, poses.quats[0], poses.locations[0])
+        context.view_layer.update()
+        latencies.append(time.perf_counter() - drag.sent_at)
+        drag.drawn = drag.sent is drag.place
+        self._redraw(context)
+
+    def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
+        """Write the keys, and make an undo step of it."""
+        self.drag = None
+        armature = self.refiner.armature
+        if not drag.pins:
+            corrections.clear_corrections(armature, [self.refiner.source_frame(drag.row)])
+        elif drag.answer is None:
+            set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
+            return
+        else:
+            self.refiner.correct(drag.row, drag.pins, drag.answer, context.scene.manient.spread)
+        refresh(context.scene)
+        self.done, self.undone = self.done + 1, 0
+        bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
+        screen.redraw_viewports(context)
+
+    def _failed(self, context: bpy.types.Context, error: HandfitError) -> None:
+        self.message = str(error)
+        details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
+        self.cancel_drag(context)
+
+    def _follow_warming(self) -> None:
+        for event in shared.worker().poll(self._warming):
+            if event["event"] == "error":
+                self.message = str(event.get("message", ""))
+            if event["event"] in ("done", "error"):
+                self._warming = 0
+                screen.redraw_viewports(bpy.context)
+
+    def step(self, scene: bpy.types.Scene, direction: int) -> None:
+        """Go to the next frame (1) or the one before (-1); the source's where the scene has others."""
+        frames = self.refiner.scene_frames()
+        here = scene.frame_current_final
+        ahead = (frames - here) * direction
+        if np.all(np.abs(frames - np.round(frames)) < 1e-3) or not np.any(ahead > 1e-3):
+            scene.frame_set(scene.frame_current + direction)
+            return
+        frame = float(frames[ahead > 1e-3][np.argmin(ahead[ahead > 1e-3])])
+        scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))
+
+    # Undo and redo of single drags
+
+    def undo(self, context: bpy.types.Context, *, redo: bool) -> None:
+        """Take the last drag of this mode back, or do it again."""
+        if self.drag is not None:
+            self.cancel_drag(context)
+        if (self.undone if redo else self.done) == 0:
+            self.message = "Nothing to do again here" if redo else "Nothing to undo here"
+            return
+        self.own_undo = True
+        try:
+            bpy.ops.ed.redo() if redo else bpy.ops.ed.undo()
+        except RuntimeError as error:
+            self.message = str(error).strip()
+            return
+        finally:
+            self.own_undo = False
+        step = 1 if redo else -1
+        self.done, self.undone = self.done + step, self.undone - step
+        self.message = ""
+        refresh(bpy.context.scene)
+
+    # Drawing
+
+    def _draw(self) -> None:
+        context = bpy.context
+        if context.area is None or context.area.as_pointer() != self.view.address:
+            return
+        if self.trouble(context) is not None:
+            return
+        viewport = view.viewport_at(context, self.view.address)
+        if viewport is None or context.region != viewport.region:
+            return
+        text, warning = self.line(viewport)
+        drawing.draw(
+            drawing.Picture(
+                places=self.region_places(viewport),
+                pinned=frozenset(self._pinned()),
+                hovered=self.hovered,
+                dragged=self.drag.keypoint if self.drag is not None else None,
+                text=text,
+                warning=warning,
+                corner=_free_corner(viewport),
+            )
+        )
+
+    def _pinned(self) -> Pins:
+        row = self.row()
+        if row is None:
+            return {}
+        return self.drag.pins if self.drag is not None else self.refiner.pins(row)
+
+    def line(self, viewport: view.Viewport) -> tuple[str, bool]:
+        """A sentence about this frame, and whether it is one to worry about."""
+        row = self.row()
+        if self.message:
+            return self.message[:1].upper() + self.message[1:], True
+        if not self.view.shows(viewport):
+            return "Numpad 0: look through the capture camera again", True
+        if row is None:
+            return "This frame was not captured: go to another one", True
+        if self._warming:
+            return "Starting the solver ...", False
+        track = self.refiner.track
+        if self.refiner.is_corrected(row):
+            return f"{len(self._pinned())} pinned in this frame", False
+        if not track.detected[row]:
+            return "No hand was found in this frame: drag points to where they belong", True
+        if track.doubtful is not None and track.doubtful[row]:
+            return "Doubtful frame", True
+        return "", False
+
+
+def _set_quietly(armature: bpy.types.Object, side: Side, poses: BonePoses) -> bool:
+    """Set the bones without having every editor drawn again; False where bones are not in quaternions."""
+    bones = armature.pose.bones
+    own = [bones.find(name) for name in bone_names(side)]
+    if any(bones[at].rotation_mode != "QUATERNION" for at in own):
+        return False
+    for name, values, rows in (
+        ("rotation_quaternion", poses.quats[0], own),
+        ("location", poses.locations[:1], own[:1]),
+    ):
+        present = np.empty((len(bones), values.shape[1]), dtype=np.float32)
+        bones.foreach_get(name, present.ravel())
+        present[rows] = values
+        bones.foreach_set(name, present.ravel())
+    armature.update_tag(refresh={"DATA"})
+    return True
+
+
+def refresh(scene: bpy.types.Scene) -> None:
+    """Show what the keys of the present frame say now."""
+    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+
+
+def ui_scale() -> float:
+    """How large Blender draws its interface."""
+    preferences = bpy.context.preferences
+    return preferences.system.ui_scale if preferences is not None else 1.0
+
+
+def _free_corner(viewport: view.Viewport) -> tuple[float, float]:
+    """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
+    region, others = viewport.region, [r for r in viewport.area.regions if min(r.width, r.height) > 1]
+    top = min([r.y for r in others if r.type in ("HEADER", "TOOL_HEADER")] + [region.y + region.height])
+    if top < region.y + region.height / 2:
+        top = region.y + region.height  # headers may be flipped to the lower edge
+    tools = [r.x + r.width for r in others if r.type == "TOOLS" and r.x < region.x + region.width / 2]
+    return max([region.x, *tools]) - region.x + 18.0 * ui_scale(), top - region.y - 70.0 * ui_scale()

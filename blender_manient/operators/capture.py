@@ -1,0 +1,244 @@
+"""The buttons Capture and Capture Frame: find, fit and build hands while the window stays free."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.hand_model import OPEN_HAND
+
+from .. import jobs, preferences, screen, sources
+from ..scene.lens import lens_of_camera
+from ..selection import active_hand
+from ..worker.client import CaptureOptions
+
+_TICK = 0.02
+"""seconds between two looks at the worker"""
+
+
+class MANIENT_OT_capture(bpy.types.Operator):
+    bl_idname = "manient.capture"
+    bl_label = "Capture"
+    bl_description = (
+        "Find the hands in the source, fit a hand model to them and build rigged, animated hands. "
+        "Blender stays usable meanwhile; Esc stops and keeps what is finished"
+    )
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    only_frame: bpy.props.BoolProperty(  # type: ignore
+        name="This Frame",
+        description="Capture only the scene's current frame of the source",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
+    _ticking = False
+    """Whether an instance of this operator ticks the queue already"""
+
+    @classmethod
+    def description(cls, _context, properties):
+        """The tooltip."""
+        if properties.only_frame:
+            return "Capture the hands of the scene's current frame only"
+        return cls.bl_description
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is a scene to build into."""
+        scene = context.scene
+        if scene is None or not scene.is_editable:
+            cls.poll_message_set("This scene is linked from another file: open or make one of your own")
+            return False
+        return True
+
+    def invoke(self, context, _event):
+        """Queue the capture and follow it."""
+        try:
+            job = new_job(context, only_frame=self.only_frame)
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        jobs.submit(job)
+        if MANIENT_OT_capture._ticking:
+            self.report({"INFO"}, f"{job.name} is captured after the one before")
+            return {"FINISHED"}
+        MANIENT_OT_capture._ticking = True
+        self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
+        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        """Tick the queue; Esc stops everything."""
+        if event.type == "ESC" and event.value == "PRESS":
+            jobs.cancel_all()
+        elif event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if jobs.tick():
+            self._tell(context)
+        self._report_finished(context)
+        if jobs.busy():
+            return {"RUNNING_MODAL"} if event.type == "ESC" else {"PASS_THROUGH"}
+        self._end(context)
+        return {"FINISHED"}
+
+    def cancel(self, context):
+        """Blender ends the operator, as on loading a file."""
+        jobs.abandon()
+        self._end(context)
+
+    def execute(self, context):
+        """Capture and wait for it: for scripts, and without a window."""
+        try:
+            job = jobs.run(new_job(context, only_frame=self.only_frame))
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self._report(job)
+        return {"FINISHED"} if job.state == "done" else {"CANCELLED"}
+
+    def _tell(self, context) -> None:
+        job = jobs.current()
+        waiting = sum(j.state == "waiting" for j in jobs.jobs())
+        if job is not None:
+            more = f"   ({waiting} waiting)" if waiting else ""
+            context.workspace.status_text_set(f"{job.name}: {job.status()}{more}   Esc: Stop")
+        screen.redraw_sidebars(context)
+
+    def _report_finished(self, context) -> None:
+        for job in jobs.jobs():
+            if job.finished and id(job) not in self._seen:
+                self._seen.add(id(job))
+                self._report(job)
+                if job.state == "done" and job.building.target == "NEW" and job.building.match_scene:
+                    screen.look_through_camera(context)
+
+    def _report(self, job: jobs.Job) -> None:
+        for warning in job.warnings:
+            self.report({"WARNING"}, warning)
+        if job.state == "failed":
+            self.report({"ERROR"}, job.message)
+        else:
+            self.report({"INFO"}, f"{job.name}: {job.message}")
+
+    def _end(self, context) -> None:
+        MANIENT_OT_capture._ticking = False
+        context.window_manager.event_timer_remove(self._timer)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        screen.redraw_sidebars(context)
+
+
+class MANIENT_OT_cancel_capture(bpy.types.Operator):
+    bl_idname = "manient.cancel_capture"
+    bl_label = "Cancel"
+    bl_description = "Stop this capture and keep the frames that are finished"
+    bl_options = {"INTERNAL"}  # noqa: RUF012
+
+    index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})  # type: ignore
+
+    def execute(self, context):
+        """Cancel one job, or all."""
+        queue = jobs.jobs()
+        if 0 <= self.index < len(queue):
+            jobs.cancel(queue[self.index])
+        else:
+            jobs.cancel_all()
+        screen.redraw_sidebars(context)
+        return {"FINISHED"}
+
+
+class MANIENT_OT_clear_captures(bpy.types.Operator):
+    bl_idname = "manient.clear_captures"
+    bl_label = "Clear List"
+    bl_description = "Remove finished captures from this list. The hands stay"
+    bl_options = {"INTERNAL"}  # noqa: RUF012
+
+    def execute(self, context):
+        """Forget what is finished."""
+        jobs.forget_finished()
+        screen.redraw_sidebars(context)
+        return {"FINISHED"}
+
+
+def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
+    """The capture that the panel's settings describe. Raises HandfitError in the artist's words."""
+    settings, scene = context.scene.manient, context.scene
+    source = sources.resolve(settings.source, as_sequence=settings.as_sequence)
+    hand = active_hand(context)
+    if settings.target != "NEW" and hand is None:
+        raise OptionError("select the captured hand that is to be animated, or choose New Hands")
+    camera = scene.camera if settings.camera == "ACTIVE" else None
+    if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
+        raise OptionError("the scene has no active camera: choose another camera setting")
+    return jobs.Job(
+        name=Path(source.files[0]).name if source.kind != "sequence" else Path(source.files[0]).parent.name,
+        files=source.files,
+        options=CaptureOptions(
+            frames=_frames(settings, source, scene.frame_current if only_frame else None),
+            hands=settings.hands,
+            solver=settings.experiment if settings.preset == "PAPER" else None,
+            model=_model(settings),
+            threshold=settings.threshold,
+            smoothing=settings.smoothing,
+            plain_detection=settings.preset == "FAST",
+            hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
+            lens=_lens(settings, scene),
+        ),
+        building=jobs.Building(
+            scene=scene.name,
+            target=settings.target,
+            hand=hand.armature.name if hand else "",
+            frame=float(scene.frame_current),
+            pose_correctives=settings.pose_correctives,
+            match_scene=settings.match_scene,
+            camera=camera.name if camera else "",
+        ),
+    )
+
+
+def _frames(settings, source: sources.SourceFiles, only: int | None) -> str | None:
+    if source.kind == "photo":
+        return None
+    if only is not None:
+        return f"{max(only, 0)}-{max(only, 0)}"
+    if not settings.use_frames:
+        return f":{settings.frame_step}" if settings.frame_step > 1 else None
+    if settings.last_frame < settings.first_frame:
+        raise OptionError("the last frame lies before the first: mend the frame range")
+    return f"{settings.first_frame}-{settings.last_frame}:{settings.frame_step}"
+
+
+def _model(settings) -> str | None:
+    if settings.model == "OPEN":
+        return OPEN_HAND
+    path = settings.model_path or preferences.get().mano_folder
+    if not path:
+        raise InputError("choose your MANO files, or the Open Hand as the model")
+    return str(Path(bpy.path.abspath(path)).expanduser())
+
+
+def _lens(settings, scene: bpy.types.Scene) -> tuple[float, float, float] | None:
+    if settings.camera == "FOCAL":
+        return settings.focal_length / 36.0, 0.5, 0.5
+    if settings.camera == "ACTIVE":
+        return lens_of_camera(scene.camera, scene)
+    return None
+
+
+_CLASSES = (MANIENT_OT_capture, MANIENT_OT_cancel_capture, MANIENT_OT_clear_captures)
+
+
+def register() -> None:
+    """Add the operators."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Take them away again."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
+    MANIENT_OT_capture._ticking = False

@@ -1,0 +1,178 @@
+"""Check Installation: versions, files and a self-test as a text for bug reports."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from handfit_core.errors import HandfitError
+
+from .. import cache, details, preferences
+from ..worker import shared
+from ..worker.client import PYTHON_VARIABLE, Event, Worker, as_error
+from . import check_mano
+
+TEXT_NAME = "Hand Capture Check"
+
+_TICK = 0.05
+_LIMIT = 180.0
+"""seconds; the first start of torch and MediaPipe from a slow disk takes one or two dozen"""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the last check came to."""
+
+    ok: bool
+    sentence: str
+
+
+_last: Result | None = None
+
+
+def last_result() -> Result | None:
+    """The last check of this session; None before the first, or when its text is gone. For drawing."""
+    return _last if details.local_text(TEXT_NAME) is not None else None
+
+
+class MANIENT_OT_check_installation(bpy.types.Operator):
+    bl_idname = "manient.check_installation"
+    bl_label = "Check Installation"
+    bl_description = (
+        "Start the Python that captures, try its detector and solver, and write versions and results into "
+        "a text that can be copied into a bug report"
+    )
+    bl_options = {"INTERNAL"}  # noqa: RUF012
+
+    _running = False
+
+    @classmethod
+    def poll(cls, _context):
+        """One at a time."""
+        if MANIENT_OT_check_installation._running:
+            cls.poll_message_set("The check is running: Esc stops it")
+            return False
+        return True
+
+    def invoke(self, context, _event):
+        """Check beside the window's work."""
+        # A process of its own: the shared one may be busy for minutes, and may be what is wrong.
+        self._worker = shared.make()
+        try:
+            self._request = self._worker.request("check")
+        except HandfitError as error:
+            return self._finish(context, None, error)
+        MANIENT_OT_check_installation._running = True
+        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        context.workspace.status_text_set("Checking the installation of Hand Capture   Esc: Stop")
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        """Wait for the answer."""
+        if event.type == "ESC" and event.value == "PRESS":
+            self.cancel(context)
+            self.report({"INFO"}, "The check was stopped")
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        for answer in self._worker.poll(self._request):
+            if answer["event"] in ("done", "error"):
+                self._tidy(context)
+                if answer["event"] == "done":
+                    return self._finish(context, answer, None)
+                return self._finish(context, None, as_error(answer))
+        return {"PASS_THROUGH"}
+
+    def cancel(self, context):
+        """Blender ends the operator, as on loading a file."""
+        self._tidy(context)
+        self._worker.stop()
+
+    def execute(self, context):
+        """Check and wait for it: for scripts, and without a window."""
+        self._worker = shared.make()
+        try:
+            answer, problem = self._worker.wait(self._worker.request("check"), timeout=_LIMIT), None
+        except HandfitError as error:
+            answer, problem = None, error
+        return self._finish(context, answer, problem)
+
+    def _tidy(self, context) -> None:
+        MANIENT_OT_check_installation._running = False
+        context.window_manager.event_timer_remove(self._timer)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+
+    def _finish(self, context, answer: Event | None, problem: HandfitError | None) -> set[str]:
+        global _last
+        self._worker.stop()
+        ok = bool(answer and answer.get("ok"))
+        if problem is not None:
+            sentence = _capitalized(str(problem))
+        elif ok:
+            sentence = "Everything that a capture needs is there and works"
+        else:
+            sentence = "Something that a capture needs is missing or fails: the text tells what"
+        _last = Result(ok, sentence)
+        details.write_text(TEXT_NAME, _report_text(self._worker, sentence, answer))
+        self.report({"INFO"} if ok else {"WARNING"}, f"{sentence} (text {TEXT_NAME})")
+        preferences.redraw()
+        return {"FINISHED"}
+
+
+def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
+    parts = ["Hand Capture Check", sentence, details.system_text(), _settings_text(worker)]
+    if answer is not None:
+        parts.append(str(answer.get("report", "")).strip())
+    else:
+        parts.append(f"The process that captures said:\n{worker.details() or '(nothing)'}")
+    other = shared.current()
+    if other is not None and not other.alive and other.details():
+        parts.append(f"The process of the last capture said:\n{other.details()}")
+    return _without_home("\n\n".join(parts)) + "\n"
+
+
+def _settings_text(worker: Worker) -> str:
+    chosen = preferences.get()
+    if chosen.python:
+        origin = "preferences"
+    elif os.environ.get(PYTHON_VARIABLE):
+        origin = f"${PYTHON_VARIABLE}"
+    else:
+        origin = "Blender's own"
+    lines = [
+        f"Python that captures: {worker.python} ({origin})",
+        f"Threads: {chosen.threads or 'automatic'}",
+        f"Cache folder: {cache.folder_path()} ({cache.measure(cache.folder_path()) / 1e6:.1f} MB)",
+        f"MANO files: {chosen.mano_folder or 'none chosen'}",
+    ]
+    if chosen.mano_folder:
+        lines += [f"  {result.sentence}" for result in check_mano.check(chosen.mano_folder)]
+    return "\n".join(lines)
+
+
+def _without_home(text: str) -> str:
+    """A bug report need not tell the user's name."""
+    home = str(Path.home())
+    return text.replace(home, "~") if len(home) > 1 else text
+
+
+def _capitalized(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_check_installation)
+
+
+def unregister() -> None:
+    """Take it away again and forget the last check."""
+    global _last
+    bpy.utils.unregister_class(MANIENT_OT_check_installation)
+    MANIENT_OT_check_installation._running = False
+    _last = None

@@ -1,0 +1,44 @@
+"""Clear: the temporary files of the add-on go."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import cache, preferences
+from ..worker import shared
+
+
+class MANIENT_OT_clear_cache(bpy.types.Operator):
+    bl_idname = "manient.clear_cache"
+    bl_label = "Clear"
+    bl_description = (
+        "Remove the add-on's temporary files. Pictures that the open file shows stay; other files that "
+        "show pictures from there lose them"
+    )
+    bl_options = {"INTERNAL"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, _context):
+        """Not while the worker may write there."""
+        worker = shared.current()
+        if worker is not None and worker.busy:
+            cls.poll_message_set("A capture uses these files: wait for it or cancel it")
+            return False
+        return True
+
+    def execute(self, context):
+        freed, left = cache.clear()
+        kept = f", {left} files in use were kept" if left else ""
+        self.report({"INFO"}, f"{freed / 1e6:.1f} MB were freed{kept}")
+        preferences.redraw()
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_clear_cache)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_clear_cache)

@@ -1,0 +1,105 @@
+"""Pictures, videos and takes dropped onto the 3D viewport."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from handfit_core.media import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
+
+from .. import preferences
+from . import import_take
+
+
+class MANIENT_OT_drop_media(bpy.types.Operator):
+    bl_idname = "manient.drop_media"
+    bl_label = "Capture Hands"
+    bl_description = "Capture the hands in the dropped pictures or video"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    files: bpy.props.CollectionProperty(  # type: ignore
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    as_sequence: bpy.props.BoolProperty(  # type: ignore
+        name="Image Sequence",
+        description="The numbered pictures are the frames of one clip",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context, _event):
+        """Ask before anything starts: a drop may be meant for something else."""
+        self.as_sequence = len(self.files) > 1 and sequence_numbers(self._paths()) is not None
+        return context.window_manager.invoke_props_dialog(self, title="Capture Hands", confirm_text="Capture")
+
+    def draw(self, context):
+        """What was dropped, and which hands are wanted."""
+        layout = self.layout
+        assert layout is not None
+        paths = self._paths()
+        text = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+        layout.label(text=text, icon="FILE_MOVIE" if _is_video(paths[0]) else "FILE_IMAGE", translate=False)
+        if len(paths) > 1:
+            layout.prop(self, "as_sequence")
+        layout.prop(context.scene.manient, "hands")
+
+    def execute(self, context):
+        """Start a capture for the clip, or one for each picture."""
+        settings = context.scene.manient
+        paths = self._paths()
+        chosen = paths[:1] if self.as_sequence else paths
+        result = {"CANCELLED"}
+        settings.use_frames = False  # the range was another source's
+        for path in chosen:
+            settings.source = str(path)
+            settings.as_sequence = self.as_sequence
+            result = bpy.ops.manient.capture("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        return {"FINISHED"} if result != {"CANCELLED"} else result
+
+    def _paths(self) -> list[Path]:
+        return [Path(self.directory) / file.name for file in self.files if file.name]
+
+
+class MANIENT_FH_media(bpy.types.FileHandler):
+    bl_idname = "MANIENT_FH_media"
+    bl_label = "Capture Hands"
+    bl_import_operator = MANIENT_OT_drop_media.bl_idname
+    bl_file_extensions = ";".join(sorted(PHOTO_SUFFIXES | VIDEO_SUFFIXES))
+
+    @classmethod
+    def poll_drop(cls, context):
+        """Only where hands can appear, and where the user wants it."""
+        return context.area is not None and context.area.type == "VIEW_3D" and preferences.get().drop_captures
+
+
+class MANIENT_FH_take(bpy.types.FileHandler):
+    bl_idname = "MANIENT_FH_take"
+    bl_label = "Hand Take"
+    bl_import_operator = import_take.MANIENT_OT_import_take.bl_idname
+    bl_file_extensions = ".npz"
+
+    @classmethod
+    def poll_drop(cls, context):
+        """Only where hands can appear."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+_CLASSES = (MANIENT_OT_drop_media, MANIENT_FH_media, MANIENT_FH_take)
+
+
+def register() -> None:
+    """Add the operator and the file handlers."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Take them away again."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

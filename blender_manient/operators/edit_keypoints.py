@@ -1,0 +1,212 @@
+"""Edit Keypoints: drag the 21 points over the picture, and the hand follows."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandfitError
+
+from ..keypoint_mode import abandoned, mode, view
+from ..refiner import Refiner, why_not
+from ..selection import active_hand
+
+_TICK = 0.008
+"""seconds between two looks at the worker"""
+_KEYS = (
+    "Drag: Move Point    X or Ctrl Click: Remove Pin    Ctrl Z: Undo    Left/Right: Frame    Enter, Esc: Done"
+)
+_ENDS = {"RET", "NUMPAD_ENTER", "TAB"}
+
+_mode: mode.KeypointMode | None = None
+
+
+def running() -> bool:
+    """Whether keypoints are being edited."""
+    return _mode is not None
+
+
+def latencies() -> list[float]:
+    """Seconds from each movement of the mouse to the hand that followed it, oldest first."""
+    return list(mode.latencies)
+
+
+def handle_places() -> dict[int, tuple[float, float]]:
+    """Keypoint -> (x, y) of its handle in window pixels, as events have them; empty while none are shown."""
+    if _mode is None:
+        return {}
+    viewport = view.viewport_at(bpy.context, _mode.view.address)
+    if viewport is None:
+        return {}
+    places = _mode.region_places(viewport) + np.array([viewport.region.x, viewport.region.y])
+    return {k: (float(x), float(y)) for k, (x, y) in enumerate(places) if np.isfinite([x, y]).all()}
+
+
+def describe() -> dict[str, object]:
+    """The mode's state for tests: what is hovered, dragged, pinned, and what the line says."""
+    if _mode is None:
+        return {}
+    row = _mode.row()
+    return {
+        "hovered": _mode.hovered,
+        "dragged": _mode.drag.keypoint if _mode.drag is not None else None,
+        "pins": {} if row is None else dict(_mode.refiner.pins(row)),
+        "message": _mode.message,
+        "warming": bool(_mode._warming),
+        "done": _mode.done,
+    }
+
+
+class MANIENT_OT_edit_keypoints(bpy.types.Operator):
+    bl_idname = "manient.edit_keypoints"
+    bl_label = "Edit Keypoints"
+    bl_description = (
+        "Show the 21 points of the hand over the picture. Dragging one fits the hand again so that it "
+        "lies there, and the frames around follow as far as Spread says"
+    )
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    _timer = None
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is a hand that can be corrected."""
+        why = "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
+        if why is not None:
+            cls.poll_message_set(why)
+        return why is None
+
+    def invoke(self, context, _event):
+        """Begin the mode in the viewport under the mouse, or the largest one."""
+        global _mode
+        hand, viewport = active_hand(context), view.first_viewport(context)
+        if viewport is None:
+            self.report({"ERROR"}, "Keypoints are edited in a 3D viewport: open one in this window")
+            return {"CANCELLED"}
+        if hand is None or hand.camera is None:
+            self.report({"ERROR"}, "The hand's capture camera is gone: undo its removal, or import the take")
+            return {"CANCELLED"}
+        try:
+            _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        # So that undoing the first drag leads back to here.
+        bpy.ops.ed.undo_push(message="Edit Keypoints")
+        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        self._show_keys(context)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, _context):
+        """Without a window there is nothing to drag."""
+        self.report({"ERROR"}, "Keypoints are edited in a window; scripts use manient.move_keypoint")
+        return {"CANCELLED"}
+
+    def modal(self, context, event):
+        """One event."""
+        if _mode is None:
+            return self._end(context)
+        trouble = _mode.trouble(context)
+        if trouble is not None:
+            if trouble:
+                self.report({"INFO"}, trouble)
+            return self._end(context)
+        _mode.tick(context)
+        if event.type == "TIMER":
+            return {"PASS_THROUGH"}
+        viewport = view.viewport_at(context, _mode.view.address)
+        if viewport is None:
+            return self._end(context)
+        if _mode.drag is not None and not _mode.drag.released:
+            return self._while_dragging(context, event, viewport)
+        return self._between_drags(context, event, viewport)
+
+    def cancel(self, context):
+        """Blender ends the operator, as on loading a file."""
+        self._end(context)
+
+    def _while_dragging(self, context, event, viewport):
+        assert _mode is not None
+        if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
+            _mode.move(viewport, event.mouse_x, event.mouse_y)
+            _mode.tick(context)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            _mode.move(viewport, event.mouse_x, event.mouse_y)
+            _mode.release()
+            _mode.tick(context)
+        elif event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
+            _mode.cancel_drag(context)
+        return {"RUNNING_MODAL"}
+
+    def _between_drags(self, context, event, viewport):
+        assert _mode is not None
+        inside = viewport.contains(event.mouse_x, event.mouse_y)
+        if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
+            hovered = _mode.handle_at(viewport, event.mouse_x, event.mouse_y) if inside else None
+            if hovered != _mode.hovered:
+                _mode.hovered = hovered
+                viewport.area.tag_redraw()
+            return {"PASS_THROUGH"}
+        if event.value != "PRESS":
+            return {"PASS_THROUGH"}
+        if event.type == "LEFTMOUSE" and inside:
+            keypoint = _mode.handle_at(viewport, event.mouse_x, event.mouse_y)
+            if keypoint is None:
+                return {"PASS_THROUGH"}
+            if event.ctrl:
+                _mode.unpin(keypoint)
+            else:
+                _mode.press(context, viewport, event.mouse_x, event.mouse_y)
+            viewport.area.tag_redraw()
+            return {"RUNNING_MODAL"}
+        if event.type == "Z" and (event.ctrl or event.oskey):
+            _mode.undo(context, redo=event.shift)
+            context.area.tag_redraw() if context.area else None
+            return {"RUNNING_MODAL"}
+        if not inside:
+            return {"PASS_THROUGH"}
+        if event.type in ("X", "DEL", "BACK_SPACE") and _mode.hovered is not None:
+            _mode.unpin(_mode.hovered)
+            return {"RUNNING_MODAL"}
+        if event.type in ("LEFT_ARROW", "RIGHT_ARROW") and not (event.ctrl or event.shift or event.alt):
+            _mode.step(context.scene, -1 if event.type == "LEFT_ARROW" else 1)
+            return {"RUNNING_MODAL"}
+        if event.type in _ENDS or event.type == "ESC":
+            return self._end(context)
+        return {"PASS_THROUGH"}
+
+    def _show_keys(self, context) -> None:
+        if context.workspace is not None:
+            context.workspace.status_text_set(_KEYS)
+
+    def _end(self, context):
+        global _mode
+        ended, _mode = _mode, None
+        if ended is not None:
+            ended.end(context)
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        return {"FINISHED"}
+
+
+def _stop() -> None:
+    """End the mode from outside; its operator finds out with its next event."""
+    if _mode is not None:
+        _mode.end(bpy.context)
+        _mode.ended = ""
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_edit_keypoints)
+
+
+def unregister() -> None:
+    """End the mode and take the operator away again."""
+    _stop()
+    abandoned.forget()
+    bpy.utils.unregister_class(MANIENT_OT_edit_keypoints)

@@ -1,0 +1,150 @@
+"""Write a captured hand, or all hands of its capture, to a file for other programs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import bpy
+
+from handfit_core.errors import HandfitError, OptionError
+
+from ..properties import EXPORT_FORMATS, EXPORT_PRESETS
+from ..scene.clean_rig import Rig
+from ..scene.export import FORMATS, Stage, export_hands
+from ..scene.keys import read_pose_keys
+from ..scene.retake import retaken
+from ..scene.store import CapturedHand, captured_hands, hand_of
+from .needs_hand import hand_in, hand_is_there
+
+_TAKE = "npz"
+_TAKE_SUFFIX = ".take.npz"
+
+
+class MANIENT_OT_export_hand(bpy.types.Operator):
+    bl_idname = "manient.export_hand"
+    bl_label = "Export Hands"
+    bl_description = "Write the active hand and the others of its capture, as they are now, to a file"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
+    filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})  # type: ignore
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)  # type: ignore
+    preset: bpy.props.EnumProperty(name="For", items=EXPORT_PRESETS)  # type: ignore
+    active_only: bpy.props.BoolProperty(  # type: ignore
+        name="Active Hand Only", description="Leave out the other hands of the capture", default=False
+    )
+    frame_range: bpy.props.EnumProperty(  # type: ignore
+        name="Frames",
+        items=(
+            ("SCENE", "Scene", "The scene's frame range"),
+            ("KEYS", "Keys", "From the hands' first key to their last"),
+        ),
+        default="SCENE",
+    )
+
+    @classmethod
+    def poll(cls, context):
+        return hand_is_there(cls, context, change=False)
+
+    def invoke(self, context, event):
+        """Ask for the file, with the format of the panel."""
+        self._fill_in(context)
+        if not self.filepath:
+            self.filepath = bpy.path.clean_name(hand_in(context).collection.name)
+            if bpy.data.filepath:
+                self.filepath = str(Path(bpy.data.filepath).parent / self.filepath)
+        self.check(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def check(self, _context):
+        """Keep the extension that of the format."""
+        self.filter_glob = f"*{FORMATS[self.file_format].suffix if self.file_format != _TAKE else '.npz'}"
+        path = self._path()
+        if str(path) == self.filepath:
+            return False
+        self.filepath = str(path)
+        return True
+
+    def draw(self, _context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(self, "file_format")
+        if self.file_format in {"fbx", "glb"}:
+            layout.prop(self, "preset")
+        if self.file_format != _TAKE:
+            layout.prop(self, "frame_range")
+        layout.prop(self, "active_only")
+
+    def execute(self, context):
+        """Write the file or files."""
+        self._fill_in(context)
+        try:
+            if not self.filepath:
+                raise OptionError("choose a file to export to")
+            hands = self._hands(context)
+            path = self._path()
+            if self.file_format == _TAKE:
+                files = [retaken(hands).save(path)]
+            else:
+                files = export_hands(
+                    tuple(Rig(h.side, h.armature, h.mesh) for h in hands),
+                    self._stage(context.scene, hands),
+                    path.parent,
+                    path.name.removesuffix(FORMATS[self.file_format].suffix),
+                    self.file_format,
+                    preset=self.preset if self.file_format in {"fbx", "glb"} else "PLAIN",
+                )
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Wrote {', '.join(f.name for f in files)} to {path.parent}")
+        return {"FINISHED"}
+
+    def _fill_in(self, context) -> None:
+        """What the caller left open is as the panel says."""
+        settings = context.scene.manient
+        if not self.properties.is_property_set("file_format"):
+            self.file_format = settings.export_format
+        if not self.properties.is_property_set("preset"):
+            self.preset = settings.export_preset
+
+    def _path(self) -> Path:
+        """The file with the right extension instead of another format's."""
+        path = Path(bpy.path.abspath(self.filepath))
+        wanted = _TAKE_SUFFIX if self.file_format == _TAKE else FORMATS[self.file_format].suffix
+        name = path.name
+        for suffix in (_TAKE_SUFFIX, ".npz", ".usd", *(f.suffix for f in FORMATS.values())):
+            if name.lower().endswith(suffix):
+                kept = suffix == ".npz" and self.file_format == _TAKE
+                return path if kept else path.with_name(name[: -len(suffix)] + wanted)
+        return path.with_name(name + wanted)
+
+    def _hands(self, context) -> list[CapturedHand]:
+        active = hand_in(context)
+        if self.active_only:
+            return [active]
+        found = [hand_of(armature) for armature in captured_hands(context.scene)]
+        own = [h for h in found if h is not None and h.collection == active.collection]
+        return sorted(own, key=lambda hand: hand.index)
+
+    def _stage(self, scene, hands: list[CapturedHand]) -> Stage:
+        if self.frame_range == "SCENE":
+            return Stage.of_scene(scene)
+        frames = [f for hand in hands for f in read_pose_keys(hand.armature, hand.side).frames.tolist()]
+        if not frames:
+            raise OptionError("the hands have no keys; export the scene's frame range instead")
+        return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_export_hand)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_export_hand)

@@ -1,0 +1,89 @@
+"""Lock Joints: which joints refining leaves as they are."""
+
+from __future__ import annotations
+
+import bpy
+
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
+
+from ..scene.armature import bone_names
+from ..scene.store import CapturedHand
+from ..selection import active_hand
+
+_FINGER_ITEMS = tuple(
+    (f.upper(), f.capitalize(), f"The joints of the {f} finger") for f in FINGERS if f != "thumb"
+)
+
+
+class MANIENT_OT_lock_joints(bpy.types.Operator):
+    bl_idname = "manient.lock_joints"
+    bl_label = "Lock Joints"
+    bl_description = "Keep joints as they are when the hand is fitted again"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    lock: bpy.props.BoolProperty(name="Lock", default=True)  # type: ignore
+    joints: bpy.props.EnumProperty(  # type: ignore
+        name="Joints",
+        items=(
+            ("SELECTED", "Selected Bones", "The bones selected in Pose mode; in other modes all joints"),
+            ("ALL", "All", "All 16 joints"),
+            ("WRIST", "Wrist", "Where the hand is and how it is turned"),
+            ("THUMB", "Thumb", "The joints of the thumb"),
+            *_FINGER_ITEMS,
+        ),
+        default="SELECTED",
+    )
+
+    @classmethod
+    def description(cls, _context, properties):
+        """The tooltip."""
+        if properties.lock:
+            return cls.bl_description + ": the bones selected in Pose mode, else all"
+        return "Let refining move joints again: the bones selected in Pose mode, else all"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is a hand."""
+        hand = active_hand(context)
+        if hand is None:
+            cls.poll_message_set("Select a captured hand: its armature or its mesh")
+            return False
+        if not hand.armature.is_editable or hand.armature.library is not None:
+            cls.poll_message_set("This hand is linked from another file: make it local to change it")
+            return False
+        return True
+
+    def execute(self, context):
+        """Lock or unlock."""
+        hand = active_hand(context)
+        assert hand is not None
+        chosen = self._chosen(context, hand)
+        if not chosen:
+            self.report({"ERROR"}, "No bone of this hand is selected: select some in Pose mode")
+            return {"CANCELLED"}
+        locked = list(hand.armature.manient.locked)
+        for joint in chosen:
+            locked[joint] = self.lock
+        hand.armature.manient.locked = locked
+        return {"FINISHED"}
+
+    def _chosen(self, context, hand: CapturedHand) -> list[int]:
+        if self.joints == "WRIST":
+            return [0]
+        finger = self.joints.lower()
+        if finger in FINGER_JOINTS:
+            return list(FINGER_JOINTS[finger])
+        if self.joints == "ALL" or context.mode != "POSE":
+            return list(range(NUM_JOINTS))
+        selected = {bone.name for bone in context.selected_pose_bones or () if bone.id_data == hand.armature}
+        return [joint for joint, name in enumerate(bone_names(hand.side)) if name in selected]
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_lock_joints)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_lock_joints)

@@ -1,0 +1,71 @@
+"""Save a hand's pose for Blender's pose library."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..scene.armature import bone_names
+from ..scene.keys import PoseKeys, channels, displayed_pose, write_pose_keys
+from .needs_hand import hand_in, hand_is_there
+
+
+class MANIENT_OT_save_pose_asset(bpy.types.Operator):
+    bl_idname = "manient.save_pose_asset"
+    bl_label = "Save Pose Asset"
+    bl_description = (
+        "Keep the fingers' pose of the current frame in the pose library of this file, for any captured hand"
+    )
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    asset_name: bpy.props.StringProperty(  # type: ignore
+        name="Name", description="Name of the asset", default="Hand Pose"
+    )
+    wrist: bpy.props.BoolProperty(  # type: ignore
+        name="Wrist Rotation",
+        description="Keep how the wrist is turned too; its place is never kept",
+        default=False,
+    )
+
+    @classmethod
+    def poll(cls, context):
+        return hand_is_there(cls, context)
+
+    def invoke(self, context, event):
+        """Ask for the name."""
+        return context.window_manager.invoke_props_dialog(self)
+
+    def execute(self, context):
+        """Make an action with one key per bone, and mark it as an asset."""
+        hand = hand_in(context)
+        armature, side = hand.armature, hand.side
+        action = bpy.data.actions.new(self.asset_name.strip() or "Hand Pose")
+        slot = action.slots.new(id_type="OBJECT", name=armature.name) if hasattr(action, "slots") else None
+        chosen = np.ones((1, 16), dtype=bool)
+        chosen[0, 0] = self.wrist
+        keys = PoseKeys(
+            np.array([1.0]),
+            displayed_pose(armature, side)[None],
+            np.zeros((1, 3)),
+            chosen,
+            np.zeros(1, dtype=bool),
+        )
+        write_pose_keys(armature, side, keys, holder=channels(action, slot, make=True))
+        action.asset_mark()
+        action.asset_data.description = f"Captured pose of a {side} hand"
+        for tag in ("hand", side):
+            action.asset_data.tags.new(tag, skip_if_exists=True)
+        if not bpy.app.background:  # rendered by the graphics card
+            action.asset_generate_preview()
+        self.report({"INFO"}, f"Saved {action.name} with {len(bone_names(side)) - (not self.wrist)} bones")
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_save_pose_asset)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_save_pose_asset)

@@ -1,0 +1,65 @@
+"""Put a hand's fingers into a relaxed pose."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandfitError
+from handfit_core.hand_model.anatomy import relaxed_pose
+from handfit_core.skeleton import NUM_JOINTS
+
+from .. import axes
+from ..scene.armature import rest_frames
+from ..scene.keys import PoseKeys, keyed_bones, set_pose, write_pose_keys
+from ..scene.models import kept_model
+from .needs_hand import hand_in, hand_is_there
+
+
+class MANIENT_OT_relax_pose(bpy.types.Operator):
+    bl_idname = "manient.relax_pose"
+    bl_label = "Relaxed Pose"
+    bl_description = (
+        "Relax the fingers at the current frame; the wrist stays. "
+        "Bones that are animated get a key, others only with Auto Keying"
+    )
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context):
+        return hand_is_there(cls, context)
+
+    def execute(self, context):
+        """Set or key the fifteen finger bones."""
+        hand = hand_in(context)
+        armature, side = hand.armature, hand.side
+        try:
+            model = kept_model(hand.take.model, side)
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        still = np.zeros((1, 3))
+        frames = rest_frames(armature, side)
+        quats, _ = axes.bone_pose(model.shaped(), frames, still, relaxed_pose(model)[None], still)
+        quats[:, 0] = np.nan  # not the wrist
+        set_pose(armature, side, quats[0])
+
+        chosen = keyed_bones(armature, side)
+        if context.scene.tool_settings.use_keyframe_insert_auto:
+            chosen = np.ones(NUM_JOINTS, dtype=bool)
+        chosen[0] = False
+        if chosen.any():
+            frame = np.array([context.scene.frame_current_final])
+            keys = PoseKeys(frame, quats, np.zeros((1, 3)), chosen[None], np.zeros(1, dtype=bool))
+            write_pose_keys(armature, side, keys)
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_relax_pose)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_relax_pose)

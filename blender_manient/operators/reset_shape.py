@@ -1,0 +1,40 @@
+"""Give a hand the shape back that it was captured with."""
+
+from __future__ import annotations
+
+import bpy
+
+from handfit_core.errors import HandfitError
+
+from ..scene.reshape import reset
+from .needs_hand import hand_in, hand_is_there
+
+
+class MANIENT_OT_reset_shape(bpy.types.Operator):
+    bl_idname = "manient.reset_shape"
+    bl_label = "Reset Shape"
+    bl_description = "Give the hand the proportions back that it was captured with"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context):
+        return hand_is_there(cls, context)
+
+    def execute(self, context):
+        """Set the sliders, and reshape within the same undo step."""
+        try:
+            reset(hand_in(context))
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_reset_shape)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_reset_shape)

@@ -1,0 +1,94 @@
+"""Capture: how, the buttons, and how far it is."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import jobs, source_info
+from ..selection import active_hand
+from .section import Section, sentence
+
+_ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
+
+
+class MANIENT_PT_capture(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_capture"
+    bl_label = "Capture"
+    bl_order = 3
+
+    def draw(self, context):
+        """Settings, buttons, progress."""
+        layout, settings = self.layout, context.scene.manient
+        assert layout is not None
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.prop(settings, "preset")
+        if settings.preset != "PAPER":
+            column.prop(settings, "smoothing", slider=True)
+        column.prop(settings, "target")
+        hand = active_hand(context)
+        if settings.target != "NEW" and hand is None:
+            sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
+
+        info = source_info.of(settings)
+        buttons = layout.column(align=True)
+        buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
+        row = buttons.row(align=True)
+        row.scale_y = 1.5
+        row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
+        if info.files is not None and info.files.kind != "photo":
+            frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
+            frame.only_frame = True
+        self._queue(context)
+
+    def _queue(self, context) -> None:
+        layout = self.layout
+        assert layout is not None
+        queue = jobs.jobs()
+        for index, job in enumerate(queue):
+            box = layout.column(align=True)
+            if job.running:
+                box.label(text=job.name, translate=False)
+                row = box.row(align=True)
+                row.progress(factor=job.fraction, text=job.status())
+                row.operator("manient.cancel_capture", text="", icon="X").index = index
+            elif job.state == "waiting":
+                row = box.row(align=True)
+                row.label(text=f"{job.name}: Waiting", icon=_ICONS["waiting"], translate=False)
+                row.operator("manient.cancel_capture", text="", icon="X").index = index
+            else:
+                text = f"{job.name}: {job.message}"
+                sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
+                for warning in job.warnings[:3]:
+                    sentence(box, context, warning, "INFO")
+                if job.state == "failed":
+                    box.operator("manient.show_details", text="Details", icon="TEXT")
+        if queue and not jobs.busy():
+            layout.operator("manient.clear_captures", text="Clear List")
+
+
+class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_capture_advanced"
+    bl_label = "Advanced"
+    bl_parent_id = "MANIENT_PT_capture"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context):
+        """What few change."""
+        layout, settings = self.layout, context.scene.manient
+        assert layout is not None
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        if settings.preset == "PAPER":
+            layout.prop(settings, "experiment")
+        layout.prop(settings, "threshold", text="Threshold")
+        layout.prop(settings, "camera")
+        if settings.camera == "FOCAL":
+            layout.prop(settings, "focal_length", text="Millimeters")
+        elif settings.camera == "ACTIVE" and context.scene.camera is None:
+            sentence(layout, context, "The scene has no active camera", "ERROR", alert=True)
+        column = layout.column(heading="New Hands")
+        column.active = settings.target == "NEW"
+        column.prop(settings, "match_scene", text="Match Scene")
+        column.prop(settings, "pose_correctives")

@@ -1,0 +1,30 @@
+"""Export of the active hand's capture."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..selection import active_hand
+from .section import Section, sentence
+
+
+class MANIENT_PT_export(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_export"
+    bl_label = "Export"
+    bl_order = 7
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context):
+        """Format, preset, button."""
+        layout, settings = self.layout, context.scene.manient
+        assert layout is not None
+        if active_hand(context) is None:
+            sentence(layout, context, "Select a captured hand to export it", "INFO")
+            return
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.prop(settings, "export_format")
+        if settings.export_format in {"fbx", "glb"}:
+            column.prop(settings, "export_preset")
+        layout.operator("manient.export_hand", text="Export", icon="EXPORT")

@@ -1,0 +1,42 @@
+"""Hand: which hands, and as which model."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import preferences
+from ..operators import check_mano
+from .section import Section, sentence
+
+
+class MANIENT_PT_hand(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_hand"
+    bl_label = "Hand"
+    bl_order = 2
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context):
+        """Hands, model and size."""
+        layout, settings = self.layout, context.scene.manient
+        assert layout is not None
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "hands")
+        layout.prop(settings, "model")
+        if settings.model == "MANO":
+            layout.prop(settings, "model_path", text="Files")
+            folder = preferences.get().mano_folder
+            if not settings.model_path and folder:
+                sentence(layout, context, f"From the preferences: {folder}", "INFO")
+            elif not settings.model_path:
+                sentence(layout, context, "Choose your MANO file or folder", "ERROR", alert=True)
+            layout.operator("manient.check_mano", text="Check Files")
+            for result in check_mano.results(settings.model_path or folder):
+                sentence(
+                    layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok
+                )
+        row = layout.row(heading="Expected Size")
+        row.prop(settings, "use_hand_length", text="")
+        sub = row.row()
+        sub.active = settings.use_hand_length
+        sub.prop(settings, "hand_length", text="")

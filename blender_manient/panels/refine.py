@@ -1,0 +1,48 @@
+"""Refine: keypoints by hand."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import jobs
+from ..scene import corrections
+from ..selection import active_hand
+from .section import Section, sentence
+
+
+class MANIENT_PT_refine(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_refine"
+    bl_label = "Refine"
+    bl_order = 5
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context):
+        """Editing, range and locks."""
+        layout, settings = self.layout, context.scene.manient
+        assert layout is not None
+        hand = active_hand(context)
+        if hand is None:
+            sentence(layout, context, "Select a captured hand to correct it", "INFO")
+            return
+        if not hand.track.refinable:
+            sentence(layout, context, "This take has no detections to refine: capture it again", "ERROR")
+            return
+        if jobs.busy():
+            sentence(layout, context, "Wait for the capture to end", "INFO")
+        column = layout.column()
+        column.scale_y = 1.3
+        column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
+        layout.prop(settings, "spread", text="Spread (Frames)")
+        layout.operator("manient.refit_range", icon="FILE_REFRESH")
+        corrected = corrections.corrected_frames(hand.armature)
+        if corrected:
+            shown = ", ".join(str(f) for f in corrected[:8]) + (" ..." if len(corrected) > 8 else "")
+            sentence(layout, context, f"Corrected frames: {shown}", "KEYFRAME_HLT")
+            row = layout.row(align=True)
+            for scope, text in (("FRAME", "This Frame"), ("RANGE", "Range"), ("ALL", "All")):
+                row.operator("manient.clear_corrections", text=text).scope = scope
+        locked = sum(hand.armature.manient.locked)
+        row = layout.row(align=True)
+        row.label(text=f"{locked} joints locked" if locked else "No joints locked", translate=False)
+        row.operator("manient.lock_joints", text="", icon="LOCKED").lock = True
+        row.operator("manient.lock_joints", text="", icon="UNLOCKED").lock = False

@@ -1,0 +1,60 @@
+"""Result: how good the captured hands are, and where to look."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..scene import markers
+from ..scene.store import captured_hands, hand_of
+from .section import Section, sentence
+
+
+class MANIENT_PT_result(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_result"
+    bl_label = "Result"
+    bl_order = 4
+
+    def draw(self, context):
+        """One block per hand."""
+        layout = self.layout
+        assert layout is not None
+        armatures = captured_hands(context.scene)
+        if not armatures:
+            sentence(layout, context, "No hands captured in this scene yet", "INFO")
+        for armature in armatures:
+            self._hand(context, armature)
+
+    def _hand(self, context, armature: bpy.types.Object) -> None:
+        assert self.layout is not None
+        hand = hand_of(armature)
+        if hand is None:
+            return
+        box = self.layout.box().column(align=True)
+        row = box.row(align=True)
+        row.label(text=armature.name, icon="OUTLINER_OB_ARMATURE", translate=False)
+        select = row.operator("manient.select_hand", text="", icon="RESTRICT_SELECT_OFF")
+        select.hand = armature.name
+        track = hand.track
+        found, count = int(track.detected.sum()), len(track.detected)
+        error = float(np.mean(track.reprojection_error[track.detected])) if found else float("nan")
+        lines = box.column(align=True)
+        lines.scale_y = 0.85
+        filled = 0 if track.filled is None else int(track.filled.sum())
+        more = f", {filled} filled" if filled else ""
+        lines.label(text=f"Found in {found} of {count} frames{more}", translate=False)
+        lines.label(text=f"Mean error {error:.1f} px", translate=False)
+        doubtful = 0 if track.doubtful is None else int(track.doubtful.sum())
+        row = box.row(align=True)
+        row.label(text=f"{doubtful} doubtful" if doubtful else "No doubtful frames", translate=False)
+        if doubtful and count > 1:
+            for direction, icon in (("PREVIOUS", "TRIA_LEFT"), ("NEXT", "TRIA_RIGHT")):
+                jump = row.operator("manient.jump_doubtful", text="", icon=icon)
+                jump.direction, jump.hand = direction, armature.name
+        row = box.row(align=True)
+        if count > 1:
+            mark = row.operator(
+                "manient.mark_doubtful", text="Markers", depress=markers.is_marked(context.scene, hand)
+            )
+            mark.hand = armature.name
+        row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)

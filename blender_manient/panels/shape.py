@@ -1,0 +1,54 @@
+"""Shape and pose of the active hand."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..scene import reshape
+from ..selection import active_hand
+from .section import Section, sentence
+
+
+class MANIENT_PT_shape(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_shape"
+    bl_label = "Shape and Pose"
+    bl_order = 6
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context):
+        """Poses."""
+        layout = self.layout
+        assert layout is not None
+        if active_hand(context) is None:
+            sentence(layout, context, "Select a captured hand to shape or pose it", "INFO")
+            return
+        column = layout.column(align=True)
+        column.operator("manient.relax_pose", icon="LIGHT_HEMI")
+        column.operator("manient.mirror_hand", icon="MOD_MIRROR")
+        column.operator("manient.apply_take", icon="IMPORT")
+        column.operator("manient.save_pose_asset", icon="ASSET_MANAGER")
+
+
+class MANIENT_PT_proportions(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_proportions"
+    bl_label = "Proportions"
+    bl_parent_id = "MANIENT_PT_shape"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context):
+        """Only with a hand."""
+        return active_hand(context) is not None
+
+    def draw(self, context):
+        """Betas."""
+        layout, hand = self.layout, active_hand(context)
+        assert layout is not None
+        assert hand is not None
+        column = layout.column(align=True)
+        for index in range(len(hand.armature.manient.betas)):
+            column.prop(hand.armature.manient, "betas", index=index, text=f"Shape {index + 1}", slider=True)
+        trouble = reshape.trouble(hand.armature)
+        if trouble:
+            sentence(layout, context, trouble, "ERROR", alert=True)
+        layout.operator("manient.reset_shape", icon="LOOP_BACK")

@@ -1,0 +1,69 @@
+"""Source: what is captured."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import source_info
+from ..operators.use_source import MANIENT_MT_sources
+from .section import Section, sentence
+
+_KINDS = {
+    "photo": ("Photo", "IMAGE_DATA"),
+    "sequence": ("Image Sequence", "RENDERLAYERS"),
+    "video": ("Video", "FILE_MOVIE"),
+}
+
+
+class MANIENT_PT_source(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_source"
+    bl_label = "Source"
+    bl_order = 1
+
+    def draw(self, context):
+        """The file, what it is, and which of its frames are used."""
+        layout, settings = self.layout, context.scene.manient
+        assert layout is not None
+        row = layout.row(align=True)
+        row.prop(settings, "source", text="")
+        row.menu(MANIENT_MT_sources.bl_idname, text="", icon="DOWNARROW_HLT")
+        info = source_info.of(settings)
+        if info.files is None:
+            missing = not settings.source
+            sentence(layout, context, info.problem, "INFO" if missing else "ERROR", alert=not missing)
+            return
+        self._describe(context, info)
+        if info.siblings > 1:
+            layout.prop(settings, "as_sequence", text=f"Image Sequence ({info.siblings} Pictures)")
+        if info.files.kind != "photo":
+            layout.use_property_split = True
+            layout.use_property_decorate = False
+            heading = layout.column(heading="Frame Range")
+            heading.prop(settings, "use_frames", text="")
+            column = layout.column(align=True)
+            if settings.use_frames:
+                column.prop(settings, "first_frame")
+                column.prop(settings, "last_frame")
+            column.prop(settings, "frame_step")
+
+    def _describe(self, context, info: source_info.SourceInfo) -> None:
+        layout = self.layout
+        assert layout is not None
+        assert info.files is not None
+        kind, icon = _KINDS[info.files.kind]
+        row = layout.row()
+        picture = source_info.thumbnail(info)
+        if picture:
+            row.template_icon(icon_value=picture, scale=4.0)
+        column = row.column(align=True)
+        if picture:
+            column.separator(factor=2.0)
+        column.scale_y = 0.9
+        column.label(text=kind, icon="NONE" if picture else icon)
+        if info.width:
+            column.label(text=f"{info.width} × {info.height} px", translate=False)
+        if info.files.kind != "photo" and info.frames:
+            rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind == "video" else ""
+            column.label(text=f"Frames {info.first}-{info.last}{rate}", translate=False)
+        if info.problem:
+            sentence(layout, context, info.problem, "ERROR", alert=True)

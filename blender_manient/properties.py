@@ -1,0 +1,286 @@
+"""What the add-on keeps in a .blend: the panel's settings, captured hands and their takes."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    BoolVectorProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
+from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
+
+EXPERIMENTS = (
+    ("paper-a", "A: L-BFGS, Mean Squares", "Mean squared error, fingertips counted again"),
+    ("paper-b", "B: Without Fingertips", "Mean squared error of the 21 keypoints"),
+    ("paper-c", "C: Geman-McClure", "Geman-McClure error, fingertips counted again"),
+    ("paper-d", "D: Geman-McClure, Plain", "Geman-McClure error of the 21 keypoints"),
+    ("paper-e", "E: Huber", "Huber error, fingertips counted again"),
+    ("paper-f", "F: Huber, Plain", "Huber error of the 21 keypoints"),
+    ("paper-g", "G: BFGS", "Mean squared error with the BFGS optimizer"),
+    ("paper-h", "H: Anatomical Stage", "A second stage that keeps joints within their range"),
+    ("paper-a-plus", "A+: With Pose Prior", "Experiment A, held by a relaxed pose, with a camera stage"),
+)
+
+
+def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
+    from . import source_info
+
+    source_info.source_changed(settings, context)
+
+
+EXPORT_FORMATS = (
+    ("fbx", "FBX", "Autodesk FBX"),
+    ("glb", "glTF", "glTF 2.0 binary"),
+    ("usd", "USD", "Universal Scene Description"),
+    ("bvh", "BVH", "Biovision motion capture, a file per hand"),
+    ("abc", "Alembic", "Baked mesh cache"),
+    ("npz", "Hand Take", "The captured numbers, for other programs and later import"),
+)
+
+EXPORT_PRESETS = (
+    ("PLAIN", "Plain", "Blender's axes and metres"),
+    ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
+    ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
+)
+
+
+class ManientSettings(bpy.types.PropertyGroup):
+    """Scene.manient: what the panel shows and the next capture uses."""
+
+    # Source
+    source: StringProperty(  # type: ignore
+        name="Source",
+        description="Photo, video, or one picture or the folder of an image sequence",
+        subtype="FILE_PATH",
+        update=_source_changed,
+    )
+    as_sequence: BoolProperty(  # type: ignore
+        name="Image Sequence",
+        description="The numbered pictures beside this one are the frames of one clip",
+        default=False,
+        update=_source_changed,
+    )
+    use_frames: BoolProperty(  # type: ignore
+        name="Frame Range", description="Capture only some of the source's frames", default=False
+    )
+    first_frame: IntProperty(name="First", description="First source frame", default=1, min=0)  # type: ignore
+    last_frame: IntProperty(name="Last", description="Last source frame", default=100, min=0)  # type: ignore
+    frame_step: IntProperty(  # type: ignore
+        name="Step", description="Use every n-th frame", default=1, min=1, soft_max=10
+    )
+
+    # Hand
+    model: EnumProperty(  # type: ignore
+        name="Model",
+        description="Hand model that is fitted and built",
+        items=(
+            ("OPEN", "Open Hand", "The hand that ships with the add-on"),
+            ("MANO", "MANO Files", "Your own MANO model files"),
+        ),
+        default="OPEN",
+    )
+    model_path: StringProperty(  # type: ignore
+        name="MANO",
+        description="MANO file, or the folder with both (empty: the one in the preferences)",
+        subtype="FILE_PATH",
+    )
+    hands: EnumProperty(  # type: ignore
+        name="Hands",
+        description="Which hands to keep",
+        items=(
+            ("auto", "Auto", "All hands that are found, up to two"),
+            ("left", "Left", "The person's left hand only"),
+            ("right", "Right", "The person's right hand only"),
+            ("both", "Both", "One left and one right hand"),
+        ),
+        default="auto",
+    )
+    use_hand_length: BoolProperty(  # type: ignore
+        name="Expected Size", description="Tell how large the hand is, for its distance and shape"
+    )
+    hand_length: FloatProperty(  # type: ignore
+        name="Length",
+        description="From the wrist to the tip of the middle finger, in centimeters",
+        default=18.5,
+        min=5.0,
+        max=30.0,
+        precision=1,
+    )
+
+    # Capture
+    preset: EnumProperty(  # type: ignore
+        name="Quality",
+        description="How hands are found and fitted",
+        items=(
+            ("FAST", "Fast", "One look per frame"),
+            ("BEST", "Best", "Look again where hands are missed or uncertain"),
+            ("PAPER", "Paper", "The published method's experiments, slow"),
+        ),
+        default="BEST",
+    )
+    experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
+    smoothing: FloatProperty(  # type: ignore
+        name="Smoothing",
+        description="How smooth motion is: 0 takes every frame by itself",
+        default=DEFAULT_SMOOTHING,
+        min=0.0,
+        max=MOST_SMOOTHING,
+        soft_max=4.0,
+    )
+    threshold: FloatProperty(  # type: ignore
+        name="Detection Threshold",
+        description="Lower finds more hands, and more that are none",
+        default=0.5,
+        min=0.05,
+        max=0.95,
+        subtype="FACTOR",
+    )
+    camera: EnumProperty(  # type: ignore
+        name="Camera",
+        description="Where the lens comes from",
+        items=(
+            ("SOLVE", "Solve", "From the photo's own data, or a common lens"),
+            ("ACTIVE", "Scene Camera", "The lens of the scene's active camera"),
+            ("FOCAL", "Focal Length", "A focal length that you know"),
+        ),
+        default="SOLVE",
+    )
+    focal_length: FloatProperty(  # type: ignore
+        name="Focal Length",
+        description="Millimeters on a 36 mm wide sensor (35 mm equivalent)",
+        default=35.0,
+        min=5.0,
+        max=500.0,
+        precision=1,
+    )
+    match_scene: BoolProperty(  # type: ignore
+        name="Match Scene to Footage",
+        description="Give the scene the footage's frame rate, frame range, size and camera",
+        default=True,
+    )
+    pose_correctives: BoolProperty(  # type: ignore
+        name="Pose Correctives",
+        description="Shape keys that fill out bent joints, for hand models that have them",
+        default=True,
+    )
+    target: EnumProperty(  # type: ignore
+        name="Output",
+        description="What becomes of the captured hands",
+        items=(
+            ("NEW", "New Hands", "Build new hands with their own camera"),
+            ("ANIMATION", "Animate Active Hand", "Key the captured motion on the active hand"),
+            ("POSE", "Pose Active Hand", "Key the captured pose on the active hand at the current frame"),
+        ),
+        default="NEW",
+    )
+
+    # Refine
+    spread: IntProperty(  # type: ignore
+        name="Spread",
+        description="A correction fades out over so many frames before and after",
+        default=6,
+        min=0,
+        soft_max=50,
+        max=1000,
+    )
+
+    # Export
+    export_format: EnumProperty(  # type: ignore
+        name="Format",
+        items=EXPORT_FORMATS,
+        default="fbx",
+    )
+    export_preset: EnumProperty(  # type: ignore
+        name="For",
+        items=EXPORT_PRESETS,
+        default="PLAIN",
+    )
+
+
+def _betas_changed(hand: bpy.types.PropertyGroup, _context) -> None:
+    from .scene import reshape
+
+    reshape.betas_changed(hand.id_data)
+
+
+def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
+    from .scene import confidence
+
+    confidence.shown_changed(hand.id_data)
+
+
+class ManientHand(bpy.types.PropertyGroup):
+    """Object.manient of a captured hand's armature."""
+
+    is_hand: BoolProperty(default=False)  # type: ignore
+    side: StringProperty()  # type: ignore
+    capture: PointerProperty(  # type: ignore
+        type=bpy.types.Collection, description="The collection that keeps the take"
+    )
+    track: IntProperty(default=0)  # type: ignore
+    betas: FloatVectorProperty(  # type: ignore
+        name="Shape",
+        description="Proportions of the hand, in standard deviations",
+        size=NUM_BETAS,
+        soft_min=-3.0,
+        soft_max=3.0,
+        min=-10.0,
+        max=10.0,
+        update=_betas_changed,
+    )
+    corrections: StringProperty(  # type: ignore
+        description="Corrected frames, as JSON (scene/corrections.py)"
+    )
+    locked: BoolVectorProperty(  # type: ignore
+        name="Locked Joints",
+        description="Joints that refining leaves as they are, in the order of the bones",
+        size=NUM_JOINTS,
+    )
+    show_confidence: BoolProperty(  # type: ignore
+        name="Confidence Colors",
+        description="Color bones by how well they meet the picture in this frame",
+        default=False,
+        update=_confidence_changed,
+    )
+
+
+class ManientCapture(bpy.types.PropertyGroup):
+    """Collection.manient of a built take."""
+
+    is_capture: BoolProperty(default=False)  # type: ignore
+    take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
+    digest: StringProperty()  # type: ignore
+    camera: PointerProperty(type=bpy.types.Object)  # type: ignore
+    frame_offset: FloatProperty(default=0.0)  # type: ignore
+    frame_scale: FloatProperty(  # type: ignore
+        default=1.0, description="Scene frame = frame_offset + frame_scale * source frame"
+    )
+
+
+_CLASSES = (ManientSettings, ManientHand, ManientCapture)
+
+
+def register() -> None:
+    """Add the property groups to scenes, objects and collections."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.manient = PointerProperty(type=ManientSettings)
+    bpy.types.Object.manient = PointerProperty(type=ManientHand)
+    bpy.types.Collection.manient = PointerProperty(type=ManientCapture)
+
+
+def unregister() -> None:
+    """Take them away again."""
+    del bpy.types.Collection.manient
+    del bpy.types.Object.manient
+    del bpy.types.Scene.manient
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

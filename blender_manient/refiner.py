@@ -1,0 +1,254 @@
+"""Re-fitting frames of one captured hand through the worker: what is asked, and what becomes of the answer.
+
+Used by the Edit Keypoints mode, Move Keypoint and Re-fit Range alike. Objects are named, never held: an
+undo replaces them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import OptionError, TakeError
+from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.refine import RefineHand, landmark_points, result_from_message, to_message
+from handfit_core.refine.models import hand_model
+from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
+from handfit_core.solvers import DEFAULT_SMOOTHING
+
+from . import axes
+from .correction_field import Pins, changed_quats
+from .scene import corrections
+from .scene.armature import bone_names, rest_frames
+from .scene.keys import pose_at
+from .scene.store import CapturedHand, hand_of
+
+_ON_ROW = 0.01
+"""scene frames. The scene stands on a source frame when it is no farther from it"""
+_NEAREST = 1e-3
+"""metres before the camera; nearer, or behind it, nothing is seen"""
+
+
+@dataclass(frozen=True, eq=False)
+class BonePoses:
+    """What N frames' bones are set to; NaN rows where there is no hand."""
+
+    quats: np.ndarray
+    """(N, 16, 4) as (w, x, y, z), relative to the bones' rest"""
+    locations: np.ndarray
+    """(N, 3) metres along the wrist bone's axes"""
+    landmarks: np.ndarray
+    """(N, 21, 2) pixels: where the points that can be dragged lie"""
+
+    @property
+    def present(self) -> np.ndarray:
+        """(N,) bool: frames with a hand."""
+        return np.asarray(np.isfinite(self.locations).all(axis=1))
+
+
+class Refiner:
+    """One captured hand that can be re-fitted.
+
+    Rows are the take's frames, 0 to T - 1. Raises OptionError for what is no captured hand, TakeError for
+    takes without detections, HandModelError where the hand model cannot be read.
+    """
+
+    def __init__(self, armature: bpy.types.Object) -> None:
+        hand = hand_of(armature)
+        if hand is None:
+            raise OptionError(f"{armature.name!r} is no captured hand: select one, or capture it again")
+        if not hand.track.refinable:
+            raise TakeError(
+                f"the take of {armature.name!r} has no detections to refine: capture it again, as older "
+                "takes did not keep them"
+            )
+        self.name = armature.name
+        self.take, self.track = hand.take, hand.track
+        self.side: Side = hand.side
+        self.model: HandModel = hand_model(hand.take.model, hand.side)
+        self._shaped: tuple[tuple[float, ...], ShapedHand] | None = None
+
+    @property
+    def hand(self) -> CapturedHand:
+        """The hand as it is now. Raises OptionError where it is gone."""
+        armature = bpy.data.objects.get(self.name)
+        hand = hand_of(armature) if armature is not None else None
+        if hand is None:
+            raise OptionError(f"the hand {self.name!r} is gone: select another captured hand")
+        return hand
+
+    @property
+    def armature(self) -> bpy.types.Object:
+        """The hand's armature. Raises OptionError where it is gone."""
+        return self.hand.armature
+
+    def betas(self) -> np.ndarray:
+        """(10,) the shape that the rig has."""
+        return np.array(self.armature.manient.betas, dtype=np.float64)
+
+    def shaped(self) -> ShapedHand:
+        """The model in that shape; computed when it changes."""
+        betas = self.betas()
+        if self._shaped is None or self._shaped[0] != tuple(betas):
+            self._shaped = tuple(betas), self.model.shaped(betas)
+        return self._shaped[1]
+
+    def scene_frames(self) -> np.ndarray:
+        """(T,) scene frames of the take's rows."""
+        return corrections.timing_of(self.armature).scene_frames(self.take.frame_numbers)
+
+    def row_at(self, frame: float) -> int | None:
+        """The row that a scene frame shows; None between and beyond the source's frames."""
+        frames = self.scene_frames()
+        row = int(np.argmin(np.abs(frames - frame)))
+        return row if abs(frames[row] - frame) <= _ON_ROW else None
+
+    def source_frame(self, row: int) -> int:
+        """A row's source frame number."""
+        return int(self.take.frame_numbers[row])
+
+    def pins(self, row: int) -> Pins:
+        """The pins of a row. Raises TakeError where corrections cannot be read."""
+        return corrections.corrections_of(self.armature).pins(self.source_frame(row))
+
+    def is_corrected(self, row: int) -> bool:
+        """Whether the row was re-fitted with pins."""
+        return self.source_frame(row) in corrections.corrections_of(self.armature).corrections
+
+    def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
+        """What the keys say on these rows, corrections included."""
+        quats, locations = pose_at(self.armature, self.side, self.scene_frames()[list(rows)])
+        return BonePoses(quats, locations, self.landmarks(quats, locations))
+
+    def start_poses(self, rows: Sequence[int]) -> BonePoses:
+        """What pins on these rows are measured against: the keys, as they were before the rows' own pins.
+
+        So a hand depends on where its pins are and not on the way there. What corrections of neighbouring
+        frames did here stays in.
+        """
+        rows = list(rows)
+        quats, locations = pose_at(self.armature, self.side, self.scene_frames()[rows])
+        field = corrections.corrections_of(self.armature)
+        for at, row in enumerate(rows):
+            own = field.corrections.get(self.source_frame(row))
+            if own is not None:
+                quats[at] = changed_quats(quats[at], own.rotation, own.start_rotation)
+                locations[at] += own.start_location - own.location
+        return BonePoses(quats, locations, self.landmarks(quats, locations))
+
+    def landmarks(self, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
+        """(N, 21, 2) pixels: where the points of bones (N, 16, 4), (N, 3) lie; NaN behind the camera."""
+        pose = axes.pose_from_bones(self.shaped(), self._frames(), quats, locations)
+        # Wherever armature and camera have been moved: the take's own frame is the picture's.
+        points = landmark_points(self.model, self.betas(), *pose)
+        behind = points[..., 2] < _NEAREST
+        points[behind] = [0.0, 0.0, 1.0]
+        return np.where(behind[..., None], np.nan, self.take.intrinsics.project(points))
+
+    def shown_landmarks(self) -> np.ndarray:
+        """(21, 2) pixels: where the points of the bones lie as they stand now, keyed or not."""
+        bones = [self.armature.pose.bones[name] for name in bone_names(self.side)]
+        quats = np.array([bone.matrix_basis.to_quaternion() for bone in bones], dtype=np.float64)
+        location = np.array(bones[0].location, dtype=np.float64)
+        return self.landmarks(quats[None], location[None])[0]
+
+    def request(
+        self,
+        rows: Sequence[int],
+        pins: Sequence[Pins],
+        poses: BonePoses,
+        mode: Literal["each", "range"] = "each",
+        smoothing: float = DEFAULT_SMOOTHING,
+    ) -> Callable[[], dict[str, Any]]:
+        """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
+
+        The call asks nothing of Blender any more, so that for many frames a thread can do it.
+        """
+        shaped, frames, betas = self.shaped(), self._frames(), self.betas()
+        locked = np.array(self.armature.manient.locked, dtype=bool)
+        rows = list(rows)
+
+        def fields() -> dict[str, Any]:
+            places = np.full((len(rows), NUM_KEYPOINTS, 2), np.nan)
+            for at, pinned in enumerate(pins):
+                for keypoint, place in pinned.items():
+                    places[at, keypoint] = place
+            start = axes.pose_from_bones(shaped, frames, poses.quats, poses.locations)
+            step, holes = _steps(np.asarray(self.take.frame_numbers), rows)
+            hand = RefineHand(
+                side=self.side,
+                betas=betas,
+                intrinsics=self.take.intrinsics,
+                detections=tuple(self.track.detection(row) for row in rows),
+                pins=places,
+                global_orient=start[0],
+                hand_pose=start[1],
+                transl=start[2],
+                locked=locked,
+                model=self.take.model,
+                fps=self.take.fps / step,
+                smoothing=smoothing,
+                holes=holes,
+            )
+            return {"mode": mode, "hand": to_message(hand)}
+
+        return fields
+
+    def poses(self, done: Mapping[str, Any]) -> BonePoses:
+        """What a `done` event says, as the bones have it. Raises ProtocolError."""
+        result = result_from_message(done)
+        count = len(result.transl)
+        quats = np.full((count, NUM_JOINTS, 4), np.nan)
+        locations = np.full((count, 3), np.nan)
+        at = result.present
+        quats[at], locations[at] = axes.bone_pose(
+            self.shaped(), self._frames(), result.global_orient[at], result.hand_pose[at], result.transl[at]
+        )
+        return BonePoses(quats, locations, result.landmarks_2d)
+
+    def correct(self, row: int, pins: Pins, poses: BonePoses, spread: float) -> None:
+        """Put the one re-fitted pose into the keys, and let it fade out over `spread` frames."""
+        corrections.correct_frame(
+            self.armature, self.source_frame(row), pins, poses.quats[0], poses.locations[0], spread
+        )
+
+    def replacing(self, rows: Sequence[int], poses: BonePoses) -> Iterator[float]:
+        """Put re-fitted poses of a range into the keys, bone by bone; yields how much is done, 0..1.
+
+        Frames without a hand keep what keys they have.
+        """
+        there = poses.present
+        chosen = np.asarray(self.take.frame_numbers)[list(rows)][there]
+        return corrections.replacing_poses(
+            self.name, [int(f) for f in chosen], poses.quats[there], poses.locations[there]
+        )
+
+    def _frames(self) -> np.ndarray:
+        return rest_frames(self.armature, self.side)
+
+
+def _steps(frame_numbers: np.ndarray, rows: Sequence[int]) -> tuple[int, tuple[int, ...]]:
+    """Every how many-th frame of the source a take has, and after which of the `rows` some are missing."""
+    step = int(np.diff(frame_numbers).min()) if len(frame_numbers) > 1 else 1
+    return step, tuple(int(at) for at in np.flatnonzero(np.diff(frame_numbers[list(rows)]) > step))
+
+
+def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None:
+    """Why a hand cannot be refined now: a sentence for a tooltip; None where it can."""
+    from . import jobs
+
+    if hand is None:
+        return "Select a captured hand: its armature or its mesh"
+    if not hand.armature.is_editable or hand.armature.library is not None:
+        return "This hand is linked from another file: make it local to refine it"
+    if not hand.track.refinable:
+        return "This take has no detections to refine: capture it again"
+    if jobs.busy():
+        return "Wait for the capture to end, or cancel it"
+    if context.mode not in ("OBJECT", "POSE"):
+        return "Refining works in Object and Pose mode"
+    return None

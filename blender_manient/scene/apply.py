@@ -1,0 +1,233 @@
+"""Putting captured motion, or one pose of it, on a captured hand that is there already.
+
+The target keeps its shape: fingers get the source's rotations, the wrist its place. A source of the other
+side is mirrored about the vertical plane through its camera (x = 0 of the armature's own space).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandModelError, OptionError
+from handfit_core.hand_model import ShapedHand
+from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.take import HandTrack, Take
+
+from .. import axes
+from .armature import bone_names, rest_frames
+from .corrections import corrections_of, keep_field
+from .keys import (
+    SAME_FRAME,
+    PoseKeys,
+    align_signs,
+    pose_at,
+    read_pose_keys,
+    remove_pose_keys,
+    write_pose_keys,
+)
+from .models import kept_model
+from .store import CapturedHand, hand_of, timing_of
+from .timing import Timing, timing_in
+
+Mode = Literal["ANIMATION", "POSE"]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Poses about the target's own bones."""
+
+    frames: np.ndarray
+    """(N,) scene frames of the source, increasing"""
+    quats: np.ndarray
+    """(N, 16, 4) w, x, y, z"""
+    locations: np.ndarray
+    """(N, 3) metres, of the wrist"""
+
+
+def apply_track(
+    obj: bpy.types.Object,
+    take: Take,
+    track: HandTrack,
+    mode: Mode,
+    frame: float,
+    *,
+    source_frame: int | None = None,
+    wrist: bool | None = None,
+) -> int:
+    """Key a captured hand of a take on the captured hand `obj`. Returns how many frames were keyed.
+
+    ANIMATION replaces the keys from the source's first frame to its last, and none outside. A take of the
+    target's own pictures keeps their timing; any other one begins at the scene's `frame`, at the speed at
+    which it was filmed. POSE keys one frame of the take, the one nearest to `source_frame` (None: the
+    first with a hand), at the scene's `frame`. `wrist` says whether the wrist's place and rotation are
+    applied too; None means yes, except for poses from other pictures, which would make the hand jump.
+
+    Raises OptionError and HandModelError.
+    """
+    hand = _checked(obj)
+    own = tuple(take.source.files) == tuple(hand.take.source.files)
+    rows = np.flatnonzero(track.present)
+    if len(rows) == 0:
+        raise OptionError(f"the {track.side} hand of {take.source.name} is in no frame, so there is no pose")
+    if mode == "POSE":
+        numbers = np.asarray(take.frame_numbers)[rows]
+        wanted = numbers[0] if source_frame is None else source_frame
+        rows = rows[[int(np.argmin(np.abs(numbers - wanted)))]]
+    timing = _timing(hand, take, own, frame)
+    motion = Motion(timing.scene_frames(take.frame_numbers)[rows], *_of_track(hand, take, track, rows))
+    if wrist is None:
+        wrist = mode == "ANIMATION" or own
+    return _apply(hand, motion, mode, frame, wrist)
+
+
+def apply_hand(
+    obj: bpy.types.Object,
+    source: bpy.types.Object,
+    mode: Mode,
+    frame: float,
+    *,
+    wrist: bool = True,
+) -> int:
+    """The same from another captured hand of the scene, as the artist left it: its keys, on its frames
+    (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as `apply_track`."""
+    hand, other = _checked(obj), _checked(source)
+    if hand.armature == other.armature:
+        raise OptionError(
+            f"{hand.armature.name!r} is the hand that gets the motion; choose another one to take it from"
+        )
+    if mode == "POSE":
+        frames = np.array([frame])
+        quats, locations = pose_at(other.armature, other.side, frames)
+        motion = Motion(frames, *_of_bones(hand, other, quats, locations))
+        return _apply(hand, motion, mode, frame, wrist)
+    keys = read_pose_keys(other.armature, other.side)
+    if len(keys.frames) == 0:
+        raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
+    motion = Motion(keys.frames, *_of_bones(hand, other, keys.quats, keys.locations))
+    # Each bone gets its own keys, not one on every frame on which any other bone has one.
+    return _apply(hand, motion, mode, frame, wrist, keyed=keys)
+
+
+def track_for(take: Take, side: str) -> HandTrack:
+    """The take's hand of that side, else its first, which is then mirrored. Raises OptionError."""
+    if not take.hands:
+        raise OptionError(f"the take of {take.source.name} has no hand in it")
+    return next((t for t in take.hands if t.side == side), take.hands[0])
+
+
+def _checked(obj: bpy.types.Object) -> CapturedHand:
+    hand = hand_of(obj)
+    if hand is None:
+        raise OptionError(f"{obj.name!r} is no captured hand; choose one that a capture or an import made")
+    if not hand.armature.is_editable:
+        raise OptionError(f"{obj.name!r} is linked from another file; make it local to change its motion")
+    return hand
+
+
+def _timing(hand: CapturedHand, take: Take, own: bool, frame: float) -> Timing:
+    if own:
+        return timing_of(hand.collection)
+    scene = bpy.context.scene
+    assert scene is not None
+    scale = timing_in(scene, take).scale
+    return Timing(frame - scale * float(take.frame_numbers[0]), scale)
+
+
+def _of_track(
+    hand: CapturedHand, take: Take, track: HandTrack, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternions (N, 16, 4) and wrist locations (N, 3) of the take's rows about the target's bones."""
+    target = _shaped(hand)
+    orient, pose, transl = (
+        np.asarray(values, dtype=np.float64)[rows]
+        for values in (track.global_orient, track.hand_pose, track.transl)
+    )
+    place = _source_wrist(take, track, hand) + transl
+    if track.side != hand.side:
+        # A mirror at x = 0 turns the axis-angle (a, b, c) into (a, -b, -c).
+        turn = np.array([1.0, -1.0, -1.0])
+        orient, pose = orient * turn, pose * np.tile(turn, NUM_JOINTS - 1)
+        place = place @ axes.MIRROR_X
+    frames = rest_frames(hand.armature, hand.side)
+    return axes.bone_pose(target, frames, orient, pose, place - target.joints[0])
+
+
+def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarray:
+    """Where the source's wrist is before it is moved: (3,) metres, model frame."""
+    try:
+        return kept_model(take.model, track.side).shaped(track.betas).joints[0]
+    except HandModelError:
+        # Its model file is not here. The target's stands in: wrists of one size differ by millimetres.
+        return kept_model(hand.take.model, track.side).shaped(track.betas).joints[0]
+
+
+def _shaped(hand: CapturedHand) -> ShapedHand:
+    model = kept_model(hand.take.model, hand.side)
+    return model.shaped(np.array(hand.armature.manient.betas, dtype=np.float64))
+
+
+def _of_bones(
+    hand: CapturedHand, other: CapturedHand, quats: np.ndarray, locations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Another rig's pose about the target's bones."""
+    source = rest_frames(other.armature, other.side)
+    target = rest_frames(hand.armature, hand.side)
+    place = _rest_wrist(other) + locations @ source[0].T
+    if other.side == hand.side:
+        quats = axes.turned_bones(source, target, quats)
+    else:
+        quats = axes.mirrored_bones(source, target, quats)
+        place = place @ axes.MIRROR_X
+    return quats, (place - _rest_wrist(hand)) @ target[0]
+
+
+def _rest_wrist(hand: CapturedHand) -> np.ndarray:
+    return np.array(hand.armature.data.bones[bone_names(hand.side)[0]].head_local)
+
+
+def _apply(
+    hand: CapturedHand,
+    motion: Motion,
+    mode: Mode,
+    frame: float,
+    wrist: bool,
+    keyed: PoseKeys | None = None,
+) -> int:
+    frames = np.array([frame]) if mode == "POSE" else motion.frames
+    keys = PoseKeys.everywhere(frames, motion.quats, motion.locations)
+    if keyed is not None:
+        keys = replace(keys, rotation_keyed=keyed.rotation_keyed, location_keyed=keyed.location_keyed)
+    joints: Sequence[int] = range(NUM_JOINTS)
+    if not wrist:
+        joints = range(1, NUM_JOINTS)
+        keys = replace(
+            keys,
+            rotation_keyed=keys.rotation_keyed & (np.arange(NUM_JOINTS) > 0),
+            location_keyed=np.zeros(len(frames), dtype=bool),
+        )
+    armature, side = hand.armature, hand.side
+    first, last = float(frames[0]), float(frames[-1])
+    if mode == "ANIMATION":
+        remove_pose_keys(armature, side, first, last, joints=list(joints), location=wrist)
+    write_pose_keys(armature, side, keys)
+    align_signs(armature, side)
+    _drop_corrections(hand, first, last)
+    return len(frames)
+
+
+def _drop_corrections(hand: CapturedHand, first: float, last: float) -> None:
+    """What was corrected there has been replaced: the keys no longer hold it."""
+    field = corrections_of(hand.armature)
+    timing = timing_of(hand.collection)
+    gone = [
+        g
+        for g in field.corrections
+        if first - SAME_FRAME <= float(timing.scene_frames(np.array([g]))[0]) <= last + SAME_FRAME
+    ]
+    if gone:
+        keep_field(hand.armature, field.without(gone))

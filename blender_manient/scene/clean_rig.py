@@ -1,0 +1,168 @@
+"""A plain copy of a hand's rig for programs that take files literally.
+
+Everything that moves the rig (keys, NLA, constraints, parents, the object itself) becomes keys of its bones,
+one per frame; the object stands still with scale 1. Lengths and axes lie in the data instead of in
+the object, so that no program has a scale or a turn to undo.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from handfit_core.rotations import rotmat_to_quat, unflip_quats
+from handfit_core.skeleton import Side
+
+from .keys import assign
+from .sampling import Sampled, rotations_of, sample
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A hand to write to a file."""
+
+    side: Side
+    armature: bpy.types.Object
+    mesh: bpy.types.Object | None
+    """None where the artist deleted it"""
+
+
+_STILL = 1e-7
+"""parts of a unit. Bones that move and grow by less get no keys for it"""
+
+
+@contextlib.contextmanager
+def clean_rig(
+    hand: Rig,
+    name: str,
+    frames: Sequence[int],
+    *,
+    metres_per_unit: float,
+    units: float = 1.0,
+    turn: np.ndarray | None = None,
+) -> Iterator[Rig]:
+    """A copy of the hand in the open scene, with an armature object called `name` (empty: as the hand's).
+
+    `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
+    the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
+    in the open scene, which has the copy instead afterwards; its names are lent to the copy. When the context
+    ends the copy is gone.
+    """
+    scene = bpy.context.scene
+    assert scene is not None
+    turned = np.eye(4)
+    if turn is not None:
+        turned[:3, :3] = turn
+    sampled = sample(hand.armature, frames)
+    size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
+    grow = turned @ np.diag([size, size, size, 1.0])
+
+    originals = [o for o in (hand.armature, hand.mesh) if o is not None]
+    names = [o.name for o in originals]
+    for original in originals:
+        original.name = f"{original.name} (source)"
+    copies = [_copy(original, scene) for original in originals]
+    action = None
+    try:
+        armature = copies[0]
+        armature.name = name or names[0]
+        armature.data.transform(Matrix(grow))
+        armature.matrix_basis = Matrix(np.linalg.inv(turned))
+        if hand.mesh is not None:
+            local = np.array(hand.armature.matrix_world.inverted() @ hand.mesh.matrix_world)
+            copies[1].name = names[1]
+            copies[1].data.transform(Matrix(grow @ local), shape_keys=True)
+            copies[1].parent = armature
+            copies[1].matrix_parent_inverse = Matrix.Identity(4)
+            copies[1].matrix_basis = Matrix.Identity(4)
+            _retarget(copies[1], hand.armature, armature)
+        _plain_bones(armature)
+        metres = np.diag([units * metres_per_unit] * 3 + [1.0]) @ sampled.world
+        action = _bake(armature, sampled, turned @ metres, size, frames)
+        for original in originals:
+            scene.collection.objects.unlink(original)
+        yield Rig(hand.side, armature, copies[1] if hand.mesh is not None else None)
+    finally:
+        bpy.data.batch_remove([*copies, *(o.data for o in copies), *([action] if action else [])])
+        for original, old in zip(originals, names, strict=True):
+            original.name = old
+
+
+def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:
+    """A copy with data of its own, that nothing moves."""
+    obj = original.copy()
+    obj.data = original.data.copy()
+    obj.animation_data_clear()
+    obj.parent = None
+    for constraint in list(obj.constraints):
+        obj.constraints.remove(constraint)
+    obj.rotation_mode = "QUATERNION"
+    obj.hide_viewport = obj.hide_render = False
+    scene.collection.objects.link(obj)
+    return obj
+
+
+def _retarget(mesh: bpy.types.Object, old: bpy.types.Object, new: bpy.types.Object) -> None:
+    """Modifiers and shape keys of the copy follow the copied bones."""
+    for modifier in mesh.modifiers:
+        if modifier.type == "ARMATURE" and modifier.object == old:
+            modifier.object = new
+    keys = mesh.data.shape_keys
+    if keys is None or keys.animation_data is None:
+        return
+    for curve in keys.animation_data.drivers:
+        for variable in curve.driver.variables:
+            for target in variable.targets:
+                if target.id == old:
+                    target.id = new
+
+
+def _plain_bones(armature: bpy.types.Object) -> None:
+    for bone in armature.data.bones:
+        bone.use_inherit_rotation = True
+        bone.use_local_location = True
+        bone.inherit_scale = "FULL"
+    for bone in armature.pose.bones:
+        bone.rotation_mode = "QUATERNION"
+        bone.matrix_basis = Matrix.Identity(4)
+        for constraint in list(bone.constraints):
+            bone.constraints.remove(constraint)
+
+
+def _bake(
+    armature: bpy.types.Object, sampled: Sampled, world: np.ndarray, size: float, frames: Sequence[int]
+) -> bpy.types.Action:
+    """Key every bone on every frame. `world` (N, 4, 4) leads from the old armature's space to the new one's,
+    whose lengths are `size` times the old one's."""
+    basis = sampled.basis()
+    basis[:, :, :3, 3] *= size
+    for bone, parent in enumerate(sampled.parents):
+        if parent >= 0:
+            continue
+        rest = np.array(armature.data.bones[sampled.names[bone]].matrix_local)
+        placed = world @ sampled.pose[:, bone] @ np.diag([1 / size, 1 / size, 1 / size, 1.0])
+        basis[:, bone] = np.linalg.inv(rest) @ placed
+    action = bpy.data.actions.new(armature.name)
+    holder = assign(armature, action)
+    turns = unflip_quats(rotmat_to_quat(rotations_of(basis)))
+    scales = np.linalg.norm(basis[..., :3, :3], axis=-2)
+    for bone, name in enumerate(sampled.names):
+        channels = [("rotation_quaternion", turns[:, bone])]
+        if np.abs(basis[:, bone, :3, 3]).max() > _STILL * size or sampled.parents[bone] < 0:
+            channels.append(("location", basis[:, bone, :3, 3]))
+        if np.abs(scales[:, bone] - 1.0).max() > 1e-5:
+            channels.append(("scale", scales[:, bone]))
+        for attribute, values in channels:
+            for index in range(values.shape[1]):
+                curve = holder.fcurves.new(f'pose.bones["{name}"].{attribute}', index=index)
+                points = curve.keyframe_points
+                points.add(len(frames))
+                places = np.stack([np.asarray(frames, dtype=np.float64), values[:, index]], axis=-1)
+                points.foreach_set("co", places.astype(np.float32).ravel())
+                curve.update()
+    return action

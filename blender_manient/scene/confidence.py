@@ -1,0 +1,215 @@
+"""Bones coloured by how well they meet the picture: green where the fit lies on the detected keypoints, red
+where it is far off, grey where nothing was detected.
+
+What counts is the distance in the picture from the fitted keypoint to the detected one, in parts of the
+hand's length as the picture shows it, so that near and far hands are judged alike.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Final
+
+import bpy
+import numpy as np
+
+from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
+from handfit_core.take import HandTrack, Take
+
+from .armature import bone_names
+from .store import CapturedHand, captured_hands, hand_of, timing_of
+
+GOOD: Final = 0.02
+"""Distance over the hand's length that is green; half of all keypoints of a good capture are nearer"""
+FAIR: Final = 0.05
+"""Yellow; nine in ten of a good capture are nearer"""
+POOR: Final = 0.10
+"""Red"""
+
+UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
+_COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
+"""sRGB of GOOD, FAIR and POOR"""
+
+_BEFORE: Final = "manient_bone_colors"
+"""The armature data's custom property with the colours that the bones had before, as JSON"""
+
+_MIDDLE_FINGER: Final = (0, 9, 10, 11, 12)
+"""Keypoints from the wrist to the middle fingertip"""
+
+_errors: dict[tuple[str, int], np.ndarray] = {}
+"""(digest of the take, hand's index) -> `bone_errors`"""
+
+
+def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
+    """(T, 16) mean distance of each bone's ends from their detected keypoints, over the hand's length in the
+    picture; NaN in frames where the hand was not detected. A finger's bone has two ends, the wrist's six."""
+    points = np.asarray(track.joints_3d)
+    measured = np.asarray(track.detected, dtype=bool)
+    errors = np.full((len(points), NUM_JOINTS), np.nan)
+    points = points[measured]
+    if len(points) == 0:
+        return errors
+    distance = np.linalg.norm(take.intrinsics.project(points) - track.keypoints_2d[measured], axis=-1)
+    length = np.linalg.norm(np.diff(points[:, _MIDDLE_FINGER], axis=1), axis=-1).sum(axis=-1)
+    shown = take.intrinsics.fx * length / points[..., 2].mean(axis=-1)
+    errors[measured] = np.stack([distance[:, ends].mean(axis=-1) for ends in _ENDS], axis=-1) / shown[:, None]
+    return errors
+
+
+def colors_of(errors: np.ndarray) -> np.ndarray:
+    """(...,) errors as `bone_errors` gives them -> (..., 3) colours, sRGB 0..1."""
+    colors = np.stack([np.interp(errors, (GOOD, FAIR, POOR), _COLORS[:, i]) for i in range(3)], axis=-1)
+    colors[np.isnan(errors)] = UNSEEN_COLOR
+    return colors
+
+
+def shown_changed(obj: bpy.types.Object) -> None:
+    """Colour a captured hand's bones, or give them their own colours back: `Object.manient.show_confidence`
+    has changed."""
+    hand = hand_of(obj)
+    if obj.manient.show_confidence and hand is not None:
+        _keep_colors(hand)
+        _color(hand, _scene().frame_current_final)
+    else:
+        _give_colors_back(obj)
+    _follow()
+
+
+def _color(hand: CapturedHand, frame: float) -> None:
+    row = _row_at(hand, frame)
+    key = (hand.collection.manient.digest, hand.index)
+    if key not in _errors:
+        _errors.clear()  # of takes that were corrected since
+        _errors[key] = bone_errors(hand.take, hand.track)
+    errors = np.full(NUM_JOINTS, np.nan) if row is None else _errors[key][row]
+    bones = hand.armature.pose.bones
+    for name, color in zip(bone_names(hand.side), colors_of(errors), strict=True):
+        bone = bones.get(name)
+        if bone is None:
+            continue
+        custom = bone.color.custom
+        if bone.color.palette != "CUSTOM":
+            bone.color.palette = "CUSTOM"
+        # Blender keeps 8 bits; what is the same already is not set, which would have it evaluated again.
+        if np.abs(color - np.array(custom.normal)).max() > 0.004:
+            custom.normal = color
+            custom.select = np.minimum(color + 0.25, 1.0)
+            custom.active = np.minimum(color + 0.4, 1.0)
+
+
+def _row_at(hand: CapturedHand, frame: float) -> int | None:
+    """The take's row that is shown at a scene frame; None between rows."""
+    timing = timing_of(hand.collection)
+    numbers = hand.take.frame_numbers
+    number = (frame - timing.offset) / timing.scale
+    row = int(np.clip(np.searchsorted(numbers, number), 0, len(numbers) - 1))
+    if row > 0 and abs(numbers[row - 1] - number) < abs(numbers[row] - number):
+        row -= 1
+    # Retimed, a scene frame may lie between two rows that both are near.
+    near = 0.5 * max(1.0, 1.0 / timing.scale) + 1e-3
+    return row if abs(float(numbers[row]) - number) <= near else None
+
+
+def _keep_colors(hand: CapturedHand) -> None:
+    data = hand.armature.data
+    if _BEFORE in data:
+        return
+    before = {}
+    for name in bone_names(hand.side):
+        bone = hand.armature.pose.bones.get(name)
+        if bone is not None:
+            custom = bone.color.custom
+            colors = [list(c) for c in (custom.normal, custom.select, custom.active)]
+            before[name] = [bone.color.palette, *colors]
+    data[_BEFORE] = json.dumps(before)
+
+
+def _give_colors_back(obj: bpy.types.Object) -> None:
+    armature = obj if obj.type == "ARMATURE" else obj.parent
+    if armature is None or armature.type != "ARMATURE" or _BEFORE not in armature.data:
+        return
+    for name, (palette, normal, select, active) in json.loads(armature.data[_BEFORE]).items():
+        bone = armature.pose.bones.get(name)
+        if bone is not None:
+            custom = bone.color.custom
+            custom.normal, custom.select, custom.active = normal, select, active
+            bone.color.palette = palette
+    del armature.data[_BEFORE]
+
+
+def _shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    return [o for o in captured_hands(scene) if o.manient.show_confidence and _BEFORE in o.data]
+
+
+def _refresh(scene: bpy.types.Scene) -> None:
+    for armature in _shown(scene):
+        hand = hand_of(armature)
+        if hand is not None:
+            _color(hand, scene.frame_current_final)
+
+
+@bpy.app.handlers.persistent
+def _on_frame(scene: bpy.types.Scene, *_args) -> None:
+    # Before the frame is evaluated, so that the colours are evaluated with it. While a picture is rendered
+    # the scene belongs to the renderer, which draws no bones.
+    if not bpy.app.is_job_running("RENDER"):
+        _refresh(scene)
+
+
+@bpy.app.handlers.persistent
+def _on_change(*_args) -> None:
+    """Another file, or an undo: other hands may be shown, at another frame."""
+    _follow()
+    if bpy.context.scene is not None:
+        _refresh(bpy.context.scene)
+
+
+def _follow() -> None:
+    """Follow the frame as long as some hand shows its colours, and no longer."""
+    handlers = bpy.app.handlers.frame_change_pre
+    needed = any(_shown(scene) for scene in bpy.data.scenes)
+    if needed and _on_frame not in handlers:
+        handlers.append(_on_frame)
+    elif not needed and _on_frame in handlers:
+        handlers.remove(_on_frame)
+
+
+def _scene() -> bpy.types.Scene:
+    scene = bpy.context.scene
+    assert scene is not None
+    return scene
+
+
+def _ends_of_bones() -> tuple[list[int], ...]:
+    """Per bone the keypoints at its ends, in MANO's joint order."""
+    keypoint = {source: k for k, source in enumerate(KEYPOINT_SOURCE)}
+    tails = {keypoint[j]: keypoint[j] + 1 for j in range(1, NUM_JOINTS)}  # the next one along the finger
+    assert all(PARENTS[j] == 0 or tails[keypoint[PARENTS[j]]] == keypoint[j] for j in range(1, NUM_JOINTS))
+    return (list(PALM_KEYPOINTS), *([keypoint[j], tails[keypoint[j]]] for j in range(1, NUM_JOINTS)))
+
+
+_ENDS: Final = _ends_of_bones()
+
+_LASTING: Final = ("load_post", "undo_post", "redo_post")
+
+
+def register() -> None:
+    """Watch for files and undo steps in which hands show their colours."""
+    for name in _LASTING:
+        getattr(bpy.app.handlers, name).append(_on_change)
+    # The add-on may be switched on again in a file that shows some; at start-up there is no file yet.
+    if hasattr(bpy.data, "scenes"):
+        _follow()
+
+
+def unregister() -> None:
+    """Stop watching, and give all bones their colours back."""
+    for scene in getattr(bpy.data, "scenes", ()):
+        for armature in _shown(scene):
+            armature.manient.show_confidence = False
+    for name in (*_LASTING, "frame_change_pre"):
+        handlers = getattr(bpy.app.handlers, name)
+        for own in (_on_change, _on_frame):
+            if own in handlers:
+                handlers.remove(own)
+    _errors.clear()

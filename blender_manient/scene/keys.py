@@ -1,0 +1,465 @@
+"""A captured hand's keys as arrays, and back, in bulk. Each bone keeps its own frames.
+
+Rotations are quaternions (w, x, y, z) relative to the bone's rest, locations metres along the wrist
+bone's own axes, just as `axes.bone_pose` makes them. Frames are scene frames. Bones that the artist
+switched to Euler angles or axis-angle are read and written in their own mode. Only the action (and slot)
+that the armature uses now is touched, or another one's channels where they are named as `holder`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Euler, Quaternion
+
+from handfit_core.rotations import unflip_quats
+from handfit_core.skeleton import NUM_JOINTS, Side
+
+from .armature import bone_names
+
+SAME_FRAME = 0.01
+"""Keys nearer than this are one key, as for Blender itself"""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseKeys:
+    """The keys of one hand: N frames on which at least one of its bones has a key."""
+
+    frames: np.ndarray
+    """(N,) scene frames, increasing"""
+    quats: np.ndarray
+    """(N, 16, 4) w, x, y, z relative to the bones' rest, in MANO's joint order; between a bone's own keys:
+    the curves' values"""
+    locations: np.ndarray
+    """(N, 3) metres along the wrist bone's axes"""
+    rotation_keyed: np.ndarray
+    """(N, 16) bool: whether the bone's rotation has a key there"""
+    location_keyed: np.ndarray
+    """(N,) bool: whether the wrist's location has a key there"""
+
+    @classmethod
+    def everywhere(
+        cls, frames: np.ndarray, quats: np.ndarray, locations: np.ndarray | None = None
+    ) -> PoseKeys:
+        """Keys for all 16 bones, and for the wrist's location where it is given, on every frame."""
+        count = len(frames)
+        return cls(
+            np.asarray(frames, dtype=np.float64),
+            quats,
+            np.zeros((count, 3)) if locations is None else locations,
+            np.ones((count, NUM_JOINTS), dtype=bool),
+            np.full(count, locations is not None),
+        )
+
+
+def read_pose_keys(
+    armature: bpy.types.Object,
+    side: Side,
+    first: float = -np.inf,
+    last: float = np.inf,
+    *,
+    holder: Any = None,
+) -> PoseKeys:
+    """All keys of the hand's 16 bones from frame `first` to `last`, both included."""
+    curves = _Curves(armature, holder)
+    names = bone_names(side)
+    own = [_frames_of(curves.rotation(name)) for name in names]
+    placed = _frames_of(curves.location(names[0]))
+    frames = _union([*own, placed])
+    frames = frames[(frames >= first - SAME_FRAME) & (frames <= last + SAME_FRAME)]
+    quats, locations = pose_at(armature, side, frames, holder=holder)
+    keyed = np.stack([_contains(mine, frames) for mine in own], axis=-1)
+    return PoseKeys(frames, quats, locations, keyed, _contains(placed, frames))
+
+
+def pose_at(
+    armature: bpy.types.Object, side: Side, frames: np.ndarray, *, holder: Any = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the keys say on any frames: quaternions (N, 16, 4), wrist locations (N, 3).
+
+    Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked.
+    """
+    curves = _Curves(armature, holder)
+    frames = np.asarray(frames, dtype=np.float64)
+    quats = np.empty((len(frames), NUM_JOINTS, 4))
+    names = bone_names(side)
+    for joint, name in enumerate(names):
+        bone = armature.pose.bones[name]
+        values = _values_at(curves.rotation(name), _present_rotation(bone), frames)
+        quats[:, joint] = _to_quats(values, bone.rotation_mode)
+    locations = _values_at(curves.location(names[0]), armature.pose.bones[names[0]].location, frames)
+    return unflip_quats(quats), locations
+
+
+def write_pose_keys(armature: bpy.types.Object, side: Side, keys: PoseKeys, *, holder: Any = None) -> None:
+    """Write the rows that `keys` marks as keyed: keys that lie there get the new value, others are inserted.
+
+    All other keys stay as they are. A key that exists keeps its interpolation, and its handles move with
+    it; a new one takes the interpolation of the key before it (the first: straight lines). An action and
+    curves are made where they are missing. Quaternions get the sign that is nearest to the key before.
+    """
+    curves = _Curves(armature, holder, make=True)
+    names = bone_names(side)
+    for joint, name in enumerate(names):
+        chosen = keys.rotation_keyed[:, joint]
+        if not chosen.any():
+            continue
+        bone = armature.pose.bones[name]
+        parts = curves.rotation(name, make=True)
+        frames = keys.frames[chosen]
+        for part, values in zip(
+            parts, _from_quats(keys.quats[chosen, joint], bone, parts, frames), strict=True
+        ):
+            _write(part, frames, values)
+    if keys.location_keyed.any():
+        rows = keys.location_keyed
+        for part, values in zip(curves.location(names[0], make=True), keys.locations[rows].T, strict=True):
+            _write(part, keys.frames[rows], values)
+    curves.tag()
+
+
+def remove_pose_keys(
+    armature: bpy.types.Object,
+    side: Side,
+    first: float,
+    last: float,
+    *,
+    joints: list[int] | None = None,
+    location: bool = True,
+) -> None:
+    """Take away the rotation keys of `joints` (None: all 16), and the wrist's location keys, from frame
+    `first` to `last`, both included."""
+    curves = _Curves(armature)
+    names = bone_names(side)
+    found = [c for j in (range(NUM_JOINTS) if joints is None else joints) for c in curves.rotation(names[j])]
+    if location:
+        found += curves.location(names[0])
+    for curve in found:
+        if curve is None:
+            continue
+        data = _read(curve, _EVERYTHING)
+        keep = (data["co"][:, 0] < first - SAME_FRAME) | (data["co"][:, 0] > last + SAME_FRAME)
+        if not keep.all():
+            _rebuild(curve, {name: values[keep] for name, values in data.items()})
+    curves.tag()
+
+
+def align_signs(armature: bpy.types.Object, side: Side) -> None:
+    """Turn the sign of quaternion keys where the curve would else take the long way round to the next one.
+
+    q and -q are the same rotation, so no pose changes.
+    """
+    curves = _Curves(armature)
+    for name in bone_names(side):
+        parts = curves.rotation(name)
+        if armature.pose.bones[name].rotation_mode != "QUATERNION" or any(c is None for c in parts):
+            continue
+        data = [_read(c, _PLACES) for c in parts]
+        frames = data[0]["co"][:, 0]
+        if any(
+            d["co"].shape != data[0]["co"].shape or not np.allclose(d["co"][:, 0], frames) for d in data[1:]
+        ):
+            continue
+        quats = np.stack([d["co"][:, 1] for d in data], axis=-1).astype(np.float64)
+        flipped = np.sum(unflip_quats(quats) * quats, axis=-1) < 0
+        if not flipped.any():
+            continue
+        for curve, part in zip(parts, data, strict=True):
+            for place in ("co", "handle_left", "handle_right"):
+                part[place][flipped, 1] *= -1.0
+                curve.keyframe_points.foreach_set(place, part[place].ravel())
+            curve.update()
+    curves.tag()
+
+
+def set_pose(
+    armature: bpy.types.Object, side: Side, quats: np.ndarray, location: np.ndarray | None = None
+) -> None:
+    """Put the bones into a pose without keys: quats (16, 4), location (3,) of the wrist.
+
+    Bones whose quaternion is NaN stay as they are.
+    """
+    for name, quat in zip(bone_names(side), quats, strict=True):
+        if np.isnan(quat).any():
+            continue
+        bone = armature.pose.bones[name]
+        if bone.rotation_mode == "QUATERNION":
+            bone.rotation_quaternion = quat
+        elif bone.rotation_mode == "AXIS_ANGLE":
+            axis, angle = Quaternion(quat).to_axis_angle()
+            bone.rotation_axis_angle = (angle, *axis)
+        else:
+            bone.rotation_euler = Quaternion(quat).to_euler(bone.rotation_mode, bone.rotation_euler)
+    if location is not None:
+        armature.pose.bones[bone_names(side)[0]].location = location
+
+
+def keyed_bones(armature: bpy.types.Object, side: Side) -> np.ndarray:
+    """(16,) bool: the bones whose rotation has keys in the present action."""
+    curves = _Curves(armature)
+    return np.array(
+        [
+            any(c is not None and len(c.keyframe_points) for c in curves.rotation(name))
+            for name in bone_names(side)
+        ]
+    )
+
+
+def displayed_pose(armature: bpy.types.Object, side: Side) -> np.ndarray:
+    """(16, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
+    bones = [armature.pose.bones[name] for name in bone_names(side)]
+    return np.array([bone.matrix_basis.to_quaternion() for bone in bones])
+
+
+def channels(action: bpy.types.Action, slot: Any = None, *, make: bool = False) -> Any:
+    """What holds the curves of an action: the action itself up to Blender 4.3, the slot's channel bag from
+    4.4 on. None where the slot has none, unless `make`."""
+    if not hasattr(action, "slots"):
+        return action
+    for layer in action.layers:
+        for strip in layer.strips:
+            bag = strip.channelbag(slot) if slot is not None else None
+            if bag is not None:
+                return bag
+    if not make:
+        return None
+    layer = action.layers[0] if len(action.layers) else action.layers.new("Layer")
+    strip = layer.strips[0] if len(layer.strips) else layer.strips.new(type="KEYFRAME")
+    return strip.channelbag(slot, ensure=True)
+
+
+def assign(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
+    """Give an action to an object, with a slot where Blender has them. Returns what holds its curves."""
+    data = owner.animation_data or owner.animation_data_create()
+    if data.action != action:
+        data.action = action
+    if not hasattr(action, "slots"):
+        return action
+    if data.action_slot is None:
+        # Where names match Blender has already taken a slot that exists.
+        data.action_slot = action.slots.new(id_type="OBJECT", name=owner.name)
+    return channels(action, data.action_slot, make=True)
+
+
+class _Curves:
+    """The curves of one armature's present action, by bone."""
+
+    def __init__(self, armature: bpy.types.Object, holder: Any = None, *, make: bool = False) -> None:
+        self._armature = armature
+        data = armature.animation_data
+        action = data.action if data else None
+        if holder is None and make:
+            holder = assign(armature, action or bpy.data.actions.new(armature.name))
+        elif holder is None and action is not None:
+            holder = channels(action, getattr(data, "action_slot", None))
+        self._holder = holder
+        self._found = (
+            {} if self._holder is None else {(c.data_path, c.array_index): c for c in self._holder.fcurves}
+        )
+
+    def tag(self) -> None:
+        """Have Blender look at the keys again: writing them in bulk tells nobody."""
+        if self._holder is not None:
+            self._holder.id_data.update_tag()
+            self._armature.update_tag(refresh={"TIME"})
+
+    def rotation(self, bone: str, *, make: bool = False) -> list[Any]:
+        """The 3 or 4 curves of a bone's rotation in its own mode; None for those it lacks."""
+        mode = self._armature.pose.bones[bone].rotation_mode
+        path, count = {
+            "QUATERNION": ("rotation_quaternion", 4),
+            "AXIS_ANGLE": ("rotation_axis_angle", 4),
+        }.get(mode, ("rotation_euler", 3))
+        return self._parts(bone, path, count, make)
+
+    def location(self, bone: str, *, make: bool = False) -> list[Any]:
+        """The three curves of a bone's location; None for those it lacks."""
+        return self._parts(bone, "location", 3, make)
+
+    def _parts(self, bone: str, path: str, count: int, make: bool) -> list[Any]:
+        path = f'pose.bones["{bone}"].{path}'
+        parts = [self._found.get((path, i)) for i in range(count)]
+        if make and self._holder is not None and any(part is None for part in parts):
+            present = self._armature.path_resolve(path)
+            frames = _frames_of(parts)
+            for i in range(count):
+                if parts[i] is not None:
+                    continue
+                curve = self._holder.fcurves.new(path, index=i)
+                curve.group = self._holder.groups.get(bone) or self._holder.groups.new(bone)
+                # A part that had no keys beside parts that have some stays what it was on those frames.
+                _write(curve, frames, np.full(len(frames), present[i]))
+                parts[i] = self._found[path, i] = curve
+        return parts
+
+
+def _frames_of(parts: list[Any]) -> np.ndarray:
+    """The frames on which any of the curves has a key."""
+    return _union([_read(c, ("co",))["co"][:, 0].astype(np.float64) for c in parts if c is not None])
+
+
+def _union(lists: list[np.ndarray]) -> np.ndarray:
+    """All frames, increasing, without those that are the same key."""
+    frames = np.unique(np.concatenate([np.empty(0), *lists]))
+    return frames[np.append(True, np.diff(frames) > SAME_FRAME)[: len(frames)]]
+
+
+def _nearest(frames: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For each wanted frame the index of the nearest of `frames` (N > 0, increasing), and whether it is the
+    same."""
+    after = np.clip(np.searchsorted(frames, wanted), 0, len(frames) - 1)
+    before = np.maximum(after - 1, 0)
+    index = np.where(np.abs(frames[before] - wanted) < np.abs(frames[after] - wanted), before, after)
+    return index, np.abs(frames[index] - wanted) <= SAME_FRAME
+
+
+def _contains(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    if len(frames) == 0:
+        return np.zeros(len(wanted), dtype=bool)
+    return _nearest(frames, wanted)[1]
+
+
+def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray:
+    """(N, parts) what the curves say; `present` for those that are missing."""
+    values = np.empty((len(frames), len(parts)))
+    for i, curve in enumerate(parts):
+        if curve is None or len(curve.keyframe_points) == 0:
+            values[:, i] = present[i]
+            continue
+        co = _read(curve, ("co",))["co"].astype(np.float64)
+        index, same = _nearest(co[:, 0], frames)
+        values[:, i] = co[index, 1]
+        for row in np.flatnonzero(~same):
+            values[row, i] = curve.evaluate(float(frames[row]))
+    return values
+
+
+def _present_rotation(bone: bpy.types.PoseBone) -> Any:
+    if bone.rotation_mode == "QUATERNION":
+        return bone.rotation_quaternion
+    return bone.rotation_axis_angle if bone.rotation_mode == "AXIS_ANGLE" else bone.rotation_euler
+
+
+def _to_quats(values: np.ndarray, mode: str) -> np.ndarray:
+    """(N, 3 or 4) values of a rotation mode -> (N, 4) unit quaternions."""
+    if mode == "QUATERNION":
+        length = np.linalg.norm(values, axis=-1, keepdims=True)
+        # A quaternion of length zero is no rotation, for Blender as here.
+        return np.where(length > 1e-9, values / np.maximum(length, 1e-9), [1.0, 0.0, 0.0, 0.0])
+    if mode == "AXIS_ANGLE":
+        return np.array([Quaternion(v[1:], v[0]) for v in values.tolist()]).reshape(-1, 4)
+    return np.array([Euler(v, mode).to_quaternion() for v in values.tolist()]).reshape(-1, 4)
+
+
+def _from_quats(
+    quats: np.ndarray, bone: bpy.types.PoseBone, parts: list[Any], frames: np.ndarray
+) -> np.ndarray:
+    """(N, 4) quaternions -> (parts, N) values in the bone's rotation mode, near those of the key before."""
+    earlier = frames[0] - 1.0 if len(frames) else 0.0
+    co = _read(parts[0], ("co",))["co"]
+    before = co[co[:, 0] < frames[0] - SAME_FRAME, 0]
+    if len(before):
+        earlier = float(before[-1])
+    start = _values_at(parts, _present_rotation(bone), np.array([earlier]))
+    if bone.rotation_mode == "QUATERNION":
+        return unflip_quats(np.concatenate([start, quats]))[1:].T
+    if bone.rotation_mode == "AXIS_ANGLE":
+        turned = [Quaternion(q).to_axis_angle() for q in quats.tolist()]
+        return np.array([(angle, *axis) for axis, angle in turned]).T
+    euler = Euler(start[0].tolist(), bone.rotation_mode)
+    values = []
+    for quat in quats.tolist():
+        euler = Quaternion(quat).to_euler(bone.rotation_mode, euler)
+        values.append(tuple(euler))
+    return np.array(values).T
+
+
+_PLACES = ("co", "handle_left", "handle_right")
+_KINDS = ("interpolation", "handle_left_type", "handle_right_type", "easing", "type")
+_AMOUNTS = ("amplitude", "back", "period")
+_SELECTED = ("select_control_point", "select_left_handle", "select_right_handle")
+_EVERYTHING = _PLACES + _KINDS + _AMOUNTS + _SELECTED
+
+
+def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Attributes of the curve's key points as arrays: places (N, 2), others (N,)."""
+    points = curve.keyframe_points
+    count = len(points)
+    data = {}
+    for name in names:
+        if name in _PLACES:
+            data[name] = np.empty((count, 2), dtype=np.float32)
+        elif name in _AMOUNTS:
+            data[name] = np.empty(count, dtype=np.float32)
+        else:
+            data[name] = np.empty(count, dtype=bool if name in _SELECTED else np.int32)
+        points.foreach_get(name, data[name].ravel())
+    return data
+
+
+def _rebuild(curve: Any, data: dict[str, np.ndarray]) -> None:
+    """Give the curve exactly these key points."""
+    points = curve.keyframe_points
+    count = len(data["co"])
+    if count < len(points):
+        points.clear()
+    if count > len(points):
+        points.add(count - len(points))
+    for name, values in data.items():
+        points.foreach_set(name, np.ascontiguousarray(values).ravel())
+    curve.update()
+
+
+def _write(curve: Any, frames: np.ndarray, values: np.ndarray) -> None:
+    """Set the curve's value on `frames`: change the keys that lie there, insert the others."""
+    if len(frames) == 0:
+        return
+    data = _read(curve, _PLACES)
+    old = data["co"][:, 0].astype(np.float64)
+    index, same = np.zeros(len(frames), dtype=int), np.zeros(len(frames), dtype=bool)
+    if len(old):
+        index, same = _nearest(old, frames)
+    if not same.all():  # where only values change, the rest of a key need not be read and written
+        data |= _read(curve, tuple(name for name in _EVERYTHING if name not in _PLACES))
+    rise = np.zeros(len(old), dtype=np.float32)
+    rise[index[same]] = values[same] - data["co"][index[same], 1]
+    for name in _PLACES:
+        data[name][:, 1] += rise
+    data["co"][index[same], 1] = values[same]  # exactly, whatever the sum was rounded to
+    if not same.all():
+        data = _inserted(data, frames[~same], values[~same])
+    _rebuild(curve, data)
+
+
+def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Key points with new ones between the old, each like the one before it in how it leads to the next."""
+    before = np.maximum(np.searchsorted(data["co"][:, 0], frames) - 1, 0)
+    new: dict[str, np.ndarray] = {
+        "co": np.stack([frames, values], axis=-1),
+        # Blender puts automatic handles where they belong.
+        "handle_left": np.stack([frames - 1 / 3, values], axis=-1),
+        "handle_right": np.stack([frames + 1 / 3, values], axis=-1),
+    }
+    plain = {
+        "interpolation": "LINEAR",
+        "handle_left_type": "AUTO_CLAMPED",
+        "handle_right_type": "AUTO_CLAMPED",
+        "easing": "AUTO",
+        "type": "KEYFRAME",
+    }
+    for name in (*_KINDS, *_AMOUNTS, *_SELECTED):
+        if len(data[name]) and name in ("interpolation", "easing", *_AMOUNTS):
+            new[name] = data[name][before]
+        elif name in plain:
+            new[name] = np.full(len(frames), _number(name, plain[name]))
+        else:
+            new[name] = np.zeros(len(frames))
+    order = np.argsort(np.concatenate([data["co"][:, 0], frames]), kind="stable")
+    return {name: np.concatenate([data[name], new[name].astype(data[name].dtype)])[order] for name in data}
+
+
+def _number(attribute: str, value: str) -> int:
+    return bpy.types.Keyframe.bl_rna.properties[attribute].enum_items[value].value

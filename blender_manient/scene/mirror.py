@@ -1,0 +1,215 @@
+"""The opposite hand of a captured one: mirrored rig, pose and keys."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.hand_model import HandModel
+from handfit_core.skeleton import NUM_JOINTS, Side, other_side
+from handfit_core.take import HandTrack
+
+from .. import axes
+from .animation import ERROR_PROPERTY, describe
+from .armature import bone_names, build_armature, rest_frames
+from .correctives import add_correctives
+from .keys import assign, channels, displayed_pose, read_pose_keys, set_pose, write_pose_keys
+from .mesh import build_mesh
+from .models import kept_model
+from .store import CapturedHand, describe_hand, keep_take
+
+_GAP = 0.01
+"""metres between a hand that reaches across the middle and the mirror beside it"""
+
+
+def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
+    """Build the opposite hand beside a captured one, in its collection. Returns its armature.
+
+    It has the same betas, the mirrored pose, and a copy of the present action with every key mirrored. The
+    mirror is the vertical plane through the camera (x = 0 of the armature's space); where the hand
+    reaches across it, a plane beside the hand, so that the two never overlap. The kept take gets the mirrored
+    track, whose frames count as filled: nothing of that hand was detected. Raises HandModelError.
+    """
+    side = other_side(hand.side)
+    model, source_model = (kept_model(hand.take.model, s) for s in (side, hand.side))
+    source = hand.armature
+    betas = np.array(source.manient.betas, dtype=np.float64)
+    shaped = model.shaped(betas)
+    keys = read_pose_keys(source, hand.side)
+    present = displayed_pose(source, hand.side)
+    present_place = np.array(source.pose.bones[bone_names(hand.side)[0]].location)
+    plane = _plane(hand, source_model, betas, keys.quats, keys.locations, present, present_place)
+
+    armature = build_armature(f"{hand.collection.name} {side} hand", shaped, side)
+    for collection in source.users_collection:
+        collection.objects.link(armature)
+    armature.parent, armature.parent_type = source.parent, source.parent_type
+    armature.matrix_parent_inverse = source.matrix_parent_inverse
+    armature.rotation_mode = source.rotation_mode
+    armature.matrix_basis = source.matrix_basis
+    for from_bone, to_bone in zip(bone_names(hand.side), bone_names(side), strict=True):
+        armature.pose.bones[to_bone].rotation_mode = source.pose.bones[from_bone].rotation_mode
+    if hand.mesh is not None:
+        _add_mesh(hand.mesh, armature, model, betas)
+
+    # What the rig shows and what its keys say, about the new bones.
+    old, new = rest_frames(source, hand.side), rest_frames(armature, side)
+    old_wrist = np.array(source.data.bones[bone_names(hand.side)[0]].head_local)
+    new_wrist = np.array(armature.data.bones[bone_names(side)[0]].head_local)
+
+    def placed(locations: np.ndarray) -> np.ndarray:
+        place = (old_wrist + locations @ old[0].T) @ axes.MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
+        return (place - new_wrist) @ new[0]
+
+    set_pose(armature, side, axes.mirrored_bones(old, new, present), placed(present_place))
+    holder = _mirrored_action(source, armature, hand.side)
+    if holder is not None and len(keys.frames):
+        mirrored = replace(
+            keys,
+            quats=axes.mirrored_bones(old, new, keys.quats),
+            locations=placed(keys.locations),
+        )
+        write_pose_keys(armature, side, mirrored, holder=holder)
+    _keep(hand, armature, model, betas, plane)
+    return armature
+
+
+def _plane(
+    hand: CapturedHand,
+    model: HandModel,
+    betas: np.ndarray,
+    quats: np.ndarray,
+    locations: np.ndarray,
+    present: np.ndarray,
+    present_place: np.ndarray,
+) -> float:
+    """The mirror's x in the armature's space, metres."""
+    frames = rest_frames(hand.armature, hand.side)
+    quats = np.concatenate([quats, present[None]])
+    locations = np.concatenate([locations, present_place[None]])
+    shaped = model.shaped(betas)
+    points = model.keypoints(betas, *axes.pose_from_bones(shaped, frames, quats, locations))[..., 0]
+    low, high = float(points.min()), float(points.max())
+    if low > _GAP or high < -_GAP:
+        return 0.0
+    return high + _GAP if high < -low else low - _GAP
+
+
+def _add_mesh(
+    source: bpy.types.Object, armature: bpy.types.Object, model: HandModel, betas: np.ndarray
+) -> None:
+    mesh = build_mesh(f"{armature.name} mesh", model, model.shaped(betas))
+    for collection in armature.users_collection:
+        collection.objects.link(mesh)
+    mesh.parent = armature
+    mesh.modifiers.new("Armature", "ARMATURE").object = armature
+    # The artist's own materials, on both hands.
+    own = list(mesh.data.materials)
+    mesh.data.materials.clear()
+    for material in source.data.materials:
+        mesh.data.materials.append(material)
+    bpy.data.batch_remove([m for m in own if m is not None])
+    if source.data.shape_keys is not None and model.has_pose_blendshapes:
+        add_correctives(mesh, armature, model)
+
+
+def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side: Side) -> Any:
+    """A copy of the source's action for the new armature, its curves on the other side's bones and mirrored
+    as Blender mirrors bones. Returns its channels, None where there is no action."""
+    data = source.animation_data
+    if data is None or data.action is None:
+        return None
+    old_slot = getattr(data, "action_slot", None)
+    action = data.action.copy()
+    action.name = armature.name
+    armature.animation_data_create().action = action
+    if old_slot is not None:
+        # Only this hand's part of an action that several objects share.
+        for slot in list(action.slots):
+            if slot.identifier != old_slot.identifier:
+                action.slots.remove(slot)
+        armature.animation_data.action_slot = action.slots[0]
+        action.slots[0].name_display = armature.name
+    holder = channels(action, getattr(armature.animation_data, "action_slot", None))
+    if holder is None:
+        return assign(armature, action)
+    names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in _pairs(side)}
+    for curve in list(holder.fcurves):
+        if curve.data_path == f'["{ERROR_PROPERTY}"]':
+            holder.fcurves.remove(curve)  # it was not measured on this hand
+            continue
+        start, dot, attribute = curve.data_path.partition("].")
+        renamed = names.get(start + dot)
+        if renamed is not None:
+            curve.data_path = renamed + attribute
+            if _turns_over(attribute, curve.array_index):
+                _negate(curve)
+    groups = dict(_pairs(side))
+    for group in holder.groups:
+        group.name = groups.get(group.name, group.name)
+    return holder
+
+
+def _pairs(side: Side) -> list[tuple[str, str]]:
+    return list(zip(bone_names(side), bone_names(other_side(side)), strict=True))
+
+
+def _turns_over(attribute: str, index: int) -> bool:
+    """Whether a mirror across a bone's X changes the sign of this part of its transform."""
+    return {
+        "location": index == 0,
+        "rotation_quaternion": index >= 2,
+        "rotation_euler": index >= 1,
+        "rotation_axis_angle": index >= 2,
+    }.get(attribute, False)
+
+
+def _negate(curve: bpy.types.FCurve) -> None:
+    points = curve.keyframe_points
+    values = np.empty((len(points), 2), dtype=np.float32)
+    for place in ("co", "handle_left", "handle_right"):
+        points.foreach_get(place, values.ravel())
+        values[:, 1] *= -1.0
+        points.foreach_set(place, values.ravel())
+    curve.update()
+
+
+def _keep(
+    hand: CapturedHand, armature: bpy.types.Object, model: HandModel, betas: np.ndarray, plane: float
+) -> None:
+    """Add the mirrored track to the collection's take, and say on the armature which one it is."""
+    track = hand.track
+    count = len(hand.take.frame_numbers)
+    turn = np.array([1.0, -1.0, -1.0])
+    present = np.asarray(track.present, dtype=bool)
+    old_wrist = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
+    place = (old_wrist + track.transl) @ axes.MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
+    orient, pose = track.global_orient * turn, track.hand_pose * np.tile(turn, NUM_JOINTS - 1)
+    transl = place - model.shaped(betas).joints[0]
+    joints = np.full((count, 21, 3), np.nan)
+    joints[present] = model.keypoints(betas, orient[present], pose[present], transl[present])
+    nowhere = np.full(count, np.nan)
+    mirrored = HandTrack(
+        side=model.side,
+        betas=betas,
+        global_orient=orient,
+        hand_pose=pose,
+        transl=transl,
+        joints_3d=joints,
+        keypoints_2d=np.full((count, 21, 2), np.nan),
+        reprojection_error=nowhere,
+        detected=np.zeros(count, dtype=bool),
+        score=nowhere,
+        filled=present,
+    )
+    take = replace(
+        hand.take,
+        hands=(*hand.take.hands, mirrored),
+        model_digests={**hand.take.model_digests, model.side: model.digest},
+    )
+    describe(armature, take, mirrored)
+    keep_take(hand.collection, take)
+    describe_hand(armature, hand.collection, take, len(take.hands) - 1)

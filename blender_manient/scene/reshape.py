@@ -1,0 +1,367 @@
+"""A hand's shape follows its sliders: mesh, corrective shape keys, rest bones and keys together.
+
+What a shape is made from lies on the armature: `manient.betas` is what the artist wants, the custom property
+`betas` what the rig has. Whenever the two differ the hand is reshaped: at once in the background, else a
+moment later, so that a dragged slider does not wait for every step. Undo and redo bring back whole
+states of the file; should one lie in that moment, the same rule makes it whole again.
+
+Fingers keep their rotations and the wrist keeps its place: bones change their axes with the shape, so all
+keys are written anew about the new axes. What the artist did to the mesh stays on it, since vertices are
+moved by the difference of the two shapes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from mathutils import Vector
+
+from handfit_core.errors import HandfitError, HandModelError, OptionError
+from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.skeleton import Side
+
+from .. import axes
+from ..correction_field import CorrectionField
+from . import correctives
+from .armature import bone_names, edit_mode, rest_frames
+from .corrections import corrections_of, keep_field
+from .keys import channels, pose_at, read_pose_keys, set_pose, write_pose_keys
+from .models import kept_model
+from .store import CapturedHand, hand_of
+
+APPLIED = "betas"
+"""The armature's custom property: the shape that mesh and rig have now"""
+_DELAY = 0.03
+"""seconds from a slider's change to the hand's"""
+
+_waiting: set[int] = set()
+"""session_uid of the armatures that are to be reshaped"""
+_troubles: dict[int, str] = {}
+_last_seconds = 0.0
+
+
+def betas_changed(armature: bpy.types.Object) -> None:
+    """Called whenever `armature.manient.betas` changes: reshape the hand now (background) or very soon."""
+    if is_current(armature):
+        _troubles.pop(armature.session_uid, None)
+        return
+    if bpy.app.background:
+        _reshape_or_note(armature)
+        return
+    _waiting.add(armature.session_uid)
+    if not bpy.app.timers.is_registered(_catch_up):
+        # A hand with very many keys takes its time: leave the window as much of it.
+        bpy.app.timers.register(_catch_up, first_interval=max(_DELAY, _last_seconds))
+
+
+def is_current(armature: bpy.types.Object) -> bool:
+    """Whether mesh and rig have the shape that the sliders say (or the object is no finished hand)."""
+    applied = armature.get(APPLIED)
+    if not armature.manient.is_hand or applied is None:
+        return True
+    return bool(np.allclose(list(applied), list(armature.manient.betas), rtol=0.0, atol=1e-6))
+
+
+def trouble(armature: bpy.types.Object) -> str | None:
+    """Why the hand could not follow its sliders: one sentence for the panel, None where it did."""
+    return _troubles.get(armature.session_uid)
+
+
+def reshape(armature: bpy.types.Object) -> None:
+    """Give mesh and rig the shape of `armature.manient.betas`, now.
+
+    Data shared with other objects (linked duplicates) is made this hand's own first. Mode, active object and
+    selection stay as they are. Raises HandModelError and OptionError, and then changes nothing.
+    """
+    hand = hand_of(armature)
+    if hand is None:
+        raise OptionError(f"{armature.name!r} is no captured hand, so it has no shape to change")
+    if armature.library is not None or not armature.is_editable:
+        raise OptionError(
+            f"{armature.name!r} is linked from another file and cannot be changed here; make it local first"
+        )
+    if armature.data.library is not None:
+        raise OptionError(
+            f"the bones of {armature.name!r} are linked from another file; make them local first"
+        )
+    model = kept_model(hand.take.model, hand.side)
+    mesh = hand.mesh
+    if mesh is not None and len(mesh.data.vertices) != len(model.v_template):
+        raise HandModelError(
+            f"the mesh {mesh.name!r} has {len(mesh.data.vertices)} vertices, its hand model "
+            f"{len(model.v_template)}; undo what changed them, or move the modifiers that you applied back"
+        )
+    missing = [name for name in bone_names(hand.side) if name not in armature.data.bones]
+    if missing:
+        raise HandModelError(
+            f"the armature {armature.name!r} lacks the bone {missing[0]}; give its bones their names back"
+        )
+    before = model.shaped(np.array(armature[APPLIED]))
+    betas = np.array(armature.manient.betas, dtype=np.float64)
+    after = model.shaped(betas)
+    with _object_mode():
+        _own_data(armature, mesh)
+        old_frames = rest_frames(armature, hand.side)
+        _reshape_rig(armature, hand.side, after)
+        if mesh is not None:
+            _reshape_mesh(mesh, model, before, after, old_frames, rest_frames(armature, hand.side))
+    _turn_corrections(armature, old_frames, rest_frames(armature, hand.side))
+    armature[APPLIED] = [float(b) for b in betas]
+    armature.update_tag()
+    _troubles.pop(armature.session_uid, None)
+
+
+def reset(hand: CapturedHand) -> None:
+    """Give the hand its captured shape back. Raises as `reshape`."""
+    hand.armature.manient.betas = np.asarray(hand.track.betas, dtype=np.float64).tolist()
+    if not is_current(hand.armature):
+        reshape(hand.armature)
+
+
+def _reshape_or_note(armature: bpy.types.Object) -> None:
+    global _last_seconds
+    started = time.perf_counter()
+    try:
+        reshape(armature)
+    except HandfitError as error:
+        _note(armature, str(error))
+    _last_seconds = time.perf_counter() - started
+
+
+def _note(armature: bpy.types.Object, sentence: str) -> None:
+    """A property cannot report: the panel shows the sentence, and so does a popup, once."""
+    if _troubles.get(armature.session_uid) == sentence:
+        return
+    _troubles[armature.session_uid] = sentence
+    if bpy.app.background:
+        print(f"Hand Capture: {sentence}", file=sys.stderr)
+        return
+    bpy.context.window_manager.popup_menu(
+        lambda popup, _context: popup.layout.label(text=sentence), title="Hand Capture", icon="ERROR"
+    )
+
+
+def _catch_up() -> None:
+    """The timer: reshape what waits. Runs without a context of its own."""
+    waiting = set(_waiting)
+    _waiting.clear()
+    windows = bpy.context.window_manager.windows
+    if not windows:
+        return
+    with bpy.context.temp_override(window=bpy.context.window or windows[0]):
+        for armature in [o for o in bpy.data.objects if o.session_uid in waiting]:
+            if not is_current(armature):
+                _reshape_or_note(armature)
+
+
+@persistent
+def _after_time_travel(*_: Any) -> None:
+    """Undo, redo and loading may end between a slider's change and the hand's."""
+    for armature in [o for o in bpy.data.objects if o.type == "ARMATURE" and o.library is None]:
+        if not is_current(armature):
+            betas_changed(armature)
+
+
+def _reshape_rig(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> None:
+    """New rest bones, and every key and the present pose about the new axes."""
+    names = bone_names(side)
+    wrist = names[0]
+    old_frames = rest_frames(armature, side)
+    old_wrist = np.array(armature.data.bones[wrist].head_local)
+    holders = _holders(armature)
+    kept = [(holder, read_pose_keys(armature, side, holder=holder)) for holder in holders]
+    present = pose_at(armature, side, np.zeros(1), holder=_NOTHING)
+
+    _place_bones(armature, side, shaped)
+
+    frames = rest_frames(armature, side)
+    new_wrist = np.array(armature.data.bones[wrist].head_local)
+
+    def moved(locations: np.ndarray) -> np.ndarray:
+        return (old_wrist + locations @ old_frames[0].T - new_wrist) @ frames[0]
+
+    for holder, keys in kept:
+        changed = replace(
+            keys,
+            quats=axes.turned_bones(old_frames, frames, keys.quats),
+            locations=moved(keys.locations),
+        )
+        write_pose_keys(armature, side, changed, holder=holder)
+    quats, locations = present
+    set_pose(armature, side, axes.turned_bones(old_frames, frames, quats)[0], moved(locations)[0])
+
+
+class _Nothing:
+    """An action's channels without any: what the bones say beside their keys."""
+
+    fcurves: tuple[()] = ()
+
+
+_NOTHING = _Nothing()
+
+
+def _holders(armature: bpy.types.Object) -> list[Any]:
+    """The channels of every action that moves this armature: the present one and those in its NLA."""
+    data = armature.animation_data
+    if data is None:
+        return []
+    used = [(data.action, getattr(data, "action_slot", None))]
+    used += [
+        (strip.action, getattr(strip, "action_slot", None))
+        for track in data.nla_tracks
+        for strip in track.strips
+    ]
+    found, holders = set(), []
+    for action, slot in used:
+        key = (action, slot.handle if slot is not None else 0)
+        if action is None or key in found:
+            continue
+        found.add(key)
+        holder = channels(action, slot)
+        if holder is not None and action.is_editable:
+            holders.append(holder)
+    return holders
+
+
+def _turn_corrections(armature: bpy.types.Object, old_frames: np.ndarray, frames: np.ndarray) -> None:
+    """Corrections are kept about the bones' axes too; else they could not be taken out of the keys again."""
+    field = corrections_of(armature)
+    turn = np.swapaxes(frames, -1, -2) @ old_frames
+    turned = {
+        frame: replace(c, rotation=(turn @ c.rotation[..., None])[..., 0], location=turn[0] @ c.location)
+        for frame, c in field.corrections.items()
+    }
+    keep_field(armature, CorrectionField(turned))
+
+
+def _place_bones(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> None:
+    """Move the 16 rest bones. Other bones that the artist added stay where they are."""
+    heads = axes.points_to_rest(shaped.joints)
+    tails = axes.points_to_rest(axes.bone_tails(shaped))
+    frames = axes.bone_frames(shaped, side)
+    # The artist's object may be in Pose mode, hidden or in a collection that is switched off.
+    editor = bpy.data.objects.new("reshape", armature.data)
+    with edit_mode(editor):
+        bones = armature.data.edit_bones
+        own = [bones[name] for name in bone_names(side)]
+        connected = [bone.use_connect for bone in own]
+        for bone in own:
+            bone.use_connect = False  # else moving one end would move its neighbour's
+        for bone, head, tail, frame in zip(own, heads, tails, frames, strict=True):
+            bone.head, bone.tail = Vector(head), Vector(tail)
+            bone.align_roll(Vector(frame[:, 2]))
+        for bone, was in zip(own, connected, strict=True):
+            bone.use_connect = was
+    bpy.data.objects.remove(editor)
+
+
+@contextlib.contextmanager
+def _object_mode() -> Iterator[None]:
+    """Leave edit, sculpt and paint modes, whose data would be written over ours; go back there afterwards."""
+    active = bpy.context.view_layer.objects.active
+    mode = active.mode if active is not None else "OBJECT"
+    if mode in ("OBJECT", "POSE"):
+        yield
+        return
+    bpy.ops.object.mode_set(mode="OBJECT")
+    try:
+        yield
+    finally:
+        bpy.ops.object.mode_set(mode=mode)
+
+
+def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:
+    """Copies of what other objects use too, so that only this hand changes."""
+    if armature.data.users - armature.data.use_fake_user > 1:
+        armature.data = armature.data.copy()
+    if mesh is not None and (mesh.data.users - mesh.data.use_fake_user > 1 or mesh.data.library is not None):
+        mesh.data = mesh.data.copy()
+    data = armature.animation_data
+    action = data.action if data else None
+    if action is None:
+        return
+    slot = getattr(data, "action_slot", None)
+    others = [
+        o
+        for o in bpy.data.objects
+        if o != armature
+        and o.animation_data is not None
+        and o.animation_data.action == action
+        and getattr(o.animation_data, "action_slot", None) == slot
+    ]
+    if others or action.library is not None:
+        data.action = action.copy()
+        if slot is not None:
+            data.action_slot = next(s for s in data.action.slots if s.identifier == slot.identifier)
+
+
+def _reshape_mesh(
+    obj: bpy.types.Object,
+    model: HandModel,
+    before: ShapedHand,
+    after: ShapedHand,
+    old_frames: np.ndarray,
+    frames: np.ndarray,
+) -> None:
+    mesh = obj.data
+    moved = axes.points_to_rest(after.vertices - before.vertices)
+    _move(mesh.vertices, moved)
+    if mesh.shape_keys is not None:
+        turned = {}
+        if model.has_pose_blendshapes:
+            change = _offsets(model, frames.tobytes()) - _offsets(model, old_frames.tobytes())
+            turned = _by_key_name(change, model.side)
+        for key in mesh.shape_keys.key_blocks:
+            _move(key.data, moved + turned.get(key.name, 0.0))
+    mesh.update()
+
+
+@lru_cache(maxsize=2)
+def _offsets(model: HandModel, frames: bytes) -> np.ndarray:
+    """What one step of a slider ends with, the next one begins with."""
+    return axes.corrective_offsets(model, np.frombuffer(frames).reshape(-1, 3, 3))
+
+
+def _by_key_name(offsets: np.ndarray, side: Side) -> dict[str, np.ndarray]:
+    """(15, 3, 3, V, 3) offsets -> those of each corrective shape key, with its sign."""
+    names = bone_names(side)[1:]
+    return {
+        f"{names[joint]} {row}{column}": correctives._ELEMENTS[row][column][0] * offsets[joint, row, column]
+        for joint in range(len(names))
+        for row in range(3)
+        for column in range(3)
+    }
+
+
+def _move(points: Any, moved: np.ndarray) -> None:
+    co = np.empty((len(points), 3), dtype=np.float32)
+    points.foreach_get("co", co.ravel())
+    points.foreach_set("co", (co + moved).astype(np.float32).ravel())
+
+
+_HANDLERS = (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post, bpy.app.handlers.load_post)
+
+
+def register() -> None:
+    """Watch undo, redo and loading."""
+    for handlers in _HANDLERS:
+        handlers.append(_after_time_travel)
+
+
+def unregister() -> None:
+    """Stop watching, and forget what waits."""
+    for handlers in _HANDLERS:
+        handlers.remove(_after_time_travel)
+    if bpy.app.timers.is_registered(_catch_up):
+        bpy.app.timers.unregister(_catch_up)
+    _waiting.clear()
+    _troubles.clear()

@@ -1,0 +1,114 @@
+"""From the scene back to a take: what the captured hands do now, after the artist's work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from handfit_core.rotations import rotmat_to_quat
+from handfit_core.skeleton import NUM_JOINTS, PARENTS
+from handfit_core.take import HandTrack, Take
+
+from .. import axes
+from .armature import bone_names, rest_frames
+from .models import kept_model
+from .own_scene import own_scene
+from .sampling import rotations_of, sample
+from .store import CapturedHand, scene_frames
+
+_CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
+"""matrix_world of a capture camera that nobody moved"""
+
+
+def retaken(hands: Sequence[CapturedHand]) -> Take:
+    """The take of captured hands of one collection, with their present shape and motion.
+
+    global_orient, hand_pose, transl, joints_3d and the errors are computed anew in the take's frames, from
+    what the rigs show there relative to the capture camera; detections stay. Hands that the artist deleted
+    are left out. Raises HandModelError and TakeError.
+    """
+    take, collection = hands[0].take, hands[0].collection
+    scene = bpy.context.scene
+    assert scene is not None
+    metres = scene.unit_settings.scale_length
+    frames = scene_frames(collection, take)
+    with own_scene("take") as open_scene:
+        for hand in hands:
+            open_scene.collection.objects.link(hand.armature)
+        camera = hands[0].camera
+        if camera is not None:
+            open_scene.collection.objects.link(camera)
+        tracks = tuple(_track(hand, frames, metres) for hand in sorted(hands, key=lambda h: h.index))
+    return replace(take, hands=tracks)
+
+
+def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
+    """One hand's track; the open scene holds it and the camera. `metres` per unit of the artist's scene."""
+    model = kept_model(hand.take.model, hand.side)
+    betas = np.array(hand.armature.manient.betas, dtype=np.float64)
+    shaped = model.shaped(betas)
+    present = np.asarray(hand.track.present, dtype=bool)
+    quats, locations = _bones(hand, frames[present], metres)
+    bones = rest_frames(hand.armature, hand.side)
+    orient, pose, transl = axes.pose_from_bones(shaped, bones, quats, locations)
+    joints = model.keypoints(betas, orient, pose, transl)
+
+    track = hand.track
+    detected = np.asarray(track.detected, dtype=bool)
+    joints_3d = _spread(joints, present)
+    errors = np.linalg.norm(hand.take.intrinsics.project(joints_3d) - track.keypoints_2d, axis=-1)
+    return replace(
+        track,
+        betas=betas,
+        global_orient=_spread(orient, present),
+        hand_pose=_spread(pose, present),
+        transl=_spread(transl, present),
+        joints_3d=joints_3d,
+        reprojection_error=np.where(detected, errors.mean(axis=-1), np.nan),
+    )
+
+
+def _bones(hand: CapturedHand, frames: np.ndarray, metres: float) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternions (N, 16, 4) and wrist locations (N, 3) in metres, as if nothing but the bones' keys moved
+    the hand before a camera that stands where capture cameras stand."""
+    sampled = sample(hand.armature, frames)
+    camera = _camera_frames(hand.camera, frames)
+    chosen = [sampled.names.index(name) for name in bone_names(hand.side)]
+    space = np.linalg.inv(camera) @ sampled.world
+    bones = rest_frames(hand.armature, hand.side)
+    turned = rotations_of(sampled.pose[:, chosen]) @ np.swapaxes(bones, -1, -2)  # from rest, in its space
+    local = np.empty_like(turned)
+    local[:, 0] = rotations_of(space) @ turned[:, 0]
+    for joint in range(1, NUM_JOINTS):
+        local[:, joint] = np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint]
+    place = metres * (space @ sampled.pose[:, chosen[0], :, 3:])[:, :3, 0]
+    rest = np.array(hand.armature.data.bones[bone_names(hand.side)[0]].head_local)
+    return rotmat_to_quat(np.swapaxes(bones, -1, -2) @ local @ bones), (place - rest) @ bones[0]
+
+
+def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray) -> np.ndarray:
+    """(N, 4, 4) where the capture camera has been moved to; without one, nowhere."""
+    if camera is None:
+        return np.broadcast_to(np.eye(4), (len(frames), 4, 4))
+    scene = bpy.context.scene
+    assert scene is not None
+    found = []
+    for frame in frames:
+        whole = int(np.floor(frame))
+        scene.frame_set(whole, subframe=float(frame - whole))
+        shown = camera.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        place, turn, _ = (shown.matrix_world @ _CAMERA_AT_REST.inverted()).decompose()
+        found.append(Matrix.LocRotScale(place, turn, None))
+    return np.array(found, dtype=np.float64).reshape(-1, 4, 4)
+
+
+def _spread(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Rows of the frames with a hand -> rows of all frames, NaN in the others."""
+    spread = np.full((len(present), *values.shape[1:]), np.nan)
+    spread[present] = values
+    return spread

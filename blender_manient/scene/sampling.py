@@ -1,0 +1,71 @@
+"""What a rig really shows, frame by frame: keys, NLA, constraints, drivers and parents together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """An armature on N frames. Matrices are Blender's: columns are axes and origin."""
+
+    names: tuple[str, ...]
+    """The B bones, parents before children"""
+    parents: tuple[int, ...]
+    """Index of each bone's parent; -1 for none"""
+    rest: np.ndarray
+    """(B, 4, 4) rest bones in the armature's space"""
+    pose: np.ndarray
+    """(N, B, 4, 4) posed bones in the armature's space"""
+    world: np.ndarray
+    """(N, 4, 4) the armature's space in the world, in the scene's units"""
+
+    def basis(self) -> np.ndarray:
+        """(N, B, 4, 4) what each bone does relative to its rest and its parent."""
+        found = np.empty_like(self.pose)
+        for bone, parent in enumerate(self.parents):
+            if parent < 0:
+                found[:, bone] = np.linalg.inv(self.rest[bone]) @ self.pose[:, bone]
+                continue
+            offset = np.linalg.inv(self.rest[parent]) @ self.rest[bone]
+            found[:, bone] = np.linalg.inv(self.pose[:, parent] @ offset) @ self.pose[:, bone]
+        return found
+
+
+def sample(armature: bpy.types.Object, frames: Iterable[float]) -> Sampled:
+    """Step the open scene, which must contain the armature, through the frames and read all bones.
+
+    Leaves the scene on the last of them.
+    """
+    scene = bpy.context.scene
+    assert scene is not None
+    bones = list(armature.data.bones)  # parents before children
+    names = tuple(bone.name for bone in bones)
+    parents = tuple(names.index(bone.parent.name) if bone.parent else -1 for bone in bones)
+    pose, world = [], []
+    for frame in frames:
+        whole = int(np.floor(frame))
+        scene.frame_set(whole, subframe=float(frame - whole))
+        shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        # Copied now: Blender hands out views of what the next frame overwrites.
+        pose.append(np.array([shown.pose.bones[name].matrix for name in names]))
+        world.append(np.array(shown.matrix_world))
+    return Sampled(
+        names,
+        parents,
+        np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4),
+        np.array(pose, dtype=np.float64).reshape(-1, len(names), 4, 4),
+        np.array(world, dtype=np.float64).reshape(-1, 4, 4),
+    )
+
+
+def rotations_of(matrices: np.ndarray) -> np.ndarray:
+    """(..., 4, 4) or (..., 3, 3) matrices with some scale -> their nearest rotations (..., 3, 3)."""
+    left, _, right = np.linalg.svd(matrices[..., :3, :3])
+    sign = np.linalg.det(left @ right)
+    left[..., :, 2] *= sign[..., None]
+    return left @ right

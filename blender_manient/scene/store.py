@@ -1,0 +1,224 @@
+"""The take kept in the .blend, and which hand is which.
+
+A built take's collection keeps the take itself as text, so that corrections, confidence and exports work
+in a file that was moved, sent or opened years later. Without the add-on's properties (headless scripts that
+never registered it) nothing is kept and no hand is known.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+from collections import OrderedDict
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import TakeError
+from handfit_core.skeleton import Side
+from handfit_core.take import HandTrack, Take
+
+from .timing import Timing
+
+_CACHED = 8
+"""takes that are kept decoded"""
+_CHUNK = 3 << 18
+"""bytes that are encoded at once (a multiple of 3), in some milliseconds"""
+
+_cache: OrderedDict[str, Take | TakeError] = OrderedDict()
+"""Digest -> what it decodes to. Undo and other files change the digest, never what belongs to it"""
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedHand:
+    """A hand in the scene and what it was made from."""
+
+    armature: bpy.types.Object
+    mesh: bpy.types.Object | None
+    """None where the artist deleted it"""
+    camera: bpy.types.Object | None
+    """The camera that saw it; None where the artist deleted it"""
+    collection: bpy.types.Collection
+    """Keeps the take"""
+    take: Take
+    track: HandTrack
+    index: int
+    """Which of `take.hands`"""
+    side: Side
+
+
+@dataclass(frozen=True)
+class PackedTake:
+    """A take as a collection keeps it."""
+
+    text: str
+    """Base64 of the take file's bytes"""
+    digest: str
+    """Fingerprint of those bytes"""
+
+
+def packing_take(take: Take, data: bytes | None = None) -> Generator[None, None, PackedTake]:
+    """Pack a take in small steps, or rather the bytes of its file where they are at hand; else the first step
+    compresses the take, which for 10 000 frames of two hands takes half a second."""
+    data = take.to_bytes(compact=True) if data is None else data
+    texts, fingerprint = [], hashlib.sha256()
+    for start in range(0, len(data), _CHUNK):
+        chunk = data[start : start + _CHUNK]
+        fingerprint.update(chunk)
+        texts.append(base64.b64encode(chunk).decode("ascii"))
+        yield
+    return PackedTake("".join(texts), fingerprint.hexdigest()[:32])
+
+
+def pack_take(take: Take, data: bytes | None = None) -> PackedTake:
+    """`packing_take` at once."""
+    steps = packing_take(take, data)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
+
+
+def keep_take(collection: bpy.types.Collection, take: Take, data: bytes | None = None) -> None:
+    """Keep a take in its collection, in place of the one that is there. Packing a long one takes its time:
+    where that matters, use `packing_take` and `keep_packed`."""
+    keep_packed(collection, take, pack_take(take, data))
+
+
+def keep_packed(collection: bpy.types.Collection, take: Take, packed: PackedTake) -> None:
+    """Keep a packed take. `take` is what it decodes to; it is remembered as such."""
+    if not kept_here():
+        return
+    collection.manient.is_capture = True
+    collection.manient.take = packed.text
+    collection.manient.digest = packed.digest
+    _remember(packed.digest, take)
+
+
+def kept_take(collection: bpy.types.Collection) -> Take:
+    """The take that a collection keeps, decoded once. Raises TakeError."""
+    if not kept_here() or not collection.manient.digest:
+        raise TakeError(
+            f"the collection {collection.name} keeps no take, so its hands cannot be refined; import the "
+            "take file, or capture again"
+        )
+    digest = collection.manient.digest
+    found = _cache.get(digest)
+    if found is None:
+        found = _decoded(collection, digest)
+        _remember(digest, found)
+    if isinstance(found, TakeError):
+        raise found
+    return found
+
+
+def captured_hands(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The armatures of a scene's captured hands, by name. Decodes nothing."""
+    if not kept_here():
+        return []
+    hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
+    return sorted(hands, key=lambda o: o.name)
+
+
+def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
+    """The captured hand that an armature or its mesh belongs to.
+
+    None for all other objects, and for hands whose take is not there: ones that an older version built,
+    or that were copied to another file without their collection. `kept_take` says what is wrong.
+    """
+    armature = _armature_of(obj)
+    if armature is None:
+        return None
+    collection = armature.manient.capture
+    if collection is None:
+        return None
+    try:
+        take = kept_take(collection)
+    except TakeError:
+        return None
+    index, side = armature.manient.track, armature.manient.side
+    if not 0 <= index < len(take.hands) or take.hands[index].side != side:
+        return None
+    return CapturedHand(
+        armature,
+        next((o for o in armature.children if o.type == "MESH"), None),
+        collection.manient.camera,
+        collection,
+        take,
+        take.hands[index],
+        index,
+        take.hands[index].side,
+    )
+
+
+def timing_of(collection: bpy.types.Collection) -> Timing:
+    """Where the collection's take lies in its scene's time."""
+    return Timing(collection.manient.frame_offset, collection.manient.frame_scale)
+
+
+def scene_frames(collection: bpy.types.Collection, take: Take) -> np.ndarray:
+    """(T,) scene frames of the take's rows; they may lie between whole ones."""
+    return timing_of(collection).scene_frames(take.frame_numbers)
+
+
+def kept_here() -> bool:
+    """Whether the add-on's properties exist, to keep anything in."""
+    return hasattr(bpy.types.Collection, "manient")
+
+
+def describe_capture(
+    collection: bpy.types.Collection, camera: bpy.types.Object | None, timing: Timing
+) -> None:
+    """Note on a collection where its take lies in the scene, and which camera saw it."""
+    if kept_here():
+        collection.manient.camera = camera
+        collection.manient.frame_offset = timing.offset
+        collection.manient.frame_scale = timing.scale
+
+
+def describe_hand(
+    armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int
+) -> None:
+    """Note on an armature which hand of which take it is."""
+    if kept_here():
+        hand = armature.manient
+        # The shape first: as long as this is no captured hand, its change rebuilds nothing.
+        hand.betas = [float(b) for b in take.hands[index].betas]
+        hand.side = take.hands[index].side
+        hand.capture = collection
+        hand.track = index
+        hand.is_hand = True
+
+
+def _armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
+    if not kept_here():
+        return None
+    for candidate in (obj, obj.parent):
+        if candidate is not None and candidate.type == "ARMATURE" and candidate.manient.is_hand:
+            return candidate
+    return None
+
+
+def _decoded(collection: bpy.types.Collection, digest: str) -> Take | TakeError:
+    where = f"the take in the collection {collection.name}"
+    try:
+        data = base64.b64decode(collection.manient.take, validate=True)
+    except (binascii.Error, ValueError):
+        data = b""
+    if hashlib.sha256(data).hexdigest()[:32] != digest:
+        return TakeError(f"{where} is damaged; import the take file, or capture again")
+    try:
+        return Take.from_bytes(data, where=where)
+    except TakeError as error:
+        return error
+
+
+def _remember(digest: str, take: Take | TakeError) -> None:
+    _cache[digest] = take
+    _cache.move_to_end(digest)
+    while len(_cache) > _CACHED:
+        _cache.popitem(last=False)

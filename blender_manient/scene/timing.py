@@ -1,0 +1,50 @@
+"""Where a take's frames lie in a scene's time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import bpy
+import numpy as np
+
+from handfit_core.take import Take
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Scene frame = offset + scale * source frame."""
+
+    offset: float = 0.0
+    scale: float = 1.0
+
+    def scene_frames(self, frame_numbers: np.ndarray) -> np.ndarray:
+        """(T,) source frame numbers -> (T,) scene frames, which may lie between whole ones."""
+        return self.offset + self.scale * np.asarray(frame_numbers, dtype=np.float64)
+
+
+def frame_rate(scene: bpy.types.Scene) -> float:
+    """The scene's frames per second."""
+    return scene.render.fps / scene.render.fps_base
+
+
+def timing_in(scene: bpy.types.Scene, take: Take) -> Timing:
+    """The take in the scene's own time: its first frame at the current one, as fast as it was filmed.
+
+    Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
+    """
+    scale = frame_rate(scene) / take.fps if take.source.kind == "video" else 1.0
+    if abs(scale - 1.0) < 1e-4:
+        scale = 1.0
+    return Timing(scene.frame_current - scale * float(take.frame_numbers[0]), scale)
+
+
+def set_timing(scene: bpy.types.Scene, take: Take) -> None:
+    """Give the scene the take's frame rate and range."""
+    # Blender keeps 29.97 as 30 / 1.001.
+    nearest = max(1, round(take.fps))
+    rate = Fraction(take.fps / nearest).limit_denominator(1001)
+    scene.render.fps = nearest
+    scene.render.fps_base = float(1 / rate)
+    scene.frame_start = int(take.frame_numbers[0])
+    scene.frame_end = int(take.frame_numbers[-1])

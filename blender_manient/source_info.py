@@ -1,0 +1,145 @@
+"""What the panel shows of the chosen source: kind, size, frames and a thumbnail.
+
+Looked up when the path changes, not when the panel is drawn. Size and frames come from the worker, which is
+started by that and is warm when the artist presses the button.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import bpy.utils.previews
+
+from handfit_core.errors import HandfitError
+
+from . import jobs, screen, sources
+from .worker import shared
+
+_LOOK_AGAIN = 0.1
+"""seconds"""
+
+
+@dataclass
+class SourceInfo:
+    """What is known of one source."""
+
+    path: str
+    as_sequence: bool
+    files: sources.SourceFiles | None = None
+    problem: str = ""
+    siblings: int = 0
+    """Numbered pictures that lie beside a photo, with it"""
+    frames: int = 0
+    """0: not known yet"""
+    width: int = 0
+    height: int = 0
+    fps: float = 0.0
+    first: int = 1
+    last: int = 1
+    request: int = 0
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether its file was there and is not any more."""
+        return self.files is not None and not Path(self.files.files[0]).is_file()
+
+
+_known: SourceInfo | None = None
+_previews: Any = None
+
+
+def of(settings) -> SourceInfo:
+    """What is known of the panel's source; cheap enough for drawing."""
+    global _known
+    other = _known is None or (_known.path, _known.as_sequence) != (settings.source, settings.as_sequence)
+    if _known is None or other or _known.is_gone:
+        _known = _look(settings.source, settings.as_sequence)
+    return _known
+
+
+def source_changed(settings, _context) -> None:
+    """Forget the former source, and ask the worker about the new one."""
+    global _known
+    _known = None
+    info = of(settings)
+    if info.files is None or bpy.app.background:
+        return
+    with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
+        info.request = shared.worker().request("probe", input=list(info.files.files))
+        if not bpy.app.timers.is_registered(_await_answer):
+            bpy.app.timers.register(_await_answer, first_interval=_LOOK_AGAIN)
+
+
+def thumbnail(info: SourceInfo) -> int:
+    """An icon of the source, 0 where there is none."""
+    global _previews
+    if info.files is None or bpy.app.background:
+        return 0
+    if _previews is None:
+        _previews = bpy.utils.previews.new()
+    previews = _previews
+    path = info.files.files[0]
+    if path not in previews:
+        if len(previews) > 50:
+            previews.clear()
+        with contextlib.suppress(KeyError):
+            previews.load(path, path, "MOVIE" if info.files.kind == "video" else "IMAGE")
+    return previews[path].icon_id if path in previews else 0
+
+
+def _look(path: str, as_sequence: bool) -> SourceInfo:
+    info = SourceInfo(path, as_sequence)
+    try:
+        info.files = sources.resolve(path, as_sequence=as_sequence)
+    except HandfitError as error:
+        info.problem = str(error)
+        return info
+    first = Path(info.files.files[0])
+    if info.files.kind == "photo" or as_sequence:
+        info.siblings = len(sources.numbered_siblings(first))
+    if info.files.kind == "sequence":
+        numbers = info.files.numbers or list(range(1, len(info.files.files) + 1))
+        info.frames, info.first, info.last = len(numbers), min(numbers), max(numbers)
+    return info
+
+
+def _await_answer() -> float | None:
+    info = _known
+    if info is None or not info.request:
+        return None
+    if jobs.current() is not None:
+        return 1.0  # the worker answers after that
+    for event in shared.worker().poll(info.request):
+        if event.get("event") in ("done", "error"):
+            _take_in(info, event)
+            info.request = 0
+            screen.redraw_sidebars(bpy.context)
+            return None
+    return _LOOK_AGAIN if shared.worker().alive else None
+
+
+def _take_in(info: SourceInfo, event: dict[str, Any]) -> None:
+    if event["event"] == "error":
+        info.problem = str(event.get("message", ""))
+        return
+    info.width, info.height = int(event["width"]), int(event["height"])
+    info.fps, info.frames = float(event["fps"]), int(event["frames"])
+    info.first, info.last = int(event["first"]), int(event["last"])
+
+
+def register() -> None:
+    """Nothing to add."""
+
+
+def unregister() -> None:
+    """Free the thumbnails, and stop waiting."""
+    global _previews, _known
+    if bpy.app.timers.is_registered(_await_answer):
+        bpy.app.timers.unregister(_await_answer)
+    if _previews is not None:
+        bpy.utils.previews.remove(_previews)
+    _previews = _known = None

@@ -1,0 +1,381 @@
+"""Starts the process that captures, and talks to it: `PYTHON -m handfit_core worker`.
+
+Capturing needs torch, MediaPipe and OpenCV, which Blender's own Python does not have and must not be given.
+docs/worker-protocol.md lists the messages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import handfit_core
+from handfit_core import errors
+from handfit_core.errors import Cancelled, HandfitError
+from handfit_core.worker import protocol
+
+from .process import ChildProcess
+
+PYTHON_VARIABLE = "HANDFIT_PYTHON"
+"""Names the Python that has torch, MediaPipe and OpenCV, when it is not the one that is running"""
+
+_START_LIMIT = 60.0
+"""seconds until a started process must have said that it is ready"""
+_NOISE_LIMIT = 200
+"""lines before that which are no messages"""
+_GRACE = 0.15
+"""seconds that Blender's main thread waits for a process to end"""
+_PATIENCE = 3.0
+"""seconds that a script waits for that"""
+
+Event = dict[str, Any]
+"""One message of the worker"""
+
+
+class WorkerError(HandfitError):
+    """The process that captures could not be started, is the wrong one, or died.
+
+    `details` has what it said last, for a bug report.
+    """
+
+    def __init__(self, message: str, details: str = "") -> None:
+        super().__init__(message)
+        self.details = details
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What errors tell the user to do; parts of sentences."""
+
+    where: str
+    """where the interpreter is chosen"""
+    crash: str
+    """what to do after a crash"""
+
+    @property
+    def python(self) -> str:
+        """What to do about an unfit interpreter."""
+        return f"choose a Python that has handfit-core's requirements (torch, mediapipe, opencv) {self.where}"
+
+
+IN_BLENDER = Advice(
+    where="in the add-on's preferences",
+    crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
+)
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What a capture can be told; None leaves it to the core."""
+
+    frames: str | None = None
+    """Source frames, as in 10-200:2"""
+    hands: str | None = None
+    solver: str | None = None
+    model: str | None = None
+    threshold: float | None = None
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx, fy, cx, cy in pixels of the upright picture"""
+    lens: tuple[float, float, float] | None = None
+    """Focal length in picture widths, and the principal point as parts of width and height, instead of
+    `intrinsics` where the picture's size is not known"""
+    landmark_model: str | None = None
+    smoothing: float | None = None
+    """0 takes every frame by itself"""
+    plain_detection: bool | None = None
+    hand_length: float | None = None
+    """Metres from the wrist to the tip of the middle finger"""
+
+    def to_message(self) -> dict[str, Any]:
+        """The `options` of a capture request: those that are given."""
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in given.items()
+            if value is not None
+        }
+
+
+class Worker:
+    """One process that captures. It starts with the first request; after a crash the next one starts another.
+
+    Nothing but `wait` blocks. Not for use by several threads.
+    """
+
+    def __init__(
+        self,
+        python: str | None = None,
+        threads: int | None = None,
+        debug: bool = False,
+        *,
+        advice: Advice = IN_BLENDER,
+    ) -> None:
+        """`python`: the interpreter, as `find_python` takes it. `threads`: how many it may use, None for
+        its own choice. `debug`: its stderr, with tracebacks, is repeated on ours."""
+        self.python = find_python(python)
+        self._threads = threads
+        self._debug = debug
+        self._advice = advice
+        self._child: ChildProcess | None = None
+        self._last_child: ChildProcess | None = None
+        self._hello: Event | None = None
+        self._start_deadline = 0.0
+        self._number = 0
+        self._open: dict[int, str] = {}
+        self._events: deque[Event] = deque()
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        child = self._child
+        self.stop(_PATIENCE)
+        if child is not None:
+            child.kill()  # now: the script may be at its end, and its threads with it
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._child is not None and self._child.exit_code is None
+
+    @property
+    def pid(self) -> int | None:
+        """The running process's id."""
+        return self._child.pid if self.alive and self._child else None
+
+    @property
+    def ready(self) -> Event | None:
+        """The process's `ready` event, with its versions; None until `poll` or `wait` has seen it."""
+        return self._hello
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request has not been answered, or an answer was not taken yet."""
+        return bool(self._open or self._events)
+
+    def start(self) -> None:
+        """Start the process unless it runs; returns at once. Raises WorkerError."""
+        self._collect()
+        if self._child is not None:
+            return
+        command = [self.python, "-u", "-m", "handfit_core", "worker"]
+        if self._threads:
+            command += ["--threads", str(self._threads)]
+        if self._debug:
+            command.append("--debug")
+        try:
+            self._child = ChildProcess(command, child_environment(), echo=self._debug)
+        except OSError as error:
+            raise WorkerError(
+                f"cannot start the Python '{self.python}' ({error.strerror or error}); {self._advice.python}"
+            ) from error
+        self._last_child = self._child
+        self._hello = None
+        self._start_deadline = time.monotonic() + _START_LIMIT
+
+    def request(self, kind: str, **fields: Any) -> int:
+        """Ask for something; returns the number that its events carry as `id`.
+
+        Starts the process if need be. Raises WorkerError when it cannot be started, ProtocolError for
+        values that JSON cannot hold.
+        """
+        line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
+        self.start()
+        assert self._child is not None
+        self._number += 1
+        self._open[self._number] = kind
+        self._child.send(line)
+        return self._number
+
+    def cancel(self, job: int) -> None:
+        """Have a request stopped as soon as it can be; its last event still comes."""
+        if job not in self._open or self._child is None:
+            return
+        self._number += 1
+        self._child.send(protocol.encode({"id": self._number, "request": "cancel", "job": job}))
+
+    def poll(self, *ids: int) -> list[Event]:
+        """The events since the last call, in order: `progress`, `warning`, and last `done` or `error`.
+
+        With `ids` only those of these requests; the others are kept for who asks for them. Where the
+        process has died, every open request gets an `error` of type WorkerError.
+        """
+        self._collect()
+        if not ids:
+            events = list(self._events)
+            self._events.clear()
+            return events
+        events = [event for event in self._events if event["id"] in ids]
+        if events:
+            self._events = deque(event for event in self._events if event["id"] not in ids)
+        return events
+
+    def wait(
+        self, job: int, on_event: Callable[[Event], None] | None = None, timeout: float | None = None
+    ) -> Event:
+        """Block until a request is done; returns its `done` event. `on_event` gets the events before.
+
+        Raises the HandfitError that the worker names (InputError, NoHandFoundError, Cancelled, ...) or
+        WorkerError. After `timeout` seconds the process is killed, and with it every open request.
+        """
+        kind = self._open.get(job, "request")
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            for event in self.poll(job):
+                if event["event"] == "done":
+                    return event
+                if event["event"] == "error":
+                    raise as_error(event)
+                if on_event:
+                    on_event(event)
+            if job not in self._open:
+                raise ValueError(f"request {job} does not exist, or was answered before")
+            if deadline is not None and time.monotonic() > deadline:
+                assert timeout is not None
+                self._give_up(f"the {kind} took longer than {timeout:g} seconds and was stopped")
+            elif self._child is not None:
+                self._child.wait_for_news(0.05)
+
+    def stop(self, seconds: float = _GRACE) -> None:
+        """End the process; open requests get an `error` of type Cancelled.
+
+        Waits at most `seconds` for it; one that takes longer is ended later by a thread.
+        """
+        child, self._child, self._hello = self._child, None, None
+        if child is not None:
+            child.stop(seconds)
+        self._answer_all(Cancelled.__name__, "stopped before it was finished", "")
+
+    def details(self) -> str:
+        """What the process, or the last one, said on stderr, and how it ended; for a bug report."""
+        child = self._last_child
+        if child is None:
+            return ""
+        code = child.exit_code
+        ending = "" if code is None else f"the process ended {_ending(code)}"
+        return "\n".join(filter(None, (child.last_words().strip(), ending)))
+
+    def _collect(self) -> None:
+        """Take in what the process said since the last time."""
+        child = self._child
+        if child is None:
+            return
+        ended = child.ended()  # asked first: nothing is said after that
+        for message in child.received():
+            if self._hello is None and not self._greeted(message):
+                return
+            self._receive(message)
+        if ended:
+            self._give_up(self._why_it_died(child))
+        elif self._hello is None and child.noise > _NOISE_LIMIT:
+            self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
+        elif self._hello is None and time.monotonic() > self._start_deadline:
+            self._give_up(
+                f"the Python '{self.python}' did not answer within {_START_LIMIT:g} seconds; "
+                f"{self._advice.python}"
+            )
+
+    def _greeted(self, message: Event) -> bool:
+        """Whether the first message is the right one; gives up on the process if not."""
+        version = message.get("protocol")
+        if message.get("event") != "ready":
+            self._give_up(
+                f"the Python '{self.python}' answered in an unknown way; {self._advice.python}",
+            )
+        elif version != protocol.PROTOCOL:
+            self._give_up(
+                f"the worker of '{self.python}' speaks protocol {version}, this add-on needs "
+                f"{protocol.PROTOCOL}; install the handfit-core that belongs to the add-on there"
+            )
+        else:
+            self._hello = message
+            return True
+        return False
+
+    def _receive(self, message: Event) -> None:
+        kind, job = message.get("event"), message.get("id")
+        if job not in self._open or kind not in ("progress", "warning", "done", "error"):
+            return
+        if kind in ("done", "error"):
+            del self._open[job]
+        if kind == "error" and message.get("type") in ("ModuleNotFoundError", "ImportError"):
+            text = str(message.get("message", "")).rstrip(".")
+            message = {**message, "type": WorkerError.__name__, "message": f"{text} {self._advice.where}"}
+        self._events.append(message)
+
+    def _give_up(self, why: str) -> None:
+        """Kill the process and answer every open request."""
+        child, self._child, self._hello = self._child, None, None
+        if child is not None:
+            child.kill()
+        self._answer_all(WorkerError.__name__, why, self.details())
+
+    def _answer_all(self, kind: str, message: str, details: str) -> None:
+        for job in self._open:
+            self._events.append(
+                {"event": "error", "id": job, "type": kind, "message": message, "details": details}
+            )
+        self._open.clear()
+
+    def _why_it_died(self, child: ChildProcess) -> str:
+        """One sentence for a process that ended without saying why."""
+        code = child.exit_code or 0
+        last = _last_line(child.last_words())
+        if "No module named" in last:
+            return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
+        said = f", last saying: {last}" if last else ""
+        if code == -getattr(signal, "SIGKILL", 9) or last.startswith("MemoryError"):
+            return (
+                f"the worker process ended {_ending(code)}{said}; probably memory ran out: capture fewer "
+                "frames at a time"
+            )
+        return f"the worker process ended {_ending(code)}{said}; {self._advice.crash}"
+
+
+def find_python(python: str | None = None) -> str:
+    """The interpreter to capture with: the argument, $HANDFIT_PYTHON, else the running one."""
+    return python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+
+
+def child_environment() -> dict[str, str]:
+    """The child's environment: handfit_core in reach, and nothing of Blender's own Python."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    environment["PYTHONPATH"] = str(Path(handfit_core.__file__).resolve().parents[1])
+    environment["PYTHONIOENCODING"] = "utf-8"
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    return environment
+
+
+def as_error(event: Event) -> HandfitError:
+    """An `error` event as the exception that it was in the worker, with its details as a note."""
+    message, details = str(event.get("message") or "the request failed"), str(event.get("details") or "")
+    kind = getattr(errors, str(event.get("type")), None)
+    if isinstance(kind, type) and issubclass(kind, HandfitError):
+        error = kind(message)
+    else:
+        error = WorkerError(message, details)
+    if details:
+        error.add_note(details)
+    return error
+
+
+def _last_line(words: str) -> str:
+    """What a process said last; of a crash, its kind rather than the lines about where it was."""
+    lines = [line.strip() for line in words.splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith("Fatal Python error")), lines[-1] if lines else "")
+
+
+def _ending(code: int) -> str:
+    if code < 0:
+        with contextlib.suppress(ValueError):
+            return f"by signal {signal.Signals(-code).name}"
+    # Windows gives what Unix calls a signal as a large number that is known in hexadecimal.
+    return f"with exit code {code if code < 256 else hex(code)}"

@@ -1,0 +1,48 @@
+"""How long a hand is, and the shape of a hand of a given length. NumPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.hand_model.data import HandModel
+from handfit_core.skeleton import FINGERS, NUM_BETAS
+
+_MIDDLE = FINGERS.index("middle")
+_STEPS = 8
+
+
+def flat_hand_length(model: HandModel, betas: np.ndarray | None = None) -> float:
+    """Metres from the wrist joint to the tip of the middle finger of the flat hand of shape betas (10,);
+    None: the mean shape."""
+    shaped = model.shaped(betas)
+    return float(np.linalg.norm(shaped.tips[_MIDDLE] - shaped.joints[0]))
+
+
+def length_rates(model: HandModel, betas: np.ndarray) -> np.ndarray:
+    """(10,) metres by which the length of a hand of shape betas (10,) grows with each of them."""
+    shaped = model.shaped(betas)
+    along = shaped.tips[_MIDDLE] - shaped.joints[0]
+    return _span_by_betas(model).T @ (along / max(float(np.linalg.norm(along)), 1e-9))
+
+
+def _span_by_betas(model: HandModel) -> np.ndarray:
+    """(3, 10) derivatives of the vector from the wrist to the tip."""
+    at_wrist = np.einsum("v,vck->ck", model.joint_regressor[0], model.shapedirs)
+    return model.shapedirs[model.tip_vertices[_MIDDLE]] - at_wrist
+
+
+def betas_of_length(model: HandModel, length: float) -> np.ndarray:
+    """(10,) the shape nearest to the mean whose flat hand has that length in metres.
+
+    Its norm tells how far from the mean that is, in standard deviations. A model whose shapes do not
+    change the length gives zeros.
+    """
+    betas = np.zeros(NUM_BETAS)
+    for _ in range(_STEPS):
+        now, slope = flat_hand_length(model, betas), length_rates(model, betas)
+        steepness = float(slope @ slope)
+        if steepness < 1e-12:
+            return np.zeros(NUM_BETAS)
+        # The least-norm solution of the length, linearised where the betas are now.
+        betas = slope * ((length - now + slope @ betas) / steepness)
+    return betas

@@ -1,0 +1,114 @@
+"""How pins act on what a hand is fitted to. NumPy.
+
+A pinned point's pixels are taken as true. The other points of its finger count the less, the farther the
+pin lies from where the point was: so a dragged fingertip takes its finger along, as inverse kinematics
+does, while the other fingers stay. A knuckle turns the palm about the wrist and takes all fingers along,
+the wrist takes the palm along. A pin that lies where the point is already changes nothing.
+
+Pins come after the landmark network (`observe.landmarked`), which knows detectors and not artists.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.solvers.fast.observe import Landmarked
+
+PIN_SIGMA: Final = 0.2
+"""pixels"""
+KEPT_SIGMA: Final = 0.005
+"""of the hand's size in the picture: how firmly points of a pose that is corrected stay where they are"""
+KEPT_DEPTH_SIGMA: Final = 0.02
+LEAST_SIGMA: Final = 0.5
+"""pixels, of points that are kept"""
+FOLLOW: Final = 0.5
+"""of a pin's displacement: what it adds to the expected errors of its finger's points"""
+FOLLOW_DEPTH: Final = 1.0
+WRIST_SHARE: Final = 0.5
+"""of the wrist's displacement: how much all other points doubt theirs"""
+FORGET: Final = 0.05
+"""of the hand's size: displaced by so much, a finger's points are half the pose's and half the detector's"""
+REACH: Final = 0.25
+"""seconds: frames up to so far from a pin doubt their own landmarks too, the farther the less"""
+
+_FINGERS: Final = np.arange(1, NUM_KEYPOINTS).reshape(5, 4)
+
+
+def kept(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
+    """A pose's landmarks (N, 21, 3), metres, camera frame, as if a detector had seen them."""
+    pixels = intrinsics.project(points)
+    size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)[:, None]
+    ray = points.mean(axis=1)
+    distance = np.linalg.norm(ray, axis=1, keepdims=True)
+    along = np.einsum("nkc,nc->nk", points, ray / distance)
+    depth = (along - distance) * (0.5 * (intrinsics.fx + intrinsics.fy) / distance)
+    sigma = np.maximum(KEPT_SIGMA * size, LEAST_SIGMA)
+    return Landmarked(
+        pixels,
+        np.broadcast_to(sigma[..., None], pixels.shape).copy(),
+        depth,
+        np.broadcast_to(np.maximum(KEPT_DEPTH_SIGMA * size, LEAST_SIGMA), depth.shape).copy(),
+    )
+
+
+def displacement(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(N, 21) pixels from where points are (N, 21, 2) to their pins (N, 21, 2); 0 where there is none."""
+    return np.nan_to_num(np.linalg.norm(pins - pixels, axis=-1), nan=0.0)
+
+
+def followed(displaced: np.ndarray) -> np.ndarray:
+    """(N, 21) displacements of pinned points -> how much each of a hand's points is to doubt its place."""
+    doubt = displaced.copy()
+    doubt[:, _FINGERS] = displaced[:, _FINGERS].max(axis=2, keepdims=True)
+    # The palm turns about the wrist, and all fingers ride on it.
+    knuckles = displaced[:, _FINGERS[:, 0]].max(axis=1, keepdims=True)
+    doubt[:, 1:] = np.maximum(doubt[:, 1:], knuckles)
+    return np.maximum(doubt, WRIST_SHARE * displaced[:, :1])
+
+
+def over_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
+    """(N, 21) the same, with a part of what pins in neighbouring frames were displaced by: where the detector
+    errs in one frame it errs in the next. `frames` (N,) rising."""
+    spread = displaced.copy()
+    reach = REACH * fps
+    for row in np.flatnonzero(displaced.any(axis=1)):
+        share = np.clip(1.0 - np.abs(frames - frames[row]) / (reach + 1.0), 0.0, 1.0)
+        np.maximum(spread, share[:, None] * displaced[row], out=spread)
+    return spread
+
+
+def pinned(
+    seen: Landmarked, pins: np.ndarray, doubt: np.ndarray, detected: Landmarked | None = None
+) -> Landmarked:
+    """`seen` with pins (N, 21, 2) in their place and (N, 21) `doubt` added to the expected errors.
+
+    Where `detected` has numbers, points in doubt go back to what it has.
+    """
+    if detected is not None:
+        seen = _forgetting(seen, detected, doubt)
+    at = np.asarray(np.isfinite(pins).all(axis=-1))
+    sigma = np.hypot(seen.pixel_sigma, FOLLOW * doubt[..., None])
+    return replace(
+        seen,
+        pixels=np.where(at[..., None], pins, seen.pixels),
+        pixel_sigma=np.where(at[..., None], PIN_SIGMA, sigma),
+        depth_sigma=np.hypot(seen.depth_sigma, FOLLOW_DEPTH * doubt),
+        pinned=at,
+    )
+
+
+def _forgetting(seen: Landmarked, detected: Landmarked, doubt: np.ndarray) -> Landmarked:
+    size = np.maximum(np.ptp(seen.pixels, axis=1).max(axis=1), 1.0)[:, None]
+    share = np.square(doubt) / (np.square(doubt) + np.square(FORGET * size))
+
+    def between(name: str) -> np.ndarray:
+        mine, theirs = getattr(seen, name), getattr(detected, name)
+        part = share.reshape(*share.shape, *[1] * (mine.ndim - 2))
+        return np.where(np.isfinite(theirs), (1.0 - part) * mine + part * theirs, mine)
+
+    return Landmarked(*(between(name) for name in ("pixels", "pixel_sigma", "depth", "depth_sigma")))

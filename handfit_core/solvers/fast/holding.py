@@ -1,0 +1,56 @@
+"""Joints that stay as they are while the rest of a hand is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS
+from handfit_core.solvers.fast.blocks import Blocks
+from handfit_core.solvers.fast.chain import State
+
+_JOINTS = np.array([FINGER_JOINTS[f] for f in FINGERS])
+"""(5, 3) MANO's joints, finger by finger"""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Which joints of B hands are held, and at what."""
+
+    joints: np.ndarray
+    """(B, 16) bool in MANO's order; 0 is the wrist: its rotation and its place"""
+    state: State
+    """B hands; only the held joints of it count"""
+
+    def select(self, index: torch.Tensor) -> Held:
+        """The hands of that index."""
+        return Held(self.joints[index.cpu().numpy()], self.state.select(index))
+
+    def variables(self) -> np.ndarray:
+        """(B, 51) bool: root (3), joints finger by finger (45), place (3), as `smooth` orders them."""
+        wrist = self.joints[:, :1].repeat(3, axis=1)
+        fingers = self.joints[:, _JOINTS.reshape(-1)].repeat(3, axis=1)
+        return np.concatenate([wrist, fingers, wrist], axis=1)
+
+    def of(self, blocks: Blocks) -> Blocks:
+        """The same problems without the held variables."""
+        count, n = blocks.hand_gradient.shape
+        device = blocks.cost.device
+        held = torch.tensor(self.variables(), device=device)
+        of_hand = torch.zeros(count, n, dtype=torch.bool, device=device)
+        of_hand[:, :6] = held[:, :1]
+        return blocks.holding(of_hand, held[:, 3:48].reshape(count, 5, 9))
+
+    def put(self, state: State) -> State:
+        """B hands with the held joints where they are held."""
+        device = state.root.device
+        wrist = torch.tensor(self.joints[:, 0], device=device)[:, None]
+        fingers = torch.tensor(self.joints[:, _JOINTS], device=device)[..., None, None]
+        return replace(
+            state,
+            root=torch.where(wrist[..., None], self.state.root, state.root),
+            local=torch.where(fingers, self.state.local, state.local),
+            wrist=torch.where(wrist, self.state.wrist, state.wrist),
+        )

@@ -1,0 +1,302 @@
+"""The worker's loop: requests come in on stdin, events go out on stdout (docs/worker-protocol.md).
+
+A thread reads, so that a cancel and the end of stdin are noticed at once; the work is done on the main
+thread, one request at a time. Nothing heavy loads before a request needs it.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import logging
+import os
+import platform
+import queue
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO, Final
+
+from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.version import __version__
+from handfit_core.worker.protocol import JOBS, PROTOCOL, REQUESTS, check_id, decode, encode
+
+PROGRESS_EVERY: Final = 0.05
+"""seconds between two progress events; a stage's first and the one that completes it are always sent"""
+
+GRACE: Final = 1.0
+"""seconds that the work gets, once nobody listens any more, to take its temporary files away"""
+
+THREAD_VARIABLES: Final = (
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+"""What torch, SciPy and OpenCV look at when they load"""
+
+ShouldStop = Callable[[], bool]
+OnProgress = Callable[[str, int, int], None]
+
+
+class _Ended(BaseException):
+    """Nobody is left to talk to. Not an Exception, so that no handler of errors on the way takes it."""
+
+
+@dataclass(eq=False)
+class _Job:
+    number: int
+    kind: str
+    message: dict[str, Any]
+    cancelled: threading.Event = field(default_factory=threading.Event)
+    closed: bool = False
+    """Whether its last event was sent"""
+
+
+class Server:
+    """Answers the requests of one client, until it says `end` or closes the stream."""
+
+    def __init__(self, requests: BinaryIO, events: BinaryIO) -> None:
+        self._requests, self._events = requests, events
+        self._sending = threading.Lock()
+        self._jobs: dict[int, _Job] = {}
+        """Those that have had no last event"""
+        self._waiting: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._current: _Job | None = None
+        self._ending = threading.Event()
+        self._finished = threading.Event()
+
+    def run(self, *, leave: Callable[[], None] | None = None) -> None:
+        """Say `ready`, then work until the client is done. `leave` is called from another thread when the
+        work does not stop `GRACE` seconds after that."""
+        handler = _WarningEvents(self)
+        log = logging.getLogger("handfit")
+        log.addHandler(handler)
+        try:
+            self._send(
+                event="ready",
+                protocol=PROTOCOL,
+                version=__version__,
+                pid=os.getpid(),
+                python=platform.python_version(),
+            )
+            threading.Thread(target=self._read, args=(leave,), daemon=True).start()
+            while (job := self._waiting.get()) is not None:
+                self._do(job)
+        except _Ended:
+            pass
+        finally:
+            self._finished.set()
+            log.removeHandler(handler)
+
+    def warn(self, message: str) -> None:
+        """Tell the client of something that the current request ran into."""
+        job = self._current
+        if job is not None:
+            self._send(event="warning", id=job.number, message=_one_line(message))
+
+    # The reading thread
+
+    def _read(self, leave: Callable[[], None] | None) -> None:
+        try:
+            for line in self._requests:
+                if line.strip() and not self._receive(line):
+                    break
+        except (OSError, ValueError, _Ended):  # the pipe broke
+            pass
+        self._ending.set()
+        self._waiting.put(None)
+        if not self._finished.wait(GRACE) and leave is not None:
+            leave()
+
+    def _receive(self, line: bytes) -> bool:
+        """Take one request in; False for the last one."""
+        number: int | None = None
+        try:
+            message = decode(line)
+            kind = message.get("request")
+            if kind == "end":
+                return False
+            if kind == "cancel":
+                self._cancel(check_id(message, "job"))
+                return True
+            number = check_id(message)
+            if kind not in JOBS:
+                raise ProtocolError(f"there is no request {kind!r}; known are {', '.join(REQUESTS)}")
+            if number in self._jobs:
+                number = None  # the open request of that id must not seem to have failed
+                raise ProtocolError(f"a request with the id {message['id']} is still open; use a new id")
+        except ProtocolError as error:
+            self._send(event="error", id=number, type="ProtocolError", message=str(error), details="")
+            return True
+        job = self._jobs[number] = _Job(number, kind, message)
+        self._waiting.put(job)
+        return True
+
+    def _cancel(self, number: int) -> None:
+        """Stop a job that runs; answer for one that waits. One that has just ended needs nothing."""
+        job = self._jobs.get(number)
+        if job is None:
+            return
+        job.cancelled.set()
+        if job is not self._current:
+            self._close(job, "error", **_as_error(Cancelled("cancelled before it was begun"), ""))
+
+    # The main thread
+
+    def _do(self, job: _Job) -> None:
+        # In this order: a cancel that comes in between is either seen here or by the job itself.
+        self._current = job
+        try:
+            if self._ending.is_set():
+                raise _Ended
+            if job.cancelled.is_set():
+                raise Cancelled("cancelled before it was begun")
+            answer = self._answer(job)
+        except Exception as error:
+            self._close(job, "error", **_as_error(error, traceback.format_exc()))
+        else:
+            self._close(job, "done", **answer)
+        finally:
+            self._current = None
+
+    def _answer(self, job: _Job) -> dict[str, Any]:
+        """What the `done` event says beside its id."""
+
+        def should_stop() -> bool:
+            if self._ending.is_set():
+                raise _Ended
+            return job.cancelled.is_set()
+
+        if job.kind == "capture":
+            from handfit_core.worker.capturing import answer
+
+            return answer(job.message, should_stop, self._progress_of(job))
+        if job.kind == "refit":
+            from handfit_core import refine
+
+            return refine.answer(job.message, should_stop)
+        if job.kind == "probe":
+            from handfit_core.worker.probing import answer as probe
+
+            return probe(job.message)
+        if job.kind == "warm":
+            from handfit_core.worker.warming import answer as warm
+
+            return warm(job.message, should_stop)
+        from handfit_core.worker.checking import answer as check
+
+        return check(should_stop)
+
+    def _progress_of(self, job: _Job) -> OnProgress:
+        last_stage, last_time = "", 0.0
+
+        def report(stage: str, done: int, total: int) -> None:
+            nonlocal last_stage, last_time
+            if self._ending.is_set():
+                raise _Ended
+            now = time.monotonic()
+            if stage == last_stage and now - last_time < PROGRESS_EVERY and done != total:
+                return
+            last_stage, last_time = stage, now
+            self._send(event="progress", id=job.number, stage=stage, done=done, total=total)
+
+        return report
+
+    # Both
+
+    def _close(self, job: _Job, event: str, **fields: Any) -> None:
+        """Send a job's last event, if it has had none."""
+        with self._sending:
+            if job.closed:
+                return
+            job.closed = True
+            self._jobs.pop(job.number, None)
+        try:
+            self._send(event=event, id=job.number, **fields)
+        except ProtocolError as error:  # a defect of ours; the client must still get an answer
+            fields = _as_error(error, traceback.format_exc())
+            self._send(event="error", id=job.number, **fields)
+
+    def _send(self, **event: Any) -> None:
+        line = encode(event)
+        try:
+            with self._sending:
+                self._events.write(line)
+                self._events.flush()
+        except (OSError, ValueError):  # closed by the other side
+            self._ending.set()
+            raise _Ended from None
+
+
+class _WarningEvents(logging.Handler):
+    """The core's warnings become events of the request that is worked on."""
+
+    def __init__(self, server: Server) -> None:
+        super().__init__(logging.WARNING)
+        self._server = server
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._server.warn(record.getMessage())
+
+
+def _as_error(error: Exception, details: str) -> dict[str, str]:
+    """The fields of an error's event; `message` is one sentence."""
+    message = str(error)
+    if isinstance(error, ImportError):
+        message = (
+            f"the Python {sys.executable} lacks what capturing needs ({error}); install handfit-core's "
+            "requirements into it, or choose another Python"
+        )
+    elif isinstance(error, MemoryError):
+        message = "memory ran out; capture fewer frames at a time, or smaller pictures"
+    elif not isinstance(error, HandfitError):
+        message = f"unexpected error: {type(error).__name__}: {error}; the details say where"
+    return {"type": type(error).__name__, "message": _one_line(message), "details": details}
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def serve(threads: int | None = None) -> None:
+    """Be the worker on this process's stdin and stdout; never returns.
+
+    `threads`: how many OpenBLAS, OpenMP, torch and OpenCV use at most; none of them may have loaded, but for
+    NumPy's own OpenBLAS, which has one. Raises OptionError if it is below 1.
+    """
+    if threads is not None and threads < 1:
+        raise OptionError(f"a worker needs at least 1 thread, not {threads}")
+    # Ctrl-C in the terminal that Blender was started from is Blender's; the worker ends with its stdin.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    requests, events = _own_streams()
+    faulthandler.enable(sys.stderr)
+    if threads is not None:
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+
+    def leave() -> None:
+        sys.stderr.flush()
+        # Not sys.exit: torch's and MediaPipe's threads would be waited for.
+        os._exit(0)
+
+    Server(requests, events).run(leave=leave)
+    leave()
+
+
+def _own_streams() -> tuple[BinaryIO, BinaryIO]:
+    """stdin and stdout for the protocol alone.
+
+    What a library prints goes to stderr. Descriptor 0 gets an empty file: on Windows a library that asks
+    about stdin while it loads would wait for the thread that reads there.
+    """
+    sys.stdout.flush()
+    requests = os.fdopen(os.dup(0), "rb")
+    events = os.fdopen(os.dup(1), "wb")
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return requests, events

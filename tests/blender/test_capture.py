@@ -1,0 +1,237 @@
+"""The capture operator without a window: it waits for the worker and builds what it found."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
+
+import blender_manient  # noqa: E402
+from blender_manient import jobs  # noqa: E402
+from blender_manient.operators.capture import new_job  # noqa: E402
+from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
+from blender_manient.worker import shared  # noqa: E402
+from handfit_core.errors import HandfitError  # noqa: E402
+
+SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
+
+
+def _can_capture() -> bool:
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    code = "import torch, cv2, mediapipe, scipy"
+    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+needs_worker = pytest.mark.skipif(
+    not _can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
+)
+
+
+@pytest.fixture(autouse=True)
+def addon():
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def photo(tmp_path) -> Path:
+    return Path(shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / "my hand.jpg"))
+
+
+@pytest.fixture
+def settings():
+    return bpy.context.scene.manient
+
+
+def _hands():
+    return [hand_of(armature) for armature in captured_hands(bpy.context.scene)]
+
+
+@needs_worker
+def test_photo(photo, settings):
+    settings.source = str(photo)
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    (hand,) = _hands()
+    assert (hand.side, len(hand.take.frame_numbers)) == ("right", 1)
+    assert hand.track.refinable
+    assert bpy.context.view_layer.objects.active == hand.armature
+    assert bpy.context.scene.camera == hand.camera
+    (job,) = jobs.jobs()
+    assert (job.state, job.message) == ("done", "1 hand in 1 frame")
+
+
+@needs_worker
+def test_sequence_range_and_single_frame(settings):
+    settings.source = str(SAMPLE / "hand.0003.jpg")
+    settings.as_sequence = True
+    settings.use_frames, settings.first_frame, settings.last_frame, settings.frame_step = True, 3, 9, 3
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    assert list(_hands()[0].take.frame_numbers) == [3, 6, 9]
+    bpy.context.scene.frame_set(5)
+    assert bpy.ops.manient.capture(only_frame=True) == {"FINISHED"}
+    assert sorted(len(h.take.frame_numbers) for h in _hands()) == [1, 3]
+
+
+@needs_worker
+def test_onto_a_hand_that_is_there(settings, photo):
+    settings.source = str(SAMPLE)
+    settings.use_frames, settings.first_frame, settings.last_frame = True, 1, 4
+    bpy.ops.manient.capture()
+    (hand,) = _hands()
+    bone = hand.armature.pose.bones["index_proximal.R"]
+    bpy.context.scene.frame_set(20)
+    before = np.array(bone.rotation_quaternion)
+    settings.source, settings.target = str(SAMPLE / "hand.0016.jpg"), "POSE"
+    settings.as_sequence = False
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    bpy.context.scene.frame_set(20)
+    assert len(_hands()) == 1
+    assert np.abs(np.array(bone.rotation_quaternion) - before).max() > 0.02
+
+
+@needs_worker
+def test_through_the_scenes_own_camera(settings, photo):
+    data = bpy.data.cameras.new("own")
+    camera = bpy.data.objects.new("own", data)
+    camera.location, camera.rotation_euler = (1.0, 2.0, 3.0), (1.1, 0.2, 0.3)
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 640, 480
+    bpy.context.view_layer.update()
+    settings.source, settings.camera = str(photo), "ACTIVE"
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    (hand,) = _hands()
+    assert bpy.context.scene.camera == camera == hand.camera
+    bpy.context.view_layer.update()
+
+    from bpy_extras.object_utils import world_to_camera_view
+
+    wrist = hand.armature.matrix_world @ hand.armature.pose.bones["wrist.R"].head
+    seen = world_to_camera_view(bpy.context.scene, camera, wrist)
+    expected = hand.track.keypoints_2d[0, 0]
+    assert [seen.x * 640, (1 - seen.y) * 480] == pytest.approx(list(expected), abs=25.0)
+    assert seen.z > 0.1
+
+
+@needs_worker
+def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
+    settings.source = str(SAMPLE)
+    job = new_job(bpy.context, only_frame=False)
+    jobs.submit(job)
+    _tick_until(lambda: job.done >= 2)
+    pid = shared.worker().pid
+    assert pid
+    os.kill(pid, 9)
+    _tick_until(lambda: job.finished)
+    assert job.state == "failed"
+    assert "worker process ended" in job.message
+    assert "Traceback" not in job.message
+    text = bpy.data.texts["Hand Capture Details"].as_string()
+    assert job.message in text
+    assert not _hands()
+    settings.use_frames, settings.last_frame = True, 2
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+
+
+@needs_worker
+def test_cancelling_keeps_what_is_finished(settings):
+    settings.source = str(SAMPLE)
+    first, second = (new_job(bpy.context, only_frame=False) for _ in range(2))
+    jobs.submit(first)
+    jobs.submit(second)
+    _tick_until(lambda: first.stage == "detect" and first.done >= 4)
+    jobs.cancel_all()
+    _tick_until(lambda: not jobs.busy())
+    assert (first.state, first.stopped) == ("done", True)
+    assert second.state == "cancelled"
+    (hand,) = _hands()
+    assert 4 <= len(hand.take.frame_numbers) < 24
+
+
+@needs_worker
+def test_no_hand_is_a_sentence(settings, tmp_path):
+    image = bpy.data.images.new("grey", 320, 240)
+    image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
+    image.save()
+    settings.source = str(tmp_path / "grey.png")
+    with pytest.raises(RuntimeError, match="threshold"):
+        bpy.ops.manient.capture()
+    assert jobs.jobs()[-1].state == "failed"
+
+
+@needs_worker
+def test_another_file_ends_the_capture(settings):
+    settings.source = str(SAMPLE)
+    job = new_job(bpy.context, only_frame=False)
+    jobs.submit(job)
+    _tick_until(lambda: job.stage == "detect")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert not jobs.busy()
+    assert jobs.jobs() == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"source": ""}, "Choose a photo"),
+        ({"source": "/nowhere/gone.jpg"}, "not there any more"),
+        ({"target": "POSE"}, "select the captured hand"),
+        ({"camera": "ACTIVE"}, "no active camera"),
+        ({"model": "MANO"}, "choose your MANO files"),
+        ({"as_sequence": True, "use_frames": True, "first_frame": 9, "last_frame": 3}, "last frame lies"),
+    ],
+)
+def test_what_is_missing_is_said_before_anything_starts(settings, values, said):
+    settings.source = str(SAMPLE / "hand.0001.jpg")
+    for name, value in values.items():
+        setattr(settings, name, value)
+    with pytest.raises(HandfitError, match=said):
+        new_job(bpy.context, only_frame=False)
+    assert shared.current() is None or not shared.current().alive
+
+
+def test_settings_become_the_options_of_the_worker(settings):
+    settings.source = str(SAMPLE / "hand.0001.jpg")
+    settings.preset, settings.experiment = "PAPER", "paper-c"
+    settings.use_hand_length, settings.hand_length = True, 17.0
+    settings.camera, settings.focal_length = "FOCAL", 72.0
+    options = new_job(bpy.context, only_frame=False).options.to_message()
+    assert options["solver"] == "paper-c"
+    assert options["hand_length"] == pytest.approx(0.17)
+    assert options["lens"] == pytest.approx([2.0, 0.5, 0.5])
+    settings.preset = "FAST"
+    options = new_job(bpy.context, only_frame=False).options.to_message()
+    assert options["plain_detection"] is True
+    assert "solver" not in options
+
+
+def test_pictures_of_the_open_file_as_sources(settings, tmp_path):
+    picture = bpy.data.images.load(str(SAMPLE / "hand.0001.jpg"))
+    assert bpy.ops.manient.use_source(kind="IMAGE", name=picture.name) == {"FINISHED"}
+    assert settings.source == str(SAMPLE / "hand.0001.jpg")
+    picture.pack()
+    picture.filepath = "/nowhere/gone.jpg"
+    assert bpy.ops.manient.use_source(kind="IMAGE", name=picture.name) == {"FINISHED"}
+    assert Path(settings.source).is_file()
+    clip = bpy.data.movieclips.load(str(SAMPLE / "hand.0002.jpg"))
+    assert bpy.ops.manient.use_source(kind="CLIP", name=clip.name) == {"FINISHED"}
+    assert settings.source == str(SAMPLE / "hand.0002.jpg")
+    with pytest.raises(RuntimeError, match="no image"):
+        bpy.ops.manient.use_source(kind="IMAGE", name="nothing")
+
+
+def _tick_until(condition, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, [(j.state, j.message) for j in jobs.jobs()]
+        jobs.tick()
+        time.sleep(0.002)

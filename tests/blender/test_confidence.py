@@ -1,0 +1,202 @@
+"""Bones coloured by how well they meet the picture, frame by frame, and their own colours given back."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient.scene import confidence
+from blender_manient.scene.armature import bone_names
+from blender_manient.scene.build import build_take
+from blender_manient.scene.confidence import FAIR, GOOD, POOR, UNSEEN_COLOR, bone_errors, colors_of
+
+from .conftest import FRAMES, UNSEEN
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+BAD_FRAME, INDEX_TIP = 8, 8
+ROW = int(np.flatnonzero(FRAMES == BAD_FRAME)[0])
+
+
+def off_at_the_index(take):
+    """On the spot everywhere, but in one frame the index fingertip was detected half a hand away."""
+    hands = []
+    for track in take.hands:
+        keypoints = take.intrinsics.project(track.joints_3d)
+        keypoints[ROW, INDEX_TIP] += [60.0, 0.0]
+        hands.append(replace(track, keypoints_2d=keypoints))
+    return replace(take, hands=tuple(hands))
+
+
+@pytest.fixture
+def armature(make_take):
+    return build_take(off_at_the_index(make_take(sides=("right",)).take)).hands[0].armature
+
+
+def shown(armature, evaluated: bool = True) -> dict[str, tuple]:
+    """Bone -> its normal colour, as it is drawn."""
+    if evaluated:
+        armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return {b.name: tuple(b.color.custom.normal) for b in armature.pose.bones if b.color.palette == "CUSTOM"}
+
+
+def is_close(color, expected) -> bool:
+    return bool(np.abs(np.array(color) - expected).max() < 0.01)
+
+
+def test_errors_are_parts_of_the_hand(make_take):
+    take = off_at_the_index(make_take(sides=("right",)).take)
+    track = take.hands[0]
+    errors = bone_errors(take, track)
+    assert errors.shape == (len(FRAMES), 16)
+    assert np.isnan(errors[UNSEEN]).all()
+    seen = np.delete(errors, [UNSEEN, ROW], axis=0)
+    np.testing.assert_allclose(seen, 0.0, atol=1e-9)
+    off = np.flatnonzero(errors[ROW] > 1e-9)
+    assert [bone_names("right")[i] for i in off] == ["index_distal.R"]
+    joints = track.joints_3d[ROW]
+    length = sum(np.linalg.norm(joints[b] - joints[a]) for a, b in ((0, 9), (9, 10), (10, 11), (11, 12)))
+    expected = 30.0 / (take.intrinsics.fx * length / joints[:, 2].mean())
+    assert errors[ROW, off[0]] == pytest.approx(expected)
+
+
+def test_colors_run_from_green_over_yellow_to_red():
+    green, yellow, red, unseen = colors_of(np.array([0.5 * GOOD, FAIR, 2 * POOR, np.nan]))
+    assert green[1] > 2 * green[0]
+    assert min(yellow[:2]) > 3 * yellow[2]
+    assert red[0] > 4 * red[1]
+    assert tuple(unseen) == UNSEEN_COLOR
+
+
+def test_colors_follow_the_frame(armature):
+    scene = bpy.context.scene
+    armature.manient.show_confidence = True
+    scene.frame_set(3)
+    green, _, red, grey = colors_of(np.array([0.0, FAIR, 1.0, np.nan]))
+    assert len(shown(armature)) == 16
+    assert all(is_close(c, green) for c in shown(armature).values())
+    scene.frame_set(BAD_FRAME)
+    colors = shown(armature)
+    assert is_close(colors.pop("index_distal.R"), red)
+    assert all(is_close(c, green) for c in colors.values())
+    scene.frame_set(int(FRAMES[UNSEEN]))
+    assert all(is_close(c, grey) for c in shown(armature).values())
+    scene.frame_set(900)
+    assert all(is_close(c, grey) for c in shown(armature).values())
+
+
+def test_colors_are_there_at_once(armature):
+    bpy.context.scene.frame_set(BAD_FRAME)
+    armature.manient.show_confidence = True
+    red = colors_of(np.array([1.0]))[0]
+    assert is_close(shown(armature)["index_distal.R"], red)
+
+
+def test_own_colors_come_back(armature):
+    bones = armature.pose.bones
+    bones["wrist.R"].color.palette = "THEME03"
+    bones["thumb_distal.R"].color.palette = "CUSTOM"
+    bones["thumb_distal.R"].color.custom.normal = (0.2, 0.4, 0.6)
+    armature.manient.show_confidence = True
+    bpy.context.scene.frame_set(BAD_FRAME)
+    assert bones["wrist.R"].color.palette == "CUSTOM"
+    armature.manient.show_confidence = False
+    assert bones["wrist.R"].color.palette == "THEME03"
+    assert bones["index_distal.R"].color.palette == "DEFAULT"
+    assert shown(armature, evaluated=False).keys() == {"thumb_distal.R"}
+    assert is_close(bones["thumb_distal.R"].color.custom.normal, (0.2, 0.4, 0.6))
+    bpy.context.scene.frame_set(3)
+    assert shown(armature).keys() == {"thumb_distal.R"}
+    assert "manient_bone_colors" not in armature.data
+
+
+def handlers() -> int:
+    return sum(h is confidence._on_frame for h in bpy.app.handlers.frame_change_pre)
+
+
+def test_the_frame_is_followed_only_while_some_hand_shows(make_take):
+    hands = build_take(make_take().take).hands
+    assert handlers() == 0
+    hands[0].armature.manient.show_confidence = True
+    hands[1].armature.manient.show_confidence = True
+    assert handlers() == 1
+    hands[0].armature.manient.show_confidence = False
+    assert handlers() == 1
+    hands[1].armature.manient.show_confidence = False
+    assert handlers() == 0
+
+
+def test_saved_and_opened_again_it_goes_on(armature, tmp_path):
+    armature.manient.show_confidence = True
+    name = armature.name
+    path = tmp_path / "shown.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert handlers() == 0
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    assert handlers() == 1
+    bpy.context.scene.frame_set(BAD_FRAME)
+    armature = bpy.data.objects[name]
+    assert is_close(shown(armature)["index_distal.R"], colors_of(np.array([1.0]))[0])
+    armature.manient.show_confidence = False
+    assert shown(armature, evaluated=False) == {}
+
+
+def test_undo_and_redo(armature):
+    name = armature.name
+    bpy.ops.ed.undo_push(message="built")
+    armature.manient.show_confidence = True
+    bpy.ops.ed.undo_push(message="shown")
+    bpy.context.scene.frame_set(BAD_FRAME)
+    bpy.ops.ed.undo()
+    assert shown(bpy.data.objects[name], evaluated=False) == {}
+    assert handlers() == 0
+    bpy.ops.ed.redo()
+    assert handlers() == 1
+    bpy.context.scene.frame_set(BAD_FRAME)
+    assert is_close(shown(bpy.data.objects[name])["index_distal.R"], colors_of(np.array([1.0]))[0])
+
+
+def test_switching_the_add_on_off_gives_colors_back(armature):
+    armature.manient.show_confidence = True
+    name = armature.name
+    blender_manient.unregister()
+    try:
+        assert shown(bpy.data.objects[name], evaluated=False) == {}
+        assert handlers() == 0
+    finally:
+        blender_manient.register()
+
+
+def test_other_objects_are_left_alone():
+    bpy.ops.object.armature_add()
+    rig = bpy.context.object
+    rig.manient.show_confidence = True
+    assert handlers() == 0
+    assert shown(rig, evaluated=False) == {}
+
+
+def test_a_frame_costs_little(make_take):
+    made = make_take(frame_numbers=np.arange(1, 201))
+    scene = bpy.context.scene
+    for hand in build_take(made.take).hands:
+        hand.armature.manient.show_confidence = True
+    spent = []
+    for frame in range(1, 101):
+        scene.frame_current = frame
+        start = time.thread_time()
+        confidence._on_frame(scene)
+        spent.append(time.thread_time() - start)
+    print(f"median {np.median(spent) * 1000:.2f} ms for two hands")
+    assert np.median(spent) < 0.004

@@ -1,0 +1,331 @@
+"""Corrections fade out as promised, live in the .blend, and leave keys as they found them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient.correction_field import (
+    Correction,
+    CorrectionField,
+    changed_quats,
+    changed_stretches,
+    correction_between,
+    quat_multiply,
+    quat_to_rotvec,
+    rotvec_to_quat,
+)
+from blender_manient.scene import corrections
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
+from handfit_core.errors import TakeError
+from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
+
+from .conftest import FRAMES, UNSEEN
+
+ROOT = Path(__file__).resolve().parents[2]
+SEEN = np.delete(FRAMES, UNSEEN)
+
+
+def correction(rng: np.random.Generator, spread: float = 6.0, size: float = 0.4, **fields) -> Correction:
+    return Correction(
+        {8: (1.0, 2.0)},
+        rng.normal(scale=size, size=(16, 3)),
+        rng.normal(scale=0.01, size=3),
+        spread,
+        **fields,
+    )
+
+
+def random_field(seed: int, frames, spread: float = 6.0) -> CorrectionField:
+    rng = np.random.default_rng(seed)
+    return CorrectionField({int(f): correction(rng, spread) for f in frames})
+
+
+# The mathematics
+
+
+def test_the_mathematics_need_no_blender():
+    code = (
+        "import sys; sys.modules['bpy'] = None; import types;"
+        "package = types.ModuleType('blender_manient'); package.__path__ = ['blender_manient'];"
+        "sys.modules['blender_manient'] = package;"
+        "import blender_manient.correction_field, blender_manient.picture_map"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=120)
+
+
+def test_weights_are_one_at_home_and_zero_on_other_corrections():
+    field = random_field(1, [10, 13, 30], spread=6.0)
+    np.testing.assert_allclose(field.weights(np.array([10, 13, 30])), np.eye(3), atol=1e-12)
+
+
+def test_neighbours_within_their_spread_share_what_lies_between():
+    field = random_field(1, [10, 14], spread=6.0)
+    weights = field.weights(np.linspace(10, 14, 41))
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
+    assert (np.diff(weights[:, 0]) < 0).all()
+
+
+def test_weights_fall_from_one_to_zero_over_the_spread():
+    field = random_field(1, [20], spread=5.0)
+    weights = field.weights(np.arange(12.0, 29.0))[:, 0]
+    assert (weights[:4] == 0).all()
+    assert (weights[-4:] == 0).all()
+    np.testing.assert_allclose(weights, weights[::-1], atol=1e-12)
+    assert (np.diff(weights[3:9]) > 0).all()
+    # A smoothstep: half way it is a half.
+    assert field.weights(np.array([22.5]))[0, 0] == pytest.approx(0.5)
+
+
+def test_no_spread_touches_its_own_frame_only():
+    field = random_field(1, [20], spread=0.0)
+    np.testing.assert_array_equal(field.weights(np.array([19.0, 19.99, 20.0, 20.01]))[:, 0], [0, 0, 1, 0])
+
+
+def test_an_empty_field_is_zero():
+    rotation, location = CorrectionField().at(np.array([1.0, 2.0]))
+    assert rotation.shape == (2, 16, 3)
+    assert not rotation.any()
+    assert not location.any()
+
+
+def test_outside_of_the_changed_stretches_two_fields_are_the_same():
+    """Against the definition, on a fine grid, for corrections that come, go and change."""
+    rng = np.random.default_rng(5)
+    grid = np.linspace(0, 100, 2001)
+    for _ in range(200):
+        spread = float(rng.integers(0, 15))
+        old = random_field(
+            int(rng.integers(1000)), rng.choice(100, rng.integers(0, 6), replace=False), spread
+        )
+        new = old.without(rng.choice(sorted(old.corrections) or [0], 1))
+        for frame in rng.choice(100, rng.integers(0, 3), replace=False):
+            new = new.with_correction(int(frame), correction(rng, float(rng.integers(0, 15))))
+        inside = np.zeros(len(grid), dtype=bool)
+        for first, last in changed_stretches(old, new):
+            inside |= (grid >= first) & (grid <= last)
+        for before, after in zip(old.at(grid), new.at(grid), strict=True):
+            np.testing.assert_allclose(before[~inside], after[~inside], atol=1e-12)
+
+
+def test_turns_lead_from_one_rotation_to_the_other():
+    rng = np.random.default_rng(2)
+    before, after = rng.normal(size=(2, 50, 4))
+    before[0] *= 3.0  # keys need not be of unit length
+    turns = correction_between(before, after)
+    found = quat_to_rotmat(before) @ rotvec_to_rotmat(turns)
+    np.testing.assert_allclose(found, quat_to_rotmat(after), atol=1e-9)
+    np.testing.assert_allclose(quat_to_rotvec(rotvec_to_quat(turns)), turns, atol=1e-9)
+    np.testing.assert_allclose(rotvec_to_quat(np.zeros(3)), [1, 0, 0, 0], atol=0)
+
+
+def test_quaternion_product_is_the_product_of_rotations():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 20, 4))
+    np.testing.assert_allclose(
+        quat_to_rotmat(quat_multiply(a, b)), quat_to_rotmat(a) @ quat_to_rotmat(b), atol=1e-9
+    )
+
+
+def test_a_change_and_back_is_nothing():
+    rng = np.random.default_rng(4)
+    quats = rng.normal(size=(30, 16, 4))
+    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+    old, new = rng.normal(scale=1.5, size=(2, 30, 16, 3))
+    there = changed_quats(quats, old, new)
+    np.testing.assert_allclose(np.linalg.norm(there, axis=-1), 1.0, atol=1e-9)
+    assert np.abs(there - quats).max() > 0.1
+    np.testing.assert_allclose(changed_quats(there, new, old), quats, atol=1e-9)
+
+
+def test_text_and_back():
+    field = random_field(7, [3, 12]).with_correction(5, Correction({0: (1.25, -3.5)}, added_key=True))
+    back = CorrectionField.from_json(field.to_json())
+    assert sorted(back.corrections) == [3, 5, 12]
+    for frame, one in field.corrections.items():
+        other = back.corrections[frame]
+        assert (other.pins, other.spread, other.added_key) == (one.pins, one.spread, one.added_key)
+        np.testing.assert_array_equal(other.rotation, one.rotation)
+        np.testing.assert_array_equal(other.location, one.location)
+    assert CorrectionField().to_json() == ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no json",
+        "[]",
+        '{"version":1}',
+        '{"version":1,"frames":{"x":{}}}',
+        '{"version":1,"frames":{"3":{"pins":{"21":[1,2]},"spread":1}}}',
+        '{"version":1,"frames":{"3":{"pins":{},"spread":1,"rotation":[1]}}}',
+        '{"version":1,"frames":{"3":{"pins":{},"spread":NaN}}}',
+        '{"version":99,"frames":{}}',
+    ],
+)
+def test_what_is_no_correction_is_refused(text):
+    with pytest.raises(TakeError, match="corrections"):
+        CorrectionField.from_json(text)
+
+
+# In the scene
+
+
+@pytest.fixture
+def armature(make_take):
+    blender_manient.register()
+    yield build_take(make_take(sides=("right",)).take).hands[0].armature
+    blender_manient.unregister()
+
+
+def all_keys(armature) -> PoseKeys:
+    return read_pose_keys(armature, "right")
+
+
+def same_rotations(a: np.ndarray, b: np.ndarray) -> float:
+    """The largest angle between two sets of quaternions, radians."""
+    return float(np.linalg.norm(correction_between(a, b), axis=-1).max())
+
+
+def moved_pose(armature, frame: int, seed: int = 1, size: float = 0.3):
+    rng = np.random.default_rng(seed)
+    quats, locations = pose_at(armature, "right", np.array([float(frame)]))
+    turned = changed_quats(quats[0], np.zeros((16, 3)), rng.normal(scale=size, size=(16, 3)))
+    return turned, locations[0] + rng.normal(scale=0.01, size=3)
+
+
+def test_a_corrected_frame_takes_the_pose_and_its_neighbours_a_part(armature):
+    before = all_keys(armature)
+    quats, location = moved_pose(armature, 6)
+    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, quats, location, spread=3)
+    after = all_keys(armature)
+    np.testing.assert_array_equal(after.frames, before.frames)
+    at = int(np.flatnonzero(SEEN == 6)[0])
+    assert same_rotations(after.quats[at], quats) < 1e-5
+    np.testing.assert_allclose(after.locations[at], location, atol=1e-6)
+    moved = np.linalg.norm(after.locations - before.locations, axis=-1)
+    inside = (SEEN > 3) & (SEEN < 9)
+    assert (moved[inside] > 1e-5).all()
+    # Keys out of reach are the very same.
+    np.testing.assert_array_equal(after.quats[~inside], before.quats[~inside])
+    np.testing.assert_array_equal(after.locations[~inside], before.locations[~inside])
+    assert corrections.corrected_frames(armature) == [6]
+    assert corrections.corrections_of(armature).pins(6) == {8: (10.0, 20.0)}
+
+
+@pytest.mark.parametrize("scope", [None, [5, 6, 16]])
+def test_clearing_puts_every_key_back(armature, scope):
+    before = all_keys(armature)
+    for seed, frame in enumerate((6, 5, 16, 6)):
+        quats, location = moved_pose(armature, frame, seed, size=0.8)
+        corrections.correct_frame(armature, frame, {seed: (1.0, 2.0)}, quats, location, spread=6)
+    assert same_rotations(all_keys(armature).quats, before.quats) > 0.5
+    assert corrections.clear_corrections(armature, scope) == 3
+    after = all_keys(armature)
+    assert same_rotations(after.quats, before.quats) < 1e-5
+    np.testing.assert_allclose(after.locations, before.locations, atol=1e-5)
+    assert armature.manient.corrections == ""
+
+
+def test_clearing_one_leaves_the_other_as_if_it_had_been_alone(armature):
+    quats, location = moved_pose(armature, 5)
+    corrections.correct_frame(armature, 5, {8: (1.0, 2.0)}, quats, location, spread=6)
+    alone = all_keys(armature)
+    quats, location = moved_pose(armature, 8, seed=2)
+    corrections.correct_frame(armature, 8, {4: (1.0, 2.0)}, quats, location, spread=6)
+    # The other corrected frame keeps its pose.
+    at = int(np.flatnonzero(SEEN == 5)[0])
+    assert same_rotations(all_keys(armature).quats[at], alone.quats[at]) < 1e-5
+    corrections.clear_corrections(armature, [8])
+    after = all_keys(armature)
+    assert same_rotations(after.quats, alone.quats) < 1e-5
+    np.testing.assert_allclose(after.locations, alone.locations, atol=1e-5)
+    assert corrections.corrected_frames(armature) == [5]
+
+
+def test_what_was_done_by_hand_stays(armature):
+    """A key that the artist turned under a correction keeps that turn when the correction goes."""
+    quats, location = moved_pose(armature, 6)
+    corrections.correct_frame(armature, 6, {8: (1.0, 2.0)}, quats, location, spread=6)
+    here = np.array([8.0])
+    now, _ = pose_at(armature, "right", here)
+    turn = np.zeros((1, 16, 3))
+    turn[0, 2] = [0.2, 0.0, 0.0]
+    # The artist's turn comes first, the correction after it: so it is the bone's own before that.
+    field_turn = corrections.corrections_of(armature).at(here)[0]
+    base = changed_quats(now, field_turn, np.zeros_like(field_turn))
+    by_hand = changed_quats(changed_quats(base, np.zeros_like(turn), turn), np.zeros_like(turn), field_turn)
+    write_pose_keys(armature, "right", PoseKeys.everywhere(here, by_hand))
+    corrections.clear_corrections(armature)
+    after, _ = pose_at(armature, "right", here)
+    np.testing.assert_allclose(correction_between(base[0], after[0]), turn[0], atol=1e-5)
+
+
+def test_a_frame_without_keys_gets_them_and_loses_them_again(armature):
+    before = all_keys(armature)
+    assert 10 not in before.frames
+    quats, location = moved_pose(armature, 10)
+    corrections.correct_frame(armature, 10, {8: (1.0, 2.0)}, quats, location, spread=0)
+    assert 10 in all_keys(armature).frames
+    found, place = pose_at(armature, "right", np.array([10.0]))
+    assert same_rotations(found[0], quats) < 1e-5
+    np.testing.assert_allclose(place[0], location, atol=1e-6)
+    corrections.clear_corrections(armature, [10])
+    after = all_keys(armature)
+    np.testing.assert_array_equal(after.frames, before.frames)
+    np.testing.assert_array_equal(after.quats, before.quats)
+
+
+def test_a_key_that_says_something_else_too_stays(armature):
+    quats, location = moved_pose(armature, 10)
+    corrections.correct_frame(armature, 10, {8: (1.0, 2.0)}, quats, location, spread=0)
+    other, place = moved_pose(armature, 10, seed=9)
+    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([10.0]), other[None], place[None]))
+    corrections.clear_corrections(armature)
+    assert 10 in all_keys(armature).frames
+
+
+def test_fitting_a_range_again_contains_its_corrections(armature):
+    quats, location = moved_pose(armature, 6)
+    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, quats, location, spread=3)
+    before = all_keys(armature)
+    frames = [5, 6, 8]
+    new = [moved_pose(armature, f, seed=f) for f in frames]
+    for _ in corrections.replacing_poses(
+        armature.name, frames, np.array([q for q, _ in new]), np.array([p for _, p in new])
+    ):
+        pass
+    after = all_keys(armature)
+    rows = np.isin(SEEN, frames)
+    assert same_rotations(after.quats[rows], np.array([q for q, _ in new])) < 1e-5
+    np.testing.assert_array_equal(after.quats[~rows], before.quats[~rows])
+    field = corrections.corrections_of(armature)
+    assert field.pins(6) == {8: (10.0, 20.0)}
+    assert not field.at(np.array([6.0]))[0].any()
+    corrections.clear_corrections(armature)
+    np.testing.assert_allclose(all_keys(armature).quats, after.quats, atol=1e-6)
+
+
+def test_scene_frames_that_are_not_the_sources(armature):
+    """A capture that lies elsewhere in the scene, at another speed."""
+    capture = armature.manient.capture
+    capture.manient.frame_offset, capture.manient.frame_scale = 100.0, 0.5
+    keys = all_keys(armature)
+    places = 100.0 + 0.5 * SEEN
+    for place, quats, location in zip(places, keys.quats, keys.locations, strict=True):
+        write_pose_keys(
+            armature, "right", PoseKeys.everywhere(np.array([place]), quats[None], location[None])
+        )
+    before = read_pose_keys(armature, "right", 100.0)
+    quats, location = moved_pose(armature, 103.0)
+    corrections.correct_frame(armature, 6, {8: (1.0, 2.0)}, quats, location, spread=3)
+    after = read_pose_keys(armature, "right", 100.0)
+    moved = np.linalg.norm(after.locations - before.locations, axis=-1) > 1e-6
+    np.testing.assert_array_equal(moved, (SEEN > 3) & (SEEN < 9))
+    np.testing.assert_array_equal(read_pose_keys(armature, "right", 0.0, 50.0).quats, keys.quats)

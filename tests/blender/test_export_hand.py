@@ -1,0 +1,404 @@
+"""Exporting hands as the artist left them: presets, ranges, and what the files say about themselves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+import blender_manient
+from blender_manient.scene import export
+from blender_manient.scene.armature import bone_names
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
+from handfit_core.hand_model import load_model
+from handfit_core.take import Take
+
+from .conftest import UNSEEN, evaluated_vertices, joint_heads, world
+from .fbx_file import read_fbx
+
+BETAS = np.array([1.0, -1.0, 0.5, 0.0, 1.5, -0.5, 0.3, 0.0, -1.0, 0.8])
+
+
+@pytest.fixture(autouse=True)
+def registered(empty_file):
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+def build(made):
+    """Two hands, the right one active."""
+    built = build_take(made.take)
+    bpy.context.view_layer.objects.active = built.hands[1].armature
+    return made, built
+
+
+@pytest.fixture
+def hands(make_take):
+    """A built take of two open hands."""
+    return build(make_take())
+
+
+@pytest.fixture
+def all_hands(make_take, model):
+    """The same of every kind of model, also with shape keys."""
+    return build(make_take(model=model))
+
+
+def write(path: Path, **options) -> Path:
+    assert bpy.ops.manient.export_hand(filepath=str(path), **options) == {"FINISHED"}
+    return path
+
+
+def snapshot() -> list:
+    """Everything that an export must leave as it was."""
+    return [
+        sorted((o.name, o.data.name if o.data else "") for o in bpy.data.objects),
+        sorted(a.name for a in bpy.data.actions),
+        sorted(m.name for m in bpy.data.meshes),
+        sorted(a.name for a in bpy.data.armatures),
+        len(bpy.data.scenes),
+        bpy.context.scene.frame_current,
+        [[list(row) for row in o.matrix_world] for o in bpy.data.objects],
+        bpy.context.mode,
+        bpy.context.view_layer.objects.active.name,
+    ]
+
+
+def imported(side):
+    name = bone_names(side)[0]
+    found = [o for o in bpy.data.objects if o.type == "ARMATURE" and name in o.pose.bones]
+    assert len(found) == 1
+    return found[0]
+
+
+def joint_error(made, sides=("left", "right"), move=None) -> float:
+    worst = 0.0
+    for row, frame in made.seen:
+        bpy.context.scene.frame_set(frame)
+        for side in sides:
+            expected = world(made.joints[side][row])
+            if move is not None:
+                expected = expected @ np.array(move.to_3x3()).T + np.array(move.translation)
+            error = np.linalg.norm(joint_heads(imported(side), side) - expected, axis=-1)
+            worst = max(worst, error.max())
+    return worst
+
+
+def vertex_error(made) -> float:
+    for mesh in bpy.data.meshes:
+        for key in mesh.shape_keys.key_blocks if mesh.shape_keys else ():
+            key.slider_min, key.slider_max = -2.0, 2.0
+    worst = 0.0
+    meshes = [o for o in bpy.data.objects if o.type == "MESH"]
+    for row, frame in made.seen[::3]:
+        bpy.context.scene.frame_set(frame)
+        clouds = [evaluated_vertices(o) for o in meshes]
+        for vertices in made.vertices.values():
+            expected = world(vertices[row])
+            cloud = min(clouds, key=lambda c, e=expected: np.linalg.norm(c.mean(0) - e.mean(0)))
+            assert len(cloud) == len(expected)
+            worst = max(worst, np.linalg.norm(cloud - expected, axis=-1).max())
+    return worst
+
+
+@pytest.mark.parametrize("preset", ["PLAIN", "UNITY", "UNREAL"])
+def test_fbx_comes_back_where_it_was(all_hands, tmp_path, preset):
+    made, _ = all_hands
+    before = snapshot()
+    path = write(tmp_path / "a.fbx", file_format="fbx", preset=preset)
+    assert snapshot() == before
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    assert joint_error(made) < 1e-3
+    assert vertex_error(made) < 1e-3
+
+
+def models_of(path: Path) -> dict:
+    """Name -> (kind, properties) of the file's nodes."""
+    nodes = read_fbx(path).first("Objects").all("Model")
+    return {n.values[1].split("\x00")[0]: (n.values[2], n.properties()) for n in nodes}
+
+
+def test_unity_has_nothing_to_convert(hands, tmp_path):
+    path = write(tmp_path / "a.fbx", file_format="fbx", preset="UNITY")
+    said = read_fbx(path).first("GlobalSettings").properties()
+    assert said["UnitScaleFactor"] == 100.0  # a unit is a metre
+    assert (said["UpAxis"], said["UpAxisSign"]) == (1, 1)  # Y up
+    assert (said["FrontAxis"], said["FrontAxisSign"]) == (2, 1)
+    assert (said["CoordAxis"], said["CoordAxisSign"]) == (0, 1)
+    objects = {k: v for k, v in models_of(path).items() if v[0] in ("Null", "Mesh")}
+    assert len(objects) == 4
+    for _, properties in objects.values():
+        np.testing.assert_allclose(properties.get("Lcl Rotation", (0, 0, 0)), 0.0, atol=1e-3)
+        np.testing.assert_allclose(properties.get("Lcl Scaling", (1, 1, 1)), 1.0, atol=1e-5)
+        np.testing.assert_allclose(properties.get("Lcl Translation", (0, 0, 0)), 0.0, atol=1e-6)
+    assert not [name for name in models_of(path) if name.endswith("_end")]
+
+
+def test_unreal_gets_centimetres_its_own_axes_and_a_root(hands, tmp_path):
+    path = write(tmp_path / "a.fbx", file_format="fbx", preset="UNREAL", active_only=True)
+    file = read_fbx(path)
+    said = file.first("GlobalSettings").properties()
+    assert said["UnitScaleFactor"] == pytest.approx(1.0, abs=1e-6)
+    assert (said["UpAxis"], said["UpAxisSign"]) == (2, 1)  # Z up
+    assert (said["FrontAxis"], said["FrontAxisSign"]) == (1, -1)  # -Y to the front
+    assert (said["CoordAxis"], said["CoordAxisSign"]) == (0, 1)
+    models = models_of(path)
+    objects = {k: v for k, v in models.items() if v[0] in ("Null", "Mesh")}
+    assert [k for k, v in objects.items() if v[0] == "Null"] == ["root"]
+    assert "Armature" not in models
+    for _, properties in objects.values():
+        np.testing.assert_allclose(properties.get("Lcl Rotation", (0, 0, 0)), 0.0, atol=1e-3)
+        np.testing.assert_allclose(properties.get("Lcl Scaling", (1, 1, 1)), 1.0, atol=1e-5)
+    # Every bone's scale is 1 too, and lengths are a hand's in centimetres.
+    for kind, properties in models.values():
+        if kind == "LimbNode":
+            np.testing.assert_allclose(properties.get("Lcl Scaling", (1, 1, 1)), 1.0, atol=1e-4)
+    geometry = next(g for g in file.first("Objects").all("Geometry") if g.values[2] == "Mesh")
+    points = geometry.first("Vertices").values[0].reshape(-1, 3)
+    assert 10.0 < np.ptp(points, axis=0).max() < 30.0
+    # Smoothing groups, without which Unreal warns.
+    smoothing = geometry.first("LayerElementSmoothing")
+    assert smoothing.first("MappingInformationType").values[0] == "ByPolygon"
+    # The skeleton hangs on the root, and the wrist is its first bone.
+    names = {n.values[0]: n.values[1].split("\x00")[0] for n in file.first("Objects").all("Model")}
+    above = {
+        names[c.values[1]]: names.get(c.values[2])
+        for c in file.first("Connections").children
+        if c.values[0] == "OO" and c.values[1] in names and c.values[2] in (0, *names)
+    }
+    assert above[bone_names("right")[0]] == "root"
+    assert not [name for name in above if bone_names("left")[0] == name]
+
+
+def test_two_roots_have_two_names(hands, tmp_path):
+    path = write(tmp_path / "a.fbx", file_format="fbx", preset="UNREAL")
+    assert {k for k, v in models_of(path).items() if v[0] == "Null"} == {"left_root", "right_root"}
+
+
+def glb_content(path: Path) -> dict:
+    data = path.read_bytes()
+    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+
+
+@pytest.mark.parametrize("preset", ["PLAIN", "UNITY", "UNREAL"])
+def test_gltf_comes_back_where_it_was(all_hands, tmp_path, preset):
+    made, _ = all_hands
+    before = snapshot()
+    path = write(tmp_path / "a.glb", file_format="glb", preset=preset)
+    assert snapshot() == before
+    attributes = {a for m in glb_content(path)["meshes"] for p in m["primitives"] for a in p["attributes"]}
+    assert ("JOINTS_1" in attributes) <= (preset != "UNITY")  # four bones per vertex
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
+    assert joint_error(made) < 1e-3
+
+
+@pytest.mark.parametrize("fmt", ["usd", "abc"])
+def test_other_formats(all_hands, tmp_path, fmt):
+    made, _ = all_hands
+    if not export.available(export.FORMATS[fmt]):
+        pytest.skip(f"this Blender cannot write {fmt}")
+    before = snapshot()
+    path = write(tmp_path / "hand", file_format=fmt)
+    path = path.with_name("hand" + export.FORMATS[fmt].suffix)
+    assert path.is_file()
+    assert snapshot() == before
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    if fmt == "usd":
+        bpy.ops.wm.usd_import(filepath=str(path))
+    else:
+        bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)
+    assert vertex_error(made) < 1e-3
+
+
+def test_bvh_is_a_file_per_hand(hands, tmp_path):
+    write(tmp_path / "a.bvh", file_format="bvh")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a_left.bvh", "a_right.bvh"]
+    write(tmp_path / "b.bvh", file_format="bvh", active_only=True)
+    assert (tmp_path / "b.bvh").is_file()
+
+
+def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
+    made = make_take(sides=("right",))
+    built = build_take(made.take)
+    armature = built.hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    frame = made.seen[2][1]
+    quats, locations = pose_at(armature, "right", np.array([float(frame)]))
+    write_pose_keys(
+        armature, "right", PoseKeys.everywhere(np.array([30.0]), quats, locations + [[0.0, 0.1, 0.0]])
+    )
+    bpy.context.scene.frame_set(30)
+    expected = joint_heads(armature, "right")
+    bpy.context.scene.frame_end = 5
+    for name, last in (("KEYS", 30), ("SCENE", 5)):
+        path = write(tmp_path / f"{name}.glb", file_format="glb", frame_range=name)
+        content = glb_content(path)
+        inputs = {s["input"] for animation in content["animations"] for s in animation["samplers"]}
+        ends = {content["accessors"][i]["max"][0] for i in inputs}
+        assert max(ends) == pytest.approx(last / 30.0, abs=1e-4)
+    path = write(tmp_path / "a.fbx", file_format="fbx", frame_range="KEYS", preset="UNREAL")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    bpy.context.scene.frame_set(30)
+    np.testing.assert_allclose(joint_heads(imported("right"), "right"), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("preset", ["PLAIN", "UNITY", "UNREAL"])
+@pytest.mark.parametrize("fmt", ["fbx", "glb"])
+def test_other_units_a_moved_rig_and_constraints(make_take, tmp_path, fmt, preset):
+    """In a scene of centimetres, with the rig moved and the thumb held by a constraint."""
+    made = make_take(sides=("right",))
+    bpy.context.scene.unit_settings.scale_length = 0.01
+    built = build_take(made.take)
+    armature = built.hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    armature.location = (30.0, -20.0, 10.0)
+    armature.rotation_euler = (0.3, 0.2, -0.4)
+    thumb = armature.pose.bones[bone_names("right")[13]].constraints.new("COPY_ROTATION")
+    thumb.target, thumb.subtarget = armature, bone_names("right")[1]
+    frame = made.seen[3][1]
+    bpy.context.scene.frame_set(frame)
+    expected = joint_heads(armature, "right") * 0.01
+    assert 0.1 < np.ptp(expected, axis=0).max() < 0.3
+    path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
+    assert armature.name == built.hands[0].armature.name
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    if fmt == "fbx":
+        bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    else:
+        bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
+    bpy.context.scene.frame_set(frame)
+    np.testing.assert_allclose(joint_heads(imported("right"), "right"), expected, atol=1e-3)
+
+
+def test_the_take_is_what_was_captured_while_nothing_is_changed(hands, tmp_path):
+    made, _ = hands
+    before = snapshot()
+    take = Take.load(write(tmp_path / "a.take.npz", file_format="npz"))
+    assert snapshot() == before
+    assert_same_take(take, made.take)
+
+
+def assert_same_take(found: Take, expected: Take) -> None:
+    np.testing.assert_array_equal(found.frame_numbers, expected.frame_numbers)
+    for one, other in zip(found.hands, expected.hands, strict=True):
+        assert one.side == other.side
+        np.testing.assert_array_equal(one.detected, other.detected)
+        np.testing.assert_allclose(one.betas, other.betas, atol=1e-5)
+        np.testing.assert_allclose(one.transl, other.transl, atol=1e-5)
+        np.testing.assert_allclose(one.joints_3d, other.joints_3d, atol=2e-5)
+        np.testing.assert_allclose(one.hand_pose, other.hand_pose, atol=1e-4)
+        np.testing.assert_allclose(one.keypoints_2d, other.keypoints_2d, atol=1e-3)
+        np.testing.assert_allclose(one.reprojection_error, other.reprojection_error, atol=2e-2)
+        assert np.isnan(one.transl[UNSEEN]).all()
+
+
+@pytest.mark.parametrize("units", [1.0, 0.01])
+def test_the_take_does_not_see_that_rig_and_camera_moved_together(make_take, tmp_path, units):
+    made = make_take()
+    bpy.context.scene.unit_settings.scale_length = units
+    built = build_take(made.take)
+    bpy.context.view_layer.objects.active = built.hands[0].armature
+    move = Matrix.Translation((0.4 / units, 0.2 / units, -0.1 / units)) @ Matrix.Rotation(0.7, 4, (1, 2, 3))
+    for obj in (built.camera, *(h.armature for h in built.hands)):
+        obj.matrix_world = move @ obj.matrix_world
+    bpy.context.view_layer.update()
+    assert_same_take(Take.load(write(tmp_path / "a.take.npz", file_format="npz")), made.take)
+
+
+def test_the_take_has_the_artists_shape_and_keys(make_take, tmp_path):
+    made = make_take(sides=("right",))
+    built = build_take(made.take)
+    armature = built.hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    armature.manient.betas = BETAS
+    keys = read_pose_keys(armature, "right")
+    turned = keys.quats.copy()
+    turned[:, 4] = (0.9, 0.3, 0.2, 0.1)
+    turned[:, 4] /= np.linalg.norm(turned[:, 4], axis=-1, keepdims=True)
+    moved = PoseKeys.everywhere(keys.frames, turned, keys.locations + [0.0, 0.02, 0.01])
+    write_pose_keys(armature, "right", moved)
+    take = Take.load(write(tmp_path / "mine.npz", file_format="npz"))
+    (track,) = take.hands
+    np.testing.assert_allclose(track.betas, BETAS, atol=1e-6)
+    model = load_model("open-hand", "right")
+    row, frame = made.seen[4]
+    bpy.context.scene.frame_set(frame)
+    posed = model.posed(track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row])
+    mesh = built.hands[0].mesh
+    np.testing.assert_allclose(evaluated_vertices(mesh), world(posed.vertices), atol=1e-4)
+    np.testing.assert_allclose(track.joints_3d[row], posed.keypoints, atol=1e-6)
+    pixels = take.intrinsics.project(track.joints_3d[row])
+    expected = np.linalg.norm(pixels - track.keypoints_2d[row], axis=-1).mean()
+    assert track.reprojection_error[row] == pytest.approx(expected, abs=1e-6)
+    assert expected > made.take.hands[0].reprojection_error[row] + 1.0
+    # And it builds the same hand again.
+    again = build_take(take)
+    bpy.context.scene.frame_set(frame)
+    found = evaluated_vertices(again.hands[0].mesh)
+    np.testing.assert_allclose(found, evaluated_vertices(mesh), atol=1e-4)
+
+
+def test_deleted_hands_and_meshes_are_left_out(hands, tmp_path):
+    built = hands[1]
+    bpy.data.objects.remove(built.hands[0].armature)
+    bpy.data.objects.remove(built.hands[0].mesh)
+    assert [t.side for t in Take.load(write(tmp_path / "a.npz", file_format="npz")).hands] == ["right"]
+    bpy.data.objects.remove(built.hands[1].mesh)
+    for preset in ("PLAIN", "UNITY"):
+        path = write(tmp_path / f"{preset}.fbx", file_format="fbx", preset=preset)
+        assert not [k for k, v in models_of(path).items() if v[0] == "Mesh"]
+    write(tmp_path / "a.bvh", file_format="bvh")
+
+
+def test_the_panels_settings_are_the_default(hands, tmp_path):
+    bpy.context.scene.manient.export_format = "glb"
+    bpy.ops.manient.export_hand(filepath=str(tmp_path / "x.fbx"))
+    assert [p.name for p in tmp_path.iterdir()] == ["x.glb"]
+
+
+def test_pose_mode(hands, tmp_path):
+    bpy.ops.object.mode_set(mode="POSE")
+    before = snapshot()
+    for preset in ("PLAIN", "UNREAL"):
+        write(tmp_path / f"{preset}.fbx", file_format="fbx", preset=preset)
+    write(tmp_path / "a.npz", file_format="npz")
+    assert snapshot() == before
+
+
+def test_a_format_that_this_blender_lacks_is_one_sentence(hands, tmp_path, monkeypatch):
+    formats = {**export.FORMATS, "usd": export.Format(".usdc", "wm.no_such_operator", export._usd)}
+    monkeypatch.setattr(export, "FORMATS", formats)
+    with pytest.raises(RuntimeError, match="this Blender cannot write usd"):
+        bpy.ops.manient.export_hand(filepath=str(tmp_path / "x"), file_format="usd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_written_is_one_sentence(hands, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    for fmt in ("fbx", "npz"):
+        with pytest.raises(RuntimeError, match="cannot write here") as caught:
+            bpy.ops.manient.export_hand(filepath=str(tmp_path / "file" / "x"), file_format=fmt)
+        assert "Traceback" not in str(caught.value)
+    with pytest.raises(RuntimeError, match="choose a file"):
+        bpy.ops.manient.export_hand(file_format="fbx")
+
+
+def test_no_keys_is_one_sentence(hands, tmp_path):
+    for hand in hands[1].hands:
+        hand.armature.animation_data_clear()
+    with pytest.raises(RuntimeError, match="have no keys"):
+        bpy.ops.manient.export_hand(filepath=str(tmp_path / "x"), file_format="fbx", frame_range="KEYS")

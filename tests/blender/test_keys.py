@@ -1,0 +1,228 @@
+"""Keys as arrays and back: nothing else in the action changes."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_manient.scene.animation import action_curves
+from blender_manient.scene.armature import bone_names
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import (
+    PoseKeys,
+    align_signs,
+    displayed_pose,
+    keyed_bones,
+    pose_at,
+    read_pose_keys,
+    remove_pose_keys,
+    set_pose,
+    write_pose_keys,
+)
+from handfit_core.rotations import quat_to_rotmat
+
+from .conftest import FRAMES, UNSEEN
+
+SEEN = np.delete(FRAMES, UNSEEN).astype(float)
+
+
+@pytest.fixture
+def armature(make_take):
+    return build_take(make_take(sides=("right",)).take).hands[0].armature
+
+
+def random_quats(count, seed=0) -> np.ndarray:
+    quats = np.random.default_rng(seed).normal(size=(count, 16, 4))
+    return quats / np.linalg.norm(quats, axis=-1, keepdims=True)
+
+
+def same_rotation(one, other, atol=1e-5):
+    np.testing.assert_allclose(quat_to_rotmat(one), quat_to_rotmat(other), atol=atol)
+
+
+def curve_of(armature, bone, index, attribute="rotation_quaternion"):
+    path = f'pose.bones["{bone_names("right")[bone]}"].{attribute}'
+    curves = action_curves(armature.animation_data.action)
+    return next(c for c in curves if c.data_path == path and c.array_index == index)
+
+
+def contents(armature) -> dict:
+    """Everything that the curves hold."""
+    return {
+        (c.data_path, c.array_index): [
+            (tuple(k.co), k.interpolation, k.handle_left_type, tuple(k.handle_left), tuple(k.handle_right))
+            for k in c.keyframe_points
+        ]
+        for c in action_curves(armature.animation_data.action)
+    }
+
+
+def test_read_what_was_captured(armature):
+    keys = read_pose_keys(armature, "right")
+    np.testing.assert_array_equal(keys.frames, SEEN)
+    assert keys.rotation_keyed.all()
+    assert keys.location_keyed.all()
+    some = read_pose_keys(armature, "right", 5, 13)
+    np.testing.assert_array_equal(some.frames, SEEN[(SEEN >= 5) & (SEEN <= 13)])
+    same_rotation(some.quats, keys.quats[(SEEN >= 5) & (SEEN <= 13)])
+
+
+def test_writing_back_what_was_read_changes_nothing(armature):
+    before = contents(armature)
+    write_pose_keys(armature, "right", read_pose_keys(armature, "right"))
+    after = contents(armature)
+    assert after.keys() == before.keys()
+    for name, points in before.items():
+        for one, other in zip(points, after[name], strict=True):
+            assert one[1:3] == other[1:3]
+            np.testing.assert_allclose(np.ravel(one[0]), np.ravel(other[0]), atol=1e-6)
+
+
+def test_only_the_written_keys_change(armature):
+    before = contents(armature)
+    quats = random_quats(1)
+    keyed = np.zeros((1, 16), dtype=bool)
+    keyed[0, 5] = True
+    keys = PoseKeys(SEEN[[3]], quats, np.zeros((1, 3)), keyed, np.zeros(1, dtype=bool))
+    write_pose_keys(armature, "right", keys)
+    own = bone_names("right")[5]
+    for name, points in contents(armature).items():
+        for one, other in zip(points, before[name], strict=True):
+            if f'"{own}"' not in name[0] or one[0][0] != SEEN[3]:
+                # Automatic handles next to the key may turn; keys do not.
+                assert one[0] == other[0]
+    same_rotation(pose_at(armature, "right", SEEN[[3]])[0][:, 5], quats[:, 5])
+
+
+def test_insert_between_before_and_after(armature):
+    frames = np.array([1.0, 4.5, 10.0, 30.0])
+    before = read_pose_keys(armature, "right")
+    quats, places = random_quats(4), np.arange(12.0).reshape(4, 3)
+    write_pose_keys(armature, "right", PoseKeys.everywhere(frames, quats, places))
+    keys = read_pose_keys(armature, "right")
+    np.testing.assert_array_equal(keys.frames, np.sort(np.concatenate([SEEN, frames])))
+    new = np.isin(keys.frames, frames)
+    same_rotation(keys.quats[new], quats)
+    np.testing.assert_allclose(keys.locations[new], places, atol=1e-6)
+    same_rotation(keys.quats[~new], before.quats)
+    for curve in action_curves(armature.animation_data.action):
+        points = [k.co[0] for k in curve.keyframe_points]
+        assert points == sorted(points)
+
+
+def test_new_keys_go_on_like_the_key_before(armature):
+    curve = curve_of(armature, 2, 1)
+    curve.keyframe_points[2].interpolation = "BEZIER"
+    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([5.5]), random_quats(1)))
+    kinds = {round(k.co[0], 1): k.interpolation for k in curve_of(armature, 2, 1).keyframe_points}
+    assert kinds[5.0] == kinds[5.5] == "BEZIER"
+    assert kinds[6.0] == "LINEAR"
+
+
+def test_free_handles_move_with_their_key(armature):
+    point = curve_of(armature, 0, 1, "location").keyframe_points[4]
+    point.interpolation = "BEZIER"
+    point.handle_left_type = point.handle_right_type = "FREE"
+    point.handle_right = (point.co[0] + 0.4, point.co[1] + 0.3)
+    offset = point.handle_right[1] - point.co[1]
+    keys = read_pose_keys(armature, "right")
+    write_pose_keys(
+        armature, "right", PoseKeys.everywhere(keys.frames, keys.quats, keys.locations + [0.0, 0.5, 0.0])
+    )
+    point = curve_of(armature, 0, 1, "location").keyframe_points[4]
+    assert point.handle_right[1] - point.co[1] == pytest.approx(offset, abs=1e-5)
+    assert point.co[1] == pytest.approx(keys.locations[4, 1] + 0.5, abs=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["XYZ", "ZYX", "AXIS_ANGLE"])
+def test_other_rotation_modes(armature, mode):
+    bone = armature.pose.bones[bone_names("right")[4]]
+    bone.rotation_mode = mode
+    quats = random_quats(3)
+    frames = np.array([3.0, 5.0, 9.0])
+    write_pose_keys(armature, "right", PoseKeys.everywhere(frames, quats))
+    keys = read_pose_keys(armature, "right")
+    rows = np.isin(keys.frames, frames)
+    same_rotation(keys.quats[rows], quats)
+    np.testing.assert_array_equal(keys.rotation_keyed[:, 4], rows)
+    for frame, quat in zip(frames, quats, strict=True):
+        bpy.context.scene.frame_set(int(frame))
+        same_rotation(np.array(bone.matrix_basis.to_quaternion()), quat[4])
+
+
+def test_without_an_action_one_is_made(armature):
+    armature.animation_data_clear()
+    assert not keyed_bones(armature, "right").any()
+    quats = random_quats(2)
+    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([1.0, 2.0]), quats, np.ones((2, 3))))
+    assert keyed_bones(armature, "right").all()
+    bpy.context.scene.frame_set(2)
+    same_rotation(displayed_pose(armature, "right"), quats[1])
+
+
+def test_written_keys_show_at_once(armature):
+    bpy.context.scene.frame_set(5)
+    quats = random_quats(1)
+    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([5.0]), quats))
+    bpy.context.view_layer.update()
+    same_rotation(displayed_pose(armature, "right"), quats[0])
+
+
+def test_remove(armature):
+    remove_pose_keys(armature, "right", 5, 12, joints=[3, 4], location=False)
+    keys = read_pose_keys(armature, "right")
+    inside = (keys.frames >= 5) & (keys.frames <= 12)
+    assert not keys.rotation_keyed[inside][:, [3, 4]].any()
+    assert keys.rotation_keyed[~inside][:, [3, 4]].all()
+    assert keys.rotation_keyed[:, [0, 1, 2, 5]].all()
+    assert keys.location_keyed.all()
+
+
+def test_missing_curves_are_made_without_moving_anything(armature):
+    count = len(list(action_curves(armature.animation_data.action)))
+    curve = curve_of(armature, 7, 2)
+    value = curve.keyframe_points[0].co[1]
+    holder = armature.animation_data.action
+    if hasattr(holder, "slots"):
+        holder = holder.layers[0].strips[0].channelbag(holder.slots[0])
+    holder.fcurves.remove(curve)
+    armature.pose.bones[bone_names("right")[7]].rotation_quaternion[2] = value
+    before, _ = pose_at(armature, "right", SEEN)
+    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([40.0]), random_quats(1)))
+    after, _ = pose_at(armature, "right", SEEN)
+    same_rotation(after, before)
+    assert len(list(action_curves(armature.animation_data.action))) == count
+
+
+def test_signs(armature):
+    quats = np.zeros((1, 16, 4))
+    keys = read_pose_keys(armature, "right")
+    # A turn of more than half a circle in the middle: what follows has the other sign then.
+    quats = keys.quats.copy()
+    quats[5:, 9] *= -1.0
+    for index in range(4):
+        curve = curve_of(armature, 9, index)
+        for row in range(5, len(quats)):
+            curve.keyframe_points[row].co[1] *= -1.0
+    align_signs(armature, "right")
+    parts = [[k.co[1] for k in curve_of(armature, 9, i).keyframe_points] for i in range(4)]
+    found = np.array(parts).T
+    assert (np.sum(found[1:] * found[:-1], axis=-1) > 0).all()
+    same_rotation(found, keys.quats[:, 9])
+
+
+def test_set_pose(armature):
+    armature.animation_data_clear()
+    names = bone_names("right")
+    armature.pose.bones[names[2]].rotation_mode = "YXZ"
+    armature.pose.bones[names[3]].rotation_mode = "AXIS_ANGLE"
+    before = displayed_pose(armature, "right")
+    quats = random_quats(1)[0]
+    wanted = quats.copy()
+    quats[6] = np.nan
+    wanted[6] = before[6]
+    set_pose(armature, "right", quats, np.array([1.0, 2.0, 3.0]))
+    bpy.context.view_layer.update()
+    same_rotation(displayed_pose(armature, "right"), wanted)
+    assert tuple(armature.pose.bones[names[0]].location) == (1.0, 2.0, 3.0)

@@ -1,0 +1,214 @@
+"""Preferences: their defaults, the entry in Blender's own preferences, MANO's check, the cache."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import bpy
+import pytest
+
+import blender_manient
+from blender_manient import cache, preferences
+from blender_manient.operators import check_mano
+from tests.blender.conftest import write_png
+
+
+@pytest.fixture
+def registered(tmp_path):
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def entry():
+    """The add-on's entry in Blender's preferences, as after enabling it."""
+    addon = bpy.context.preferences.addons.new()
+    addon.module = preferences.ADDON
+    blender_manient.register()
+    yield addon
+    blender_manient.unregister()
+    bpy.context.preferences.addons.remove(addon)
+
+
+def test_without_an_entry_the_defaults(registered):
+    chosen = preferences.get()
+    assert (chosen.mano_folder, chosen.python, chosen.threads) == ("", "", 0)
+    assert (chosen.default_preset, chosen.drop_captures) == ("BEST", True)
+
+
+def test_the_defaults_are_those_of_the_entry(entry):
+    fields = {
+        p.identifier
+        for p in entry.preferences.bl_rna.properties
+        if p.identifier not in ("rna_type", "bl_idname")
+    }
+    assert preferences.get() == entry.preferences
+    assert fields == set(vars(preferences._defaults()))
+    for name, value in vars(preferences._defaults()).items():
+        assert getattr(entry.preferences, name) == value, name
+
+
+def test_what_was_set_without_an_entry_ends_with_the_addon():
+    blender_manient.register()
+    preferences.get().threads = 5
+    blender_manient.unregister()
+    assert preferences.get().threads == 0
+
+
+def test_the_entry_is_found_by_the_name_of_the_addon(entry):
+    entry.preferences.python = "/my/python"
+    assert preferences.get(bpy.context).python == "/my/python"
+    assert preferences.ManientPreferences.bl_idname == "blender_manient"
+
+
+def test_the_default_quality_is_for_scenes_without_one(entry):
+    bpy.context.scene.manient.preset = "PAPER"
+    other = bpy.data.scenes.new("Other")
+    entry.preferences.default_preset = "FAST"
+    assert bpy.context.scene.manient.preset == "PAPER"
+    assert other.manient.preset == "FAST"
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert bpy.context.scene.manient.preset == "FAST"
+
+
+# MANO
+
+
+def checked(path) -> list[tuple[bool, str]]:
+    assert bpy.ops.manient.check_mano(path=str(path)) == {"FINISHED"}
+    return [(r.ok, r.sentence) for r in check_mano.results(str(path))]
+
+
+def test_good_files(registered, imitation_mano):
+    results = checked(imitation_mano)
+    assert [ok for ok, _ in results] == [True, True]
+    assert "778 vertices" in results[0][1]
+
+
+def test_the_wrong_side_is_named(registered, imitation_mano, tmp_path):
+    shutil.copy(imitation_mano / "MANO_RIGHT.npz", tmp_path / "MANO_RIGHT.npz")
+    shutil.copy(imitation_mano / "MANO_RIGHT.npz", tmp_path / "MANO_LEFT.npz")
+    results = dict(zip(("right", "left"), sorted(checked(tmp_path), reverse=True), strict=True))
+    assert results["right"][0]
+    assert not results["left"][0]
+    assert "this is a right hand" in results["left"][1]
+
+
+def test_a_damaged_and_a_missing_file_are_named(registered, tmp_path):
+    (tmp_path / "MANO_LEFT.pkl").write_text("no model")
+    sentences = [sentence for ok, sentence in checked(tmp_path) if not ok]
+    assert len(sentences) == 2
+    assert any("MANO_LEFT.pkl" in s for s in sentences)
+    assert any("has no MANO_RIGHT" in s for s in sentences)
+    assert all("Traceback" not in s for s in sentences)
+
+
+def test_the_paths_that_are_checked_by_themselves(registered, imitation_mano, tmp_path):
+    with pytest.raises(RuntimeError, match="No MANO files are chosen"):
+        bpy.ops.manient.check_mano()
+    preferences.get().mano_folder = str(tmp_path)
+    bpy.ops.manient.check_mano()
+    assert check_mano.results(str(tmp_path))
+    bpy.context.scene.manient.model_path = str(imitation_mano)
+    bpy.ops.manient.check_mano()
+    assert check_mano.results(str(imitation_mano))
+    assert not check_mano.results(str(tmp_path))  # of another path nothing is said
+
+
+# The cache
+
+
+def test_the_chosen_folder_gets_one_of_ours(registered, tmp_path):
+    assert cache.cache_folder() == tmp_path / "cache" / "manient"
+    assert cache.cache_folder().is_dir()
+
+
+def test_without_a_choice_it_lies_in_the_users_cache(registered, tmp_path, monkeypatch):
+    preferences.get().cache_folder = ""
+    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "of the user"))
+    assert cache.cache_folder() == tmp_path / "of the user" / "manient"
+
+
+def test_clear_removes_only_what_is_ours(registered, tmp_path):
+    chosen = tmp_path / "cache"
+    chosen.mkdir()
+    (chosen / "thesis.txt").write_text("years of work")
+    take = cache.temporary_take()
+    take.write_bytes(b"x" * 1000)
+    (cache.cache_folder() / "still.png").write_bytes(b"x" * 500)
+    assert cache.measure(cache.folder_path()) == 1500
+    assert bpy.ops.manient.clear_cache() == {"FINISHED"}
+    assert (chosen / "thesis.txt").exists()
+    assert cache.measure(cache.folder_path()) == 0
+    assert not cache.folder_path().exists()
+    assert cache.temporary_take().parent.is_dir()  # it comes back when it is needed
+
+
+def test_clear_keeps_pictures_that_the_file_shows(registered, picture):
+    import numpy as np
+
+    shown = write_png(cache.cache_folder() / "shown.png", np.ones((4, 4, 4), dtype=np.float32))
+    bpy.data.images.load(str(shown))
+    (cache.cache_folder() / "other.png").write_bytes(b"x")
+    assert cache.clear() == (1, 1)
+    assert [p.name for p in cache.cache_folder().iterdir()] == ["shown.png"]
+
+
+def test_no_clearing_while_the_worker_writes(registered):
+    from blender_manient.worker import shared
+
+    shared.worker().request("check")
+    assert not bpy.ops.manient.clear_cache.poll()
+    shared.stop()
+    assert bpy.ops.manient.clear_cache.poll()
+
+
+def test_the_size_is_measured_beside_the_drawing(registered):
+    (cache.cache_folder() / "still.png").write_bytes(b"x" * 500)
+    deadline = time.monotonic() + 5
+    while cache.shown_size() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert cache.shown_size() == 500
+    bpy.ops.manient.clear_cache()
+    assert cache.shown_size() in (None, 0)  # the old number is not shown any more
+
+
+def test_an_extension_has_a_folder_of_its_own():
+    """The name under which Blender runs extensions decides; here in a Blender of its own."""
+    import subprocess
+    import sys
+
+    root = Path(__file__).resolve().parents[2]
+    code = (
+        "import bpy, importlib, sys, types, importlib.util\n"
+        "for name in ('bl_ext', 'bl_ext.user_default'):\n"
+        "    sys.modules[name] = types.ModuleType(name); sys.modules[name].__path__ = []\n"
+        "name = 'bl_ext.user_default.manient'\n"
+        "where = sys.argv[1] + '/blender_manient'\n"
+        "spec = importlib.util.spec_from_file_location(name, where + '/__init__.py',\n"
+        "    submodule_search_locations=[where])\n"
+        "module = importlib.util.module_from_spec(spec); sys.modules[name] = module\n"
+        "spec.loader.exec_module(module)\n"
+        "module.register()\n"
+        "cache = sys.modules[name + '.cache']\n"
+        "print('ADDON', sys.modules[name + '.preferences'].ADDON)\n"
+        "print('CACHE', cache.folder_path().as_posix())\n"
+        "module.unregister()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(root)],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    said = dict(
+        line.split(" ", 1) for line in done.stdout.splitlines() if line.startswith(("ADDON", "CACHE"))
+    )
+    assert said["ADDON"] == "bl_ext.user_default.manient"
+    assert "/.user/user_default/manient/cache" in said["CACHE"]

@@ -1,0 +1,335 @@
+"""Refining through the real worker, on a capture of rendered pictures: pins, spread, locks, ranges, undo."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient import preferences
+from blender_manient.correction_field import correction_between
+from blender_manient.operators import edit_keypoints
+from blender_manient.refiner import Refiner
+from blender_manient.scene import corrections
+from blender_manient.scene.armature import bone_names
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import PoseKeys, read_pose_keys, write_pose_keys
+from blender_manient.worker import shared
+from blender_manient.worker.client import Worker
+from handfit_core.skeleton import FINGER_JOINTS
+from handfit_core.take import Take
+from handfit_core.worker.protocol import PROTOCOL
+
+ROOT = Path(__file__).resolve().parents[2]
+TIP = 8
+"""The index fingertip"""
+FRAME = 12
+SPREAD = 4
+FARTHER = np.array([25.0, -15.0])
+"""pixels"""
+
+
+def can_capture() -> bool:
+    """Whether the Python that captures has what it needs."""
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    code = "import torch, cv2, mediapipe, scipy"
+    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+pytestmark = pytest.mark.skipif(
+    not can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
+)
+
+
+@pytest.fixture(scope="module")
+def take_file(tmp_path_factory) -> Path:
+    """A capture of the rendered hand, 24 frames, with its detections."""
+    path = tmp_path_factory.mktemp("captured") / "hand.take.npz"
+    pictures = sorted(str(p) for p in (ROOT / "samples" / "rendered_hand").glob("*.jpg"))
+    with Worker() as worker:
+        worker.wait(worker.request("capture", input=pictures, output=str(path)), timeout=300)
+    return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def addon():
+    """Registered once: the worker stays warm from test to test."""
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def armature(take_file):
+    built = build_take(Take.load(take_file))
+    bpy.context.view_layer.objects.active = built.hands[0].armature
+    bpy.context.scene.manient.spread = SPREAD
+    bpy.context.scene.frame_set(FRAME)
+    bpy.ops.ed.undo_push(message="Built")
+    return built.hands[0].armature
+
+
+def all_keys(armature) -> PoseKeys:
+    return read_pose_keys(armature, armature.manient.side)
+
+
+def landmarks(armature, frame: int = FRAME) -> np.ndarray:
+    refiner = Refiner(armature)
+    return refiner.keyed_poses([refiner.row_at(frame)]).landmarks[0]
+
+
+def drag(armature, keypoint: int = TIP, by=FARTHER, frame: int = FRAME) -> np.ndarray:
+    place = landmarks(armature, frame)[keypoint] + by
+    done = bpy.ops.manient.move_keypoint(
+        hand=armature.name, frame=frame, keypoint=keypoint, x=place[0], y=place[1]
+    )
+    assert done == {"FINISHED"}
+    return place
+
+
+def differing(a: PoseKeys, b: PoseKeys) -> np.ndarray:
+    """(N, 16) bool: keys that are another rotation."""
+    return np.linalg.norm(correction_between(a.quats, b.quats), axis=-1) > 1e-5
+
+
+def test_a_pin_lands_where_it_was_put(armature):
+    before = landmarks(armature)
+    place = drag(armature)
+    after = landmarks(armature)
+    assert np.linalg.norm(after[TIP] - place) < 1.0
+    # Other fingers stay.
+    others = [k for k in range(21) if k not in (5, 6, 7, 8)]
+    assert np.linalg.norm(after - before, axis=-1)[others].max() < 2.0
+    # The bones stand there already.
+    np.testing.assert_allclose(Refiner(armature).shown_landmarks(), after, atol=0.05)
+
+
+def test_neighbours_follow_and_all_others_stay(armature):
+    before = all_keys(armature)
+    drag(armature)
+    after = all_keys(armature)
+    np.testing.assert_array_equal(after.frames, before.frames)
+    changed = differing(before, after).any(axis=1)
+    np.testing.assert_array_equal(before.frames[changed], np.arange(FRAME - SPREAD + 1, FRAME + SPREAD))
+    outside = np.abs(before.frames - FRAME) >= SPREAD
+    np.testing.assert_array_equal(after.quats[outside], before.quats[outside])
+    np.testing.assert_array_equal(after.locations[outside], before.locations[outside])
+    # The nearer, the more.
+    index = FINGER_JOINTS["index"]
+    turned = np.linalg.norm(correction_between(before.quats, after.quats), axis=-1)[:, index].max(axis=1)
+    side = [turned[before.frames == FRAME + d][0] for d in range(SPREAD)]
+    assert all(near > far for near, far in itertools.pairwise(side))
+
+
+def test_two_pins_hold_together_in_any_order(armature):
+    first = drag(armature)
+    second = drag(armature, keypoint=4, by=np.array([-10.0, 12.0]))
+    there = landmarks(armature)
+    assert np.linalg.norm(there[TIP] - first) < 1.5
+    assert np.linalg.norm(there[4] - second) < 1.5
+    bpy.ops.manient.clear_corrections(scope="ALL")
+    for keypoint, place in ((4, second), (TIP, first)):
+        bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=keypoint, x=place[0], y=place[1])
+    np.testing.assert_allclose(landmarks(armature), there, atol=0.05)
+
+
+def test_removing_pins_leads_all_the_way_back(armature):
+    before = all_keys(armature)
+    drag(armature)
+    one = all_keys(armature)
+    drag(armature, keypoint=4, by=np.array([-10.0, 12.0]))
+    assert bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=4, remove=True) == {"FINISHED"}
+    assert np.linalg.norm(correction_between(all_keys(armature).quats, one.quats), axis=-1).max() < 1e-4
+    assert bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=TIP, remove=True) == {"FINISHED"}
+    assert not differing(before, all_keys(armature)).any()
+    assert armature.manient.corrections == ""
+
+
+def test_a_second_corrected_frame_starts_from_what_the_first_did_to_it(armature):
+    """The hand must not fall back when another point of a neighbouring frame is moved."""
+    drag(armature)
+    inherited = landmarks(armature, FRAME + 2)
+    drag(armature, keypoint=20, by=np.array([3.0, 0.0]), frame=FRAME + 2)
+    np.testing.assert_allclose(landmarks(armature, FRAME + 2)[TIP], inherited[TIP], atol=0.5)
+    drag(armature, keypoint=20, by=np.array([3.0, 0.0]), frame=FRAME + 2)
+    np.testing.assert_allclose(landmarks(armature, FRAME + 2)[TIP], inherited[TIP], atol=0.5)
+
+
+def test_locked_joints_stay(armature):
+    before = all_keys(armature)
+    assert bpy.ops.manient.lock_joints(joints="INDEX", lock=True) == {"FINISHED"}
+    assert [j for j, on in enumerate(armature.manient.locked) if on] == list(FINGER_JOINTS["index"])
+    drag(armature)
+    at = int(np.flatnonzero(before.frames == FRAME)[0])
+    turned = np.linalg.norm(correction_between(before.quats, all_keys(armature).quats), axis=-1)
+    assert turned[:, FINGER_JOINTS["index"]].max() < 1e-5
+    assert turned[at].max() > 1e-3
+    assert bpy.ops.manient.lock_joints(joints="ALL", lock=False) == {"FINISHED"}
+    assert not any(armature.manient.locked)
+
+
+def test_locking_the_selected_bones(armature):
+    bpy.ops.object.mode_set(mode="POSE")
+    bpy.ops.pose.select_all(action="DESELECT")
+    with pytest.raises(RuntimeError, match="No bone"):
+        bpy.ops.manient.lock_joints()
+    name = bone_names(armature.manient.side)[5]
+    bone = armature.pose.bones[name]
+    (bone if hasattr(bone, "select") else bone.bone).select = True
+    assert bpy.ops.manient.lock_joints() == {"FINISHED"}
+    assert [j for j, on in enumerate(armature.manient.locked) if on] == [5]
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_corrections_survive_saving(armature, tmp_path):
+    before = all_keys(armature)
+    place = drag(armature)
+    corrected = all_keys(armature)
+    name = armature.name
+    path = str(tmp_path / "refined.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    armature = bpy.data.objects[name]
+    assert corrections.corrected_frames(armature) == [FRAME]
+    np.testing.assert_allclose(Refiner(armature).pins(FRAME - 1)[TIP], place, atol=1e-3)
+    np.testing.assert_array_equal(all_keys(armature).quats, corrected.quats)
+    bpy.context.view_layer.objects.active = armature
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert not differing(before, all_keys(armature)).any()
+
+
+def test_clearing_by_scope(armature):
+    for frame in (5, 12, 20):
+        drag(armature, frame=frame)
+    scene = bpy.context.scene
+    scene.frame_set(8)
+    with pytest.raises(RuntimeError, match="no correction in this frame"):
+        bpy.ops.manient.clear_corrections(scope="FRAME")
+    scene.frame_set(12)
+    assert bpy.ops.manient.clear_corrections(scope="FRAME") == {"FINISHED"}
+    assert corrections.corrected_frames(armature) == [5, 20]
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 15, 24
+    assert bpy.ops.manient.clear_corrections(scope="RANGE") == {"FINISHED"}
+    assert corrections.corrected_frames(armature) == [5]
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert not bpy.ops.manient.clear_corrections.poll()
+
+
+def test_undo_and_redo(armature):
+    before = all_keys(armature)
+    name = armature.name
+    drag(armature)
+    corrected = all_keys(armature)
+    bpy.ops.ed.undo_push(message="Move Keypoint")
+    bpy.ops.ed.undo()
+    armature = bpy.data.objects[name]
+    assert not differing(before, all_keys(armature)).any()
+    assert armature.manient.corrections == ""
+    bpy.ops.ed.redo()
+    armature = bpy.data.objects[name]
+    np.testing.assert_array_equal(all_keys(armature).quats, corrected.quats)
+    assert corrections.corrected_frames(armature) == [FRAME]
+
+
+def test_fitting_a_range_again(armature):
+    place = drag(armature, by=0.5 * FARTHER)
+    before = all_keys(armature)
+    assert bpy.ops.manient.refit_range(scope="CUSTOM", first=9, last=15) == {"FINISHED"}
+    after = all_keys(armature)
+    np.testing.assert_array_equal(after.frames, before.frames)
+    inside = (before.frames >= 9) & (before.frames <= 15)
+    np.testing.assert_array_equal(after.quats[~inside], before.quats[~inside])
+    np.testing.assert_array_equal(after.locations[~inside], before.locations[~inside])
+    assert differing(before, after)[inside].any()
+    # The pin still holds, and is all that is left of the correction.
+    assert np.linalg.norm(landmarks(armature)[TIP] - place) < 6.0
+    field = corrections.corrections_of(armature)
+    assert set(field.pins(FRAME)) == {TIP}
+    assert not field.at(np.array([FRAME]))[0].any()
+
+
+def test_a_range_that_was_not_captured(armature):
+    with pytest.raises(RuntimeError, match=r"none of the frames 100 to 120 was captured.*1 to 24"):
+        bpy.ops.manient.refit_range(scope="CUSTOM", first=100, last=120)
+
+
+def test_a_frame_that_was_not_captured(armature):
+    with pytest.raises(RuntimeError, match="frame 99 was not captured"):
+        bpy.ops.manient.move_keypoint(frame=99, keypoint=TIP, x=1, y=1)
+    with pytest.raises(RuntimeError, match="no pin"):
+        bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=TIP, remove=True)
+    with pytest.raises(RuntimeError, match="no captured hand 'nobody'"):
+        bpy.ops.manient.move_keypoint(hand="nobody", keypoint=TIP, x=1, y=1)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="misbehaving peers are scripts with a #! line")
+def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, tmp_path):
+    before = all_keys(armature)
+    peer = tmp_path / "peer"
+    hello = json.dumps({"event": "ready", "protocol": PROTOCOL, "version": "0", "pid": 1, "python": "3"})
+    peer.write_text(
+        f"#!{sys.executable}\nimport sys\nprint({hello!r}, flush=True)\nsys.stdin.readline()\nsys.exit(3)\n"
+    )
+    peer.chmod(0o755)
+    preferences.get().python = str(peer)
+    place = landmarks(armature)[TIP] + FARTHER
+    try:
+        with pytest.raises(RuntimeError, match="worker process ended with exit code 3") as caught:
+            bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=TIP, x=place[0], y=place[1])
+    finally:
+        preferences.get().python = ""
+    assert "Traceback" not in str(caught.value)
+    np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
+    assert armature.manient.corrections == ""
+    drag(armature)
+    # One that dies between two moves is not even noticed.
+    os.kill(shared.worker().pid, signal.SIGKILL)
+    deadline = time.monotonic() + 5.0
+    while shared.worker().alive and time.monotonic() < deadline:
+        time.sleep(0.01)
+    drag(armature)
+
+
+def test_in_pose_mode_with_another_rotation_mode(armature):
+    """Bones that the artist switched to Euler angles are corrected too."""
+    bone = armature.pose.bones[bone_names(armature.manient.side)[2]]
+    refiner = Refiner(armature)
+    keys = all_keys(armature)
+    bone.rotation_mode = "XYZ"
+    write_pose_keys(armature, refiner.side, keys)
+    before = landmarks(armature)
+    bpy.ops.object.mode_set(mode="POSE")
+    place = drag(armature)
+    assert np.linalg.norm(landmarks(armature)[TIP] - place) < 1.0
+    assert bpy.context.mode == "POSE"
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    np.testing.assert_allclose(landmarks(armature), before, atol=0.01)
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_the_mode_needs_a_window(armature):
+    with pytest.raises(RuntimeError, match="move_keypoint"):
+        bpy.ops.manient.edit_keypoints()
+    assert not edit_keypoints.running()
+    assert edit_keypoints.handle_places() == {}
+
+
+def test_what_cannot_be_refined_says_why(armature, make_take):
+    assert bpy.ops.manient.edit_keypoints.poll()
+    old = build_take(make_take(sides=("left",)).take).hands[0].armature
+    bpy.context.view_layer.objects.active = old
+    for operator in ("edit_keypoints", "refit_range", "clear_corrections"):
+        assert not getattr(bpy.ops.manient, operator).poll()
+    with pytest.raises(RuntimeError, match="capture it again"):
+        bpy.ops.manient.edit_keypoints()

@@ -1,0 +1,107 @@
+"""A relaxed pose for the fingers, keyed where the artist's animation asks for keys."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient import axes
+from blender_manient.scene.armature import bone_names, rest_frames
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import displayed_pose, read_pose_keys, remove_pose_keys
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
+from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
+
+
+@pytest.fixture(autouse=True)
+def registered(empty_file):
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture(params=["right", "left"])
+def hand(request, make_take, model):
+    made = make_take(sides=(request.param,), model=model)
+    armature = build_take(made.take).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    return armature, request.param, load_model(model, request.param)
+
+
+def finger_rotations(armature, side) -> np.ndarray:
+    """(15, 3, 3) joint rotations in the model's axes, from what the bones show."""
+    frames = rest_frames(armature, side)
+    turned = frames @ quat_to_rotmat(displayed_pose(armature, side)) @ np.swapaxes(frames, -1, -2)
+    return (axes.REST_FROM_MODEL.T @ turned @ axes.REST_FROM_MODEL)[1:]
+
+
+def test_fingers_relax_and_the_wrist_stays(hand):
+    armature, side, model = hand
+    bpy.context.scene.frame_set(9)  # between keys
+    before = displayed_pose(armature, side)
+    keys = read_pose_keys(armature, side)
+    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    found = finger_rotations(armature, side)
+    np.testing.assert_allclose(found, rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3)), atol=1e-4)
+    bends = np.degrees(anatomical_angles(found, anatomical_axes(model))[:12, 2])
+    assert (bends > 10).all()
+    np.testing.assert_allclose(np.abs(displayed_pose(armature, side)[0] @ before[0]), 1.0, atol=1e-6)
+    after = read_pose_keys(armature, side)
+    here = after.frames == 9
+    assert here.sum() == 1
+    assert after.rotation_keyed[here][0].tolist() == [False] + [True] * 15
+    assert not after.location_keyed[here].any()
+    np.testing.assert_array_equal(after.frames[~here], keys.frames)
+
+
+def test_bones_without_keys_are_only_posed(hand):
+    armature, side, model = hand
+    remove_pose_keys(armature, side, -100, 100, joints=[4, 5, 6])
+    bpy.ops.manient.relax_pose()
+    keys = read_pose_keys(armature, side)
+    assert not keys.rotation_keyed[:, [4, 5, 6]].any()
+    bpy.context.view_layer.update()
+    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
+
+
+def test_auto_keying_keys_them_too(hand):
+    armature, side, _ = hand
+    armature.animation_data_clear()
+    bpy.context.scene.tool_settings.use_keyframe_insert_auto = True
+    bpy.context.scene.frame_set(5)
+    bpy.ops.manient.relax_pose()
+    keys = read_pose_keys(armature, side)
+    assert keys.frames.tolist() == [5.0]
+    assert keys.rotation_keyed[0].tolist() == [False] + [True] * 15
+
+
+def test_without_animation_there_are_no_keys(hand):
+    armature, side, _ = hand
+    armature.animation_data_clear()
+    bpy.ops.manient.relax_pose()
+    assert armature.animation_data is None or armature.animation_data.action is None
+    assert np.abs(displayed_pose(armature, side)[1:, 1]).min() > 0.01
+
+
+def test_euler_bones_pose_mode_and_undo(hand):
+    armature, side, model = hand
+    armature.pose.bones[bone_names(side)[8]].rotation_mode = "XZY"
+    bpy.ops.object.mode_set(mode="POSE")
+    name = armature.name
+    bpy.ops.ed.undo_push(message="before")
+    before = displayed_pose(armature, side)
+    bpy.ops.manient.relax_pose()
+    bpy.context.view_layer.update()
+    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
+    assert bpy.context.mode == "POSE"
+    bpy.ops.ed.undo_push(message="relaxed")
+    bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+    restored = displayed_pose(bpy.data.objects[name], side)
+    np.testing.assert_allclose(np.abs(np.sum(restored * before, axis=-1)), 1.0, atol=1e-5)

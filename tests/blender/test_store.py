@@ -1,0 +1,164 @@
+"""The take in the .blend: kept, found again, and missed with a sentence that says what to do."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient.scene import store
+from blender_manient.scene.build import build_take
+from handfit_core.errors import TakeError
+
+from .conftest import FRAMES
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def no_memory(monkeypatch):
+    """forget() empties the cache, as another run of Blender would."""
+    return store._cache.clear
+
+
+def assert_same_take(found, take) -> None:
+    np.testing.assert_array_equal(found.frame_numbers, take.frame_numbers)
+    assert found.source == take.source
+    assert found.intrinsics == take.intrinsics
+    for a, b in zip(found.hands, take.hands, strict=True):
+        assert a.side == b.side
+        np.testing.assert_allclose(a.hand_pose, b.hand_pose, atol=1e-6)
+        np.testing.assert_allclose(a.keypoints_2d, b.keypoints_2d, atol=1e-3)
+        np.testing.assert_array_equal(a.detected, b.detected)
+
+
+def test_the_take_survives_saving(make_take, tmp_path, no_memory):
+    made = make_take()
+    build_take(made.take)
+    path = tmp_path / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    no_memory()
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    armatures = store.captured_hands(bpy.context.scene)
+    assert len(armatures) == 2
+    for index, armature in enumerate(armatures):
+        hand = store.hand_of(armature)
+        assert hand is not None
+        assert_same_take(hand.take, made.take)
+        assert (hand.index, hand.side) == (index, made.take.hands[index].side)
+        assert hand.track is hand.take.hands[index]
+        assert hand.camera == bpy.context.scene.camera
+        assert hand.mesh is not None
+        assert hand.mesh.parent == armature
+        np.testing.assert_allclose(armature.manient.betas, hand.track.betas, atol=1e-5)
+
+
+def test_a_mesh_leads_to_its_hand_and_other_objects_to_none(make_take):
+    built = build_take(make_take().take)
+    for hand in built.hands:
+        found = store.hand_of(hand.mesh)
+        assert found is not None
+        assert found.armature == hand.armature
+    assert store.hand_of(built.camera) is None
+    bpy.ops.object.armature_add()
+    assert store.hand_of(bpy.context.object) is None
+    bpy.ops.mesh.primitive_cube_add()
+    assert store.hand_of(bpy.context.object) is None
+
+
+def test_decoding_happens_once(make_take, no_memory, monkeypatch):
+    built = build_take(make_take().take)
+    no_memory()
+    first = store.kept_take(built.collection)
+    assert store.kept_take(built.collection) is first
+    assert all(store.hand_of(h.armature).take is first for h in built.hands)
+
+
+def test_keeping_another_take_replaces_the_first(make_take, no_memory):
+    built = build_take(make_take().take)
+    other = make_take(seed=5).take
+    before = built.collection.manient.digest
+    store.keep_take(built.collection, other)
+    assert built.collection.manient.digest != before
+    no_memory()
+    assert_same_take(store.kept_take(built.collection), other)
+
+
+def test_undo_brings_the_former_take_back(make_take, no_memory):
+    made = make_take()
+    built = build_take(made.take)
+    name = built.collection.name
+    bpy.ops.ed.undo_push(message="built")
+    store.keep_take(built.collection, make_take(seed=5).take)
+    bpy.ops.ed.undo_push(message="another take")
+    bpy.ops.ed.undo()
+    assert_same_take(store.kept_take(bpy.data.collections[name]), made.take)
+
+
+def test_a_hand_without_its_take(make_take):
+    """As an older version built it: no hand of ours, and a sentence for whoever asks for the take."""
+    built = build_take(make_take().take)
+    built.collection.manient.take = ""
+    built.collection.manient.digest = ""
+    assert store.hand_of(built.hands[0].armature) is None
+    with pytest.raises(TakeError, match=r"keeps no take.*import the take file"):
+        store.kept_take(built.collection)
+
+
+def test_a_hand_whose_collection_was_deleted(make_take):
+    built = build_take(make_take().take)
+    armature = built.hands[0].armature
+    bpy.data.collections.remove(built.collection)
+    assert store.hand_of(armature) is None
+
+
+def test_a_damaged_take(make_take, no_memory):
+    built = build_take(make_take().take)
+    text = built.collection.manient.take
+    for damaged in (text[: len(text) // 2], "no base64 *", text[:100] + "AAAA" + text[104:]):
+        no_memory()
+        built.collection.manient.take = damaged
+        assert store.hand_of(built.hands[0].armature) is None
+        with pytest.raises(TakeError, match="damaged; import the take file"):
+            store.kept_take(built.collection)
+
+
+def test_deleted_mesh_and_camera_are_none(make_take):
+    built = build_take(make_take().take)
+    bpy.data.objects.remove(built.hands[0].mesh)
+    bpy.data.objects.remove(built.camera)
+    hand = store.hand_of(built.hands[0].armature)
+    assert hand is not None
+    assert hand.mesh is None
+    assert hand.camera is None
+
+
+def test_scene_frames_follow_the_scenes_rate(make_take):
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = 24, 1.0
+    scene.frame_set(101)
+    from dataclasses import replace
+
+    made = make_take(fps=30.0)
+    take = replace(made.take, source=replace(made.take.source, kind="video"))
+    built = build_take(take, match_scene=False, picture=False)
+    expected = 101 + (FRAMES - FRAMES[0]) * 0.8
+    np.testing.assert_allclose(store.scene_frames(built.collection, take), expected, atol=1e-4)
+
+
+def test_nothing_is_kept_without_the_add_on(make_take):
+    blender_manient.unregister()
+    try:
+        built = build_take(make_take().take)
+        assert store.captured_hands(bpy.context.scene) == []
+        assert store.hand_of(built.hands[0].armature) is None
+        with pytest.raises(TakeError):
+            store.kept_take(built.collection)
+    finally:
+        blender_manient.register()

@@ -1,0 +1,520 @@
+"""The worker's client: messages, errors, deaths. Its peer is the real worker, or a script that misbehaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient import preferences
+from blender_manient.worker import shared
+from blender_manient.worker.client import (
+    CaptureOptions,
+    Worker,
+    WorkerError,
+    as_error,
+    child_environment,
+    find_python,
+)
+from handfit_core.errors import Cancelled, InputError, NoHandFoundError, OutputError
+from handfit_core.worker import protocol
+
+needs_scripts = pytest.mark.skipif(
+    sys.platform == "win32", reason="misbehaving peers are scripts with a #! line"
+)
+
+PRELUDE = f"""#!{sys.executable}
+import json, os, signal, sys, time
+
+def say(**event):
+    print(json.dumps(event), flush=True)
+
+def ready(version={protocol.PROTOCOL}):
+    say(event="ready", protocol=version, version="0.0", pid=os.getpid(), python="3")
+
+def requests():
+    for line in sys.stdin:
+        yield json.loads(line)
+
+"""
+
+
+@pytest.fixture
+def peer(tmp_path):
+    """peer(code) -> an interpreter that runs `code` whatever it is asked to run."""
+
+    def make(code: str, name: str = "peer") -> str:
+        path = tmp_path / name
+        path.write_text(PRELUDE + code + "\n")
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+        return str(path)
+
+    return make
+
+
+@pytest.fixture
+def start():
+    """start(python, ...) -> Worker, stopped after the test."""
+    made: list[Worker] = []
+
+    def make(*args, **kwargs) -> Worker:
+        made.append(Worker(*args, **kwargs))
+        return made[-1]
+
+    yield make
+    for worker in made:
+        worker.stop()
+
+
+def exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def gone(pid: int, seconds: float = 5.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if not exists(pid):
+            return True
+        time.sleep(0.02)
+    return False
+
+
+# The real worker
+
+
+def test_the_real_worker_answers_and_stays(start, tmp_path):
+    worker = start(threads=1)
+    first = worker.request("capture", input=[str(tmp_path / "nowhere.jpg")], output=str(tmp_path / "a.npz"))
+    with pytest.raises(InputError, match=r"nowhere\.jpg") as caught:
+        worker.wait(first, timeout=60)
+    assert "Traceback" in caught.value.__notes__[0]
+    assert "Traceback" not in str(caught.value)
+    hello, pid = worker.ready, worker.pid
+    assert hello is not None
+    assert hello["protocol"] == protocol.PROTOCOL
+    second = worker.request("capture", input=["x"], output="y", options={"magic": 1})
+    with pytest.raises(Exception, match="magic"):
+        worker.wait(second, timeout=60)
+    assert worker.pid == pid
+    worker.stop(5.0)
+    assert not worker.alive
+    assert pid is not None
+    assert not exists(pid)
+
+
+def test_the_real_worker_understands_every_option(start, tmp_path):
+    """The names of the options, in two places; a missing input is noticed after they were read."""
+    worker = start(threads=1)
+    options = CaptureOptions(
+        frames="1-9",
+        hands="left",
+        solver="fast",
+        model="open-hand",
+        threshold=0.3,
+        intrinsics=(500.0, 500.0, 320.0, 240.0),
+        landmark_model=str(tmp_path / "landmarks.task"),
+        smoothing=0.0,
+        plain_detection=True,
+        hand_length=0.19,
+    )
+    request = worker.request(
+        "capture",
+        input=[str(tmp_path / "gone.jpg")],
+        output=str(tmp_path / "t.npz"),
+        options=options.to_message(),
+    )
+    with pytest.raises(InputError, match=r"gone\.jpg"):
+        worker.wait(request, timeout=60)
+
+
+def test_the_real_worker_ends_with_its_client(tmp_path):
+    """As when Blender crashes: nobody says goodbye."""
+    import subprocess
+
+    code = (
+        "import os, sys, time\n"
+        "from blender_manient.worker.client import Worker\n"
+        "worker = Worker(); worker.start()\n"
+        "while worker.ready is None: worker.poll(); time.sleep(0.01)\n"
+        "print(worker.pid, flush=True); os._exit(1)\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=60)
+    assert gone(int(done.stdout.split()[-1]))
+
+
+# Requests and events
+
+
+@needs_scripts
+def test_events_arrive_in_order_and_noise_does_not(peer, start):
+    worker = start(
+        peer(
+            "ready()\n"
+            "for r in requests():\n"
+            "    print('some library says hello')\n"
+            "    say(event='progress', id=r['id'], stage='detect', done=3, total=30)\n"
+            "    say(event='progress', id=999, stage='detect', done=1, total=1)\n"
+            "    say(event='warning', id=r['id'], message='dark')\n"
+            "    say(event='done', id=r['id'], got=r)"
+        )
+    )
+    events = []
+    request = worker.request("capture", input=["a"], output="b")
+    done = worker.wait(request, events.append, timeout=20)
+    assert [(e["event"], e["id"]) for e in events] == [("progress", request), ("warning", request)]
+    assert done["got"] == {"id": request, "request": "capture", "input": ["a"], "output": "b"}
+    assert "some library says hello" in worker.details()
+    assert not worker.busy
+
+
+@needs_scripts
+def test_each_asker_gets_its_own_events(peer, start):
+    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], kind=r['request'])"))
+    first, second = worker.request("capture"), worker.request("refit")
+    assert worker.wait(second, timeout=20)["kind"] == "refit"
+    assert worker.busy  # the other answer was not taken
+    assert [e["kind"] for e in worker.poll(first)] == ["capture"]
+    assert worker.poll() == []
+    with pytest.raises(ValueError, match="answered before"):
+        worker.wait(first)
+
+
+@needs_scripts
+def test_poll_and_request_never_wait(peer, start):
+    """A peer that reads nothing and says nothing, and a request larger than any pipe."""
+    worker = start(peer("ready()\ntime.sleep(60)"))
+    took = []
+    array = protocol.pack(np.zeros((300, 1000)))
+    for call in [lambda: worker.request("refit", data=array), worker.poll, worker.poll, worker.stop]:
+        began = time.perf_counter()
+        call()
+        took.append(time.perf_counter() - began)
+    assert took[0] < 0.15  # encoding 3 MB, starting a process
+    assert max(took[1:3]) < 0.02
+    assert took[3] < 0.25
+
+
+@needs_scripts
+def test_a_large_answer_arrives_whole(peer, start):
+    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], text='x' * 3_000_000)"))
+    assert len(worker.wait(worker.request("check"), timeout=20)["text"]) == 3_000_000
+
+
+@needs_scripts
+def test_cancel_reaches_the_peer(peer, start):
+    worker = start(
+        peer(
+            "ready()\n"
+            "job = None\n"
+            "for r in requests():\n"
+            "    if r['request'] == 'cancel':\n"
+            "        say(event='error', id=r['job'], type='Cancelled', message='stopped')"
+        )
+    )
+    request = worker.request("capture")
+    worker.cancel(request)
+    with pytest.raises(Cancelled, match="stopped"):
+        worker.wait(request, timeout=20)
+    worker.cancel(request)  # over already: nothing happens
+    assert worker.poll() == []
+
+
+@pytest.mark.parametrize("kind", [NoHandFoundError, InputError])
+def test_errors_are_raised_as_what_they_were(kind):
+    error = as_error(
+        {"event": "error", "id": 1, "type": kind.__name__, "message": "what", "details": "where"}
+    )
+    assert type(error) is kind
+    assert str(error) == "what"
+    unknown = as_error(
+        {"event": "error", "id": 1, "type": "ZeroDivisionError", "message": "oh", "details": "x"}
+    )
+    assert isinstance(unknown, WorkerError)
+    assert unknown.details == "x"
+
+
+# Deaths
+
+
+@needs_scripts
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        (
+            "sys.stderr.write(\"No module named 'handfit_core'\\n\"); sys.exit(1)",
+            r"handfit_core.*preferences",
+        ),
+        ("ready()\nos.kill(os.getpid(), signal.SIGKILL)", "memory ran out.*fewer frames"),
+        (
+            "ready()\nsys.stderr.write('out of paper\\n\\n'); sys.stderr.flush(); os.abort()",
+            "SIGABRT.*out of paper",
+        ),
+        ("ready()\nsys.exit(0)", "exit code 0.*Check Installation"),
+        (
+            "import faulthandler, ctypes; faulthandler.enable(); ready(); ctypes.string_at(0)",
+            "Segmentation fault",
+        ),
+        ("ready(99)\ntime.sleep(60)", "protocol 99.*needs 1.*install"),
+        ("say(event='done', id=1)\ntime.sleep(60)", "unknown way"),
+        ("while True: print('y')", "is not one.*choose a Python"),
+    ],
+    ids=["no-package", "killed", "abort", "silent", "segfault", "version", "no-ready", "garbage"],
+)
+def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected):
+    worker = start(peer(code))
+    requests = [worker.request("capture"), worker.request("refit")]
+    for request in requests:
+        with pytest.raises(WorkerError, match=expected) as caught:
+            worker.wait(request, timeout=30)
+        assert "\n" not in str(caught.value)
+    assert not worker.alive
+
+
+@needs_scripts
+def test_a_package_that_is_missing_later_names_the_remedy(peer, start):
+    error = "event='error', type='ModuleNotFoundError', message='no torch'"
+    worker = start(peer(f"ready()\nfor r in requests(): say(id=r['id'], {error})"))
+    with pytest.raises(WorkerError, match="no torch in the add-on's preferences"):
+        worker.wait(worker.request("capture"), timeout=20)
+
+
+def test_a_missing_interpreter_is_one_sentence(start, tmp_path):
+    worker = start(str(tmp_path / "nowhere"))
+    with pytest.raises(WorkerError, match=r"nowhere.*preferences"):
+        worker.request("capture")
+    assert not worker.busy
+    with pytest.raises(WorkerError):
+        worker.start()
+
+
+@needs_scripts
+def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
+    mark = tmp_path / "crashed"
+    worker = start(
+        peer(
+            "ready()\n"
+            "for r in requests():\n"
+            f"    if not os.path.exists({str(mark)!r}):\n"
+            f"        open({str(mark)!r}, 'w').close(); sys.stderr.write('last words\\n'); os._exit(7)\n"
+            "    say(event='done', id=r['id'], pid=os.getpid())"
+        )
+    )
+    first = worker.request("capture")
+    deadline = time.monotonic() + 20
+    events = []
+    while not events and time.monotonic() < deadline:
+        events = worker.poll()
+        time.sleep(0.01)
+    (event,) = events
+    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerError")
+    assert "last words" in event["details"]
+    assert "exit code 7" in event["details"]
+    assert worker.wait(worker.request("capture"), timeout=20)["pid"] == worker.pid
+
+
+@needs_scripts
+def test_a_death_while_idle_costs_nothing(peer, start):
+    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'])"))
+    worker.wait(worker.request("warm"), timeout=20)
+    first = worker.pid
+    assert first is not None
+    os.kill(first, 9)
+    deadline = time.monotonic() + 5
+    while worker.alive and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.05)
+    assert worker.poll() == []
+    worker.wait(worker.request("warm"), timeout=20)
+    assert worker.pid != first
+
+
+@needs_scripts
+def test_much_stderr_does_not_block_and_is_cut(peer, start):
+    worker = start(
+        peer("ready()\nfor r in requests(): sys.stderr.write('x' * 5_000_000); say(event='done', id=r['id'])")
+    )
+    worker.wait(worker.request("capture"), timeout=20)
+    assert 1000 < len(worker.details()) < 20_000
+
+
+@needs_scripts
+def test_time_limit_kills(peer, start):
+    worker = start(peer("ready()\ntime.sleep(60)"))
+    request, other = worker.request("capture"), worker.request("refit")
+    pid = worker.pid
+    assert pid is not None
+    began = time.monotonic()
+    with pytest.raises(WorkerError, match=r"capture took longer than 0\.5 seconds"):
+        worker.wait(request, timeout=0.5)
+    assert time.monotonic() - began < 5
+    assert gone(pid)
+    assert [e["id"] for e in worker.poll()] == [other]
+
+
+@needs_scripts
+def test_stop_answers_what_is_open_and_kills_what_hangs(peer, start):
+    """A peer that ignores the end of its stdin and every signal that can be ignored."""
+    worker = start(peer("signal.signal(signal.SIGTERM, signal.SIG_IGN)\nready()\ntime.sleep(60)"))
+    request = worker.request("capture")
+    while worker.ready is None:
+        worker.poll()
+        time.sleep(0.01)
+    pid = worker.pid
+    assert pid is not None
+    began = time.perf_counter()
+    worker.stop()
+    assert time.perf_counter() - began < 0.25
+    (event,) = worker.poll()
+    assert (event["id"], event["type"]) == (request, "Cancelled")
+    assert gone(pid)
+
+
+@needs_scripts
+def test_an_interrupt_passes_through_and_leaves_nothing(peer):
+    code = "ready()\nfor r in requests(): say(event='progress', id=r['id'], stage='fit', done=0, total=1)"
+
+    def interrupt(_event):
+        raise KeyboardInterrupt
+
+    with Worker(peer(code)) as worker:
+        request = worker.request("capture")
+        pid = worker.pid
+        with pytest.raises(KeyboardInterrupt):
+            worker.wait(request, interrupt, timeout=20)
+    assert pid is not None
+    assert not exists(pid)
+
+
+@needs_scripts
+def test_debug_repeats_what_it_says(peer, start, capfd):
+    speak = "sys.stderr.write(' '.join(sys.argv[1:]) + '\\n'); say(event='done', id=r['id'])"
+    worker = start(peer(f"ready()\nfor r in requests(): {speak}"), threads=3, debug=True)
+    worker.wait(worker.request("warm"), timeout=20)
+    worker.stop()
+    assert "-u -m handfit_core worker --threads 3 --debug" in capfd.readouterr().err
+
+
+# Settings
+
+
+def test_options():
+    assert CaptureOptions().to_message() == {}
+    given = CaptureOptions(
+        smoothing=0.0, intrinsics=(1.0, 2.0, 3.0, 4.0), plain_detection=False, hand_length=0.18
+    )
+    assert json.loads(json.dumps(given.to_message())) == {
+        "smoothing": 0.0,
+        "intrinsics": [1.0, 2.0, 3.0, 4.0],
+        "plain_detection": False,
+        "hand_length": 0.18,
+    }
+
+
+def test_blenders_python_settings_stay_out(monkeypatch):
+    monkeypatch.setenv("PYTHONHOME", "/blender/python")
+    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
+    environment = child_environment()
+    assert "PYTHONHOME" not in environment
+    assert (Path(environment["PYTHONPATH"]) / "handfit_core").is_dir()
+
+
+def test_choice_of_the_interpreter(monkeypatch):
+    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
+    assert find_python() == sys.executable
+    monkeypatch.setenv("HANDFIT_PYTHON", "/env/python")
+    assert find_python() == "/env/python"
+    assert find_python("/my/python") == "/my/python"
+
+
+# The shared worker
+
+
+@pytest.fixture
+def registered(tmp_path):
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    yield
+    blender_manient.unregister()
+
+
+def test_one_worker_until_the_preferences_change(registered):
+    assert shared.current() is None
+    worker = shared.worker()
+    assert shared.worker() is worker
+    preferences.get().threads = 2
+    other = shared.worker()
+    assert other is not worker
+    assert shared.current() is other
+
+
+@needs_scripts
+def test_a_busy_worker_is_not_replaced(registered, peer):
+    preferences.get().python = peer("ready()\nfor r in requests(): say(event='done', id=r['id'])")
+    worker = shared.worker()
+    request = worker.request("warm")
+    preferences.get().threads = 2
+    assert shared.worker() is worker
+    worker.wait(request, timeout=20)
+    assert shared.worker() is not worker
+    assert not worker.alive
+
+
+@needs_scripts
+def test_unregister_ends_it_and_its_files(peer, tmp_path):
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    preferences.get().python = peer("ready()\nfor r in requests(): pass")
+    worker = shared.worker()
+    worker.request("warm")
+    pid = worker.pid
+    assert pid is not None
+    take = shared.temporary_take("a photo.jpg")
+    take.write_bytes(b"x")
+    blender_manient.unregister()
+    assert gone(pid)
+    assert list((tmp_path / "cache" / "manient").iterdir()) == []
+    assert shared.current() is None
+
+
+def test_takes_have_names_of_their_own(registered, tmp_path):
+    first, second = shared.temporary_take("my clip.mp4"), shared.temporary_take("my clip.mp4")
+    assert first != second
+    assert first.parent.is_dir()
+    assert first.name.endswith(".take.npz")
+    assert shared.cache_folder() in first.parents
+
+
+def test_a_full_disk_is_one_sentence(registered):
+    with pytest.raises(OutputError, match=r"full.*MB free.*preferences"):
+        shared.temporary_take(needed=1 << 60)
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence(registered, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    preferences.get().cache_folder = str(tmp_path / "file")
+    with pytest.raises(OutputError, match=r"cannot write here.*preferences"):
+        shared.temporary_take()
+
+
+def test_takes_of_a_crashed_blender_go(registered):
+    folder = shared.cache_folder()
+    old, recent = folder / "takes-old", folder / "takes-recent"
+    for path in (old, recent):
+        path.mkdir()
+        (path / "a.take.npz").write_bytes(b"x")
+    os.utime(old, (1, 1))
+    shared.temporary_take()
+    assert not old.exists()
+    assert recent.exists()

@@ -1,0 +1,102 @@
+"""Lines and arrays there and back, and one sentence for every line that is not a message."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import ProtocolError
+from handfit_core.worker.protocol import check_id, decode, encode, pack, unpack
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"id": 1, "request": "check"},
+        {"input": ["/clips/Hände 手/a\nb.mp4"], "options": {"threshold": 0.25, "model": None, "flag": True}},
+        {"input": ["/clips/\udcff.mp4"]},  # a file name on Linux that is not UTF-8
+    ],
+    ids=["plain", "unicode", "surrogate"],
+)
+def test_messages_come_back_from_one_line(message: dict[str, Any]) -> None:
+    line = encode(message)
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+    assert decode(line) == message
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), np.float32(1), np.zeros(2), object()], ids=str)
+def test_only_jsons_types_are_sent(value: object) -> None:
+    with pytest.raises(ProtocolError, match="JSON's types"):
+        encode({"value": value})
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"hello", b"{", b"[1, 2]", b"3", b'{"a": 1} {"b": 2}', b"\xff\xfe{}", b"[" * 100_000]
+)
+def test_other_lines_are_refused_in_one_sentence(line: bytes) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        decode(line)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("dtype", ["bool", "uint8", "int32", "int64", "float32", "float64"])
+@pytest.mark.parametrize("shape", [(), (0, 3), (4,), (2, 3, 5)], ids=str)
+def test_arrays_come_back(dtype: str, shape: tuple[int, ...]) -> None:
+    array = (np.random.default_rng(0).normal(size=shape) * 100).astype(dtype)
+    back = unpack(json.loads(json.dumps(pack(array))))
+    assert back.dtype == array.dtype
+    assert back.flags.writeable
+    np.testing.assert_array_equal(back, array)
+
+
+def test_nan_order_and_bytes_of_arrays() -> None:
+    array = np.array([[np.nan, 1.0, np.inf], [-0.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(unpack(pack(array)), array)
+    np.testing.assert_array_equal(unpack(pack(np.asfortranarray(array).T)), array.T)
+    swapped = array.astype(">f8")
+    assert pack(swapped) == pack(array)
+    assert pack(np.array([1], dtype=np.int32))["data"] == "AQAAAA=="  # little-endian
+
+
+def test_arrays_of_objects_are_not_packed() -> None:
+    for array in (np.array(["a"]), np.array([None]), np.array([1j])):
+        with pytest.raises(ProtocolError, match="float64; not"):
+            pack(array)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"dtype": "object"},
+        {"dtype": None},
+        {"dtype": ["float32"]},
+        {"shape": [3, 2]},
+        {"shape": [-2, -2]},
+        {"shape": 4},
+        {"shape": ["x"]},
+        {"data": "AAAA"},
+        {"data": "no base64!"},
+        {"data": None},
+    ],
+    ids=str,
+)
+def test_damaged_arrays_are_refused(change: dict[str, Any]) -> None:
+    packed = pack(np.zeros((2, 2), dtype=np.float32))
+    with pytest.raises(ProtocolError, match="an array in a message must be"):
+        unpack(packed | change)
+    for key in change:
+        del packed[key]
+    for other in (packed, None, [1.0], "AAAA"):
+        with pytest.raises(ProtocolError, match="an array in a message must be"):
+            unpack(other)
+
+
+@pytest.mark.parametrize("number", [None, 0, -1, 1.0, "1", True, [1]], ids=str)
+def test_ids_are_positive_whole_numbers(number: object) -> None:
+    assert check_id({"id": 7}) == 7
+    assert check_id({"job": 3}, "job") == 3
+    with pytest.raises(ProtocolError, match="id must be a positive whole number"):
+        check_id({"id": number})

@@ -1,0 +1,395 @@
+"""The worker as Blender meets it: a process with pipes."""
+
+from __future__ import annotations
+
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core import Take
+from handfit_core.version import __version__
+from handfit_core.worker.protocol import PROTOCOL, decode, encode
+from tests.conftest import ROOT
+
+FOLDER = ROOT / "samples" / "rendered_hand"
+PHOTO = str(FOLDER / "hand.0001.jpg")
+PATTERN = str(FOLDER / "hand.%04d.jpg")
+PATIENCE = 120.0
+"""seconds until a silent worker is a failure: torch and MediaPipe load on busy machines"""
+
+Event = dict[str, Any]
+
+
+class Worker:
+    """A worker process, driven line by line."""
+
+    def __init__(self, *options: str, code: str | None = None) -> None:
+        command = ["-m", "handfit_core"] if code is None else ["-c", code]
+        self.process = subprocess.Popen(
+            [sys.executable, *command, "worker", *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        threading.Thread(target=self._read, daemon=True).start()
+        self.hello = self.next()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._lines.put(line)
+
+    def send(self, **message: Any) -> None:
+        self.send_line(encode(message))
+
+    def send_line(self, line: bytes) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(line)
+        self.process.stdin.flush()
+
+    def next(self) -> Event:
+        return decode(self._lines.get(timeout=PATIENCE))
+
+    def last(self, number: int | None) -> tuple[Event, list[Event]]:
+        """The last event of a request, and all that came before it."""
+        before: list[Event] = []
+        while True:
+            event = self.next()
+            if event["event"] in ("done", "error") and event["id"] == number:
+                return event, before
+            before.append(event)
+
+    def ask(self, number: int, kind: str, **fields: Any) -> Event:
+        self.send(id=number, request=kind, **fields)
+        return self.last(number)[0]
+
+    def close(self) -> int:
+        """Close its stdin; the exit code."""
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        return self.process.wait(PATIENCE)
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
+            assert pipe is not None
+            pipe.close()
+
+
+@pytest.fixture(scope="module")
+def warm() -> Iterator[Worker]:
+    """One worker that all quiet tests share."""
+    worker = Worker("--threads", "1")
+    yield worker
+    worker.end()
+
+
+@pytest.fixture
+def fresh() -> Iterator[Worker]:
+    worker = Worker()
+    yield worker
+    worker.end()
+
+
+def capture_of(folder: Path, frames: str | None = None, **options: Any) -> dict[str, Any]:
+    return {"input": [PATTERN], "output": str(folder / "a.npz"), "options": {"frames": frames, **options}}
+
+
+def test_says_who_it_is(fresh: Worker) -> None:
+    hello = fresh.hello
+    assert hello["pid"] == fresh.process.pid
+    assert (hello["event"], hello["protocol"], hello["version"]) == ("ready", PROTOCOL, __version__)
+    assert hello["python"].startswith("3.")
+    started = time.monotonic()
+    assert fresh.close() == 0
+    assert time.monotonic() - started < 2.0
+
+
+def test_captures(warm: Worker, tmp_path: Path) -> None:
+    warm.send(id=10, request="capture", **capture_of(tmp_path, "1-4", hands="right", hand_length=0.17))
+    done, before = warm.last(10)
+    assert done["event"] == "done", done
+    assert {e["event"] for e in before} == {"progress"}
+    assert all(e["id"] == 10 for e in before)
+    for stage in ("detect", "fit"):
+        counts = [(e["done"], e["total"]) for e in before if e["stage"] == stage]
+        assert counts[0] == (1, 4)
+        assert counts[-1] == (4, 4)
+    assert (done["frames"], done["stopped"], done["output"]) == (4, False, str(tmp_path / "a.npz"))
+    (hand,) = done["hands"]
+    assert (hand["side"], hand["frames"], hand["filled"]) == ("right", 4, 0)
+    take = Take.load(done["output"])
+    assert hand["mean_reprojection_error_px"] == pytest.approx(take.hands[0].reprojection_error.mean())
+    assert take.hands[0].refinable
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_tells_what_an_input_is(warm: Worker) -> None:
+    found = warm.ask(15, "probe", input=[PATTERN])
+    expected = {
+        "kind": "sequence",
+        "width": 640,
+        "height": 480,
+        "fps": 24.0,
+        "frames": 24,
+        "first": 1,
+        "last": 24,
+    }
+    assert {name: found[name] for name in expected} == expected
+    assert warm.ask(16, "probe", input=[PHOTO])["kind"] == "photo"
+    assert warm.ask(17, "probe", input=["/nowhere/a.png"])["type"] == "InputError"
+    assert warm.ask(18, "probe")["type"] == "OptionError"
+
+
+def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
+    output = str(tmp_path / "b.npz")
+    options = {"solver": "fast-per-frame", "model": "open-hand", "threshold": 0.4, "plain_detection": True}
+    camera: list[tuple[dict[str, Any], tuple[float, ...]]] = [
+        ({"intrinsics": [700, 710, 320, 240.5]}, (700, 710, 320, 240.5)),
+        ({"lens": [1.25, 0.5, 0.25]}, (800, 800, 320, 120)),
+    ]
+    for i, (given, expected) in enumerate(camera):
+        done = warm.ask(20 + i, "capture", input=[PHOTO], output=output, options={**options, **given})
+        assert done["event"] == "done", done
+        take = Take.load(output)
+        assert take.solver == "fast-per-frame"
+        assert tuple(vars(take.intrinsics).values()) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "said"),
+    [
+        ({"options": {"speed": 3}}, "OptionError", "no option 'speed' of a capture; choose from frames"),
+        ({"options": {"threshold": "high"}}, "OptionError", "'threshold' must be a number; got 'high'"),
+        ({"options": {"threshold": True}}, "OptionError", "'threshold' must be a number"),
+        ({"options": {"plain_detection": 1}}, "OptionError", "must be true or false"),
+        ({"options": {"intrinsics": [1, 2]}}, "OptionError", "four numbers"),
+        ({"options": {"intrinsics": [-1, 1, 0, 0]}}, "OptionError", "focal lengths"),
+        ({"options": {"lens": [1]}}, "OptionError", "three numbers"),
+        ({"options": {"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}}, "OptionError", "not both"),
+        ({"options": {"hand_length": 18}}, "OptionError", "between 50 and 300 mm"),
+        ({"options": {"frames": "x"}}, "OptionError", "'x'"),
+        ({"options": {"solver": "magic"}}, "OptionError", "no solver 'magic'"),
+        ({"options": [1]}, "OptionError", "options must be an object"),
+        ({"input": "a.png"}, "OptionError", "input must be a list"),
+        ({"input": []}, "OptionError", "input must be a list"),
+        ({"input": ["/nowhere/a.png"]}, "InputError", "no such file"),
+        ({"output": None}, "OptionError", "output"),
+        ({"output": "/proc/x/y.npz"}, "OutputError", "cannot write"),
+    ],
+    ids=str,
+)
+def test_errors_are_sentences_with_details(
+    warm: Worker, tmp_path: Path, changes: dict[str, Any], kind: str, said: str
+) -> None:
+    error = warm.ask(30, "capture", **{**capture_of(tmp_path), **changes})
+    assert (error["event"], error["type"]) == ("error", kind)
+    assert said in error["message"]
+    assert "\n" not in error["message"]
+    assert error["details"].startswith("Traceback")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_that_are_no_requests(warm: Worker) -> None:
+    for line, said in [
+        (b"hello\n", "not JSON"),
+        (b"[]\n", "one JSON object"),
+        (b'{"request": "check"}\n', "id must be"),
+        (b'{"id": -4, "request": "check"}\n', "id must be"),
+        (b'{"request": "cancel"}\n', "job must be"),
+    ]:
+        warm.send_line(line)
+        error = warm.next()
+        assert (error["event"], error["id"], error["type"]) == ("error", None, "ProtocolError")
+        assert said in error["message"]
+    error = warm.ask(40, "magic")
+    assert (error["id"], error["type"]) == (40, "ProtocolError")
+    assert "known are capture" in error["message"]
+    warm.send_line(b"\n")  # nothing at all is not worth an error
+    warm.send(request="cancel", job=39)  # nor is a job that has ended
+    assert warm.ask(41, "refit")["message"] == "refit: hand is missing"
+
+
+def test_an_open_id_is_not_taken_twice(warm: Worker, tmp_path: Path) -> None:
+    warm.send(id=50, request="capture", **capture_of(tmp_path, "1-3"))
+    warm.send(id=50, request="check")
+    done, before = warm.last(50)
+    assert done["event"] == "done"
+    (error,) = [e for e in before if e["event"] == "error"]
+    assert error["id"] is None
+    assert "still open" in error["message"]
+
+
+def test_warnings_are_of_their_request(warm: Worker, tmp_path: Path) -> None:
+    fields = {"input": [PHOTO], "output": str(tmp_path / "a.npz")}
+    warm.send(id=60, request="capture", **fields, options={"hand_length": 0.1})
+    _, before = warm.last(60)
+    (warning,) = [e for e in before if e["event"] == "warning"]
+    assert warning["id"] == 60
+    assert "100 mm" in warning["message"]
+
+
+def test_warm_and_check(warm: Worker) -> None:
+    assert warm.ask(70, "warm")["event"] == "done"
+    assert warm.ask(71, "warm", model="/nowhere.pkl")["type"] == "HandModelError"
+    assert warm.ask(72, "warm", model=3)["type"] == "OptionError"
+    done = warm.ask(73, "check")
+    assert done["ok"], done["report"]
+    lines = done["report"].splitlines()
+    for name in ("numpy", "scipy", "torch", "opencv", "mediapipe", "landmark model", "open hand, left"):
+        assert any(line.startswith(name) and line.endswith(": ok") for line in lines), name
+    assert "hand_landmarker.task" in done["report"]
+    assert f"core {__version__}" in lines[0]
+
+
+def test_a_package_that_is_missing_is_a_line_and_an_error(tmp_path: Path) -> None:
+    """torch and MediaPipe cannot be imported; the worker starts all the same."""
+    code = (
+        "import sys\n"
+        "sys.modules['torch'] = sys.modules['mediapipe'] = None\n"
+        "from handfit_core.__main__ import main\n"
+        "main()\n"
+    )
+    worker = Worker(code=code)
+    try:
+        error = worker.ask(1, "capture", **capture_of(tmp_path))
+        assert error["type"] == "ModuleNotFoundError"
+        assert "mediapipe" in error["message"]
+        assert "choose another Python" in error["message"]
+        done = worker.ask(2, "check")
+        assert done["event"] == "done"
+        assert not done["ok"]
+        failed = [line for line in done["report"].splitlines() if "FAILED" in line]
+        assert [line.split(":")[0] for line in failed[:2]] == ["torch", "mediapipe"]
+        assert "install torch>=2.2 into this Python" in failed[0]
+        assert any(line.startswith("self-test of the solver: FAILED") for line in failed)
+    finally:
+        worker.end()
+
+
+def test_prints_of_libraries_do_not_damage_the_protocol() -> None:
+    """Python's print, and a write to descriptor 1, in the middle of a request."""
+    code = (
+        "import os\n"
+        "from handfit_core.worker import checking, server\n"
+        "whole = checking.answer\n"
+        "def noisy(should_stop):\n"
+        "    print('printed')\n"
+        "    os.write(1, b'written')\n"
+        "    os.system('echo a child')\n"
+        "    assert os.read(0, 10) == b''\n"
+        "    return {'report': '', 'ok': True}\n"
+        "checking.answer = noisy\n"
+        "server.serve()\n"
+    )
+    worker = Worker(code=code)
+    try:
+        assert worker.ask(1, "check") == {"event": "done", "id": 1, "report": "", "ok": True}
+        assert worker.process.stderr is not None
+        assert worker.close() == 0
+        said = worker.process.stderr.read()
+        for noise in (b"printed", b"written", b"a child"):
+            assert noise in said
+    finally:
+        worker.end()
+
+
+def test_cancel_of_what_runs_and_what_waits(warm: Worker, tmp_path: Path) -> None:
+    warm.ask(80, "warm")
+    warm.send(id=81, request="capture", **capture_of(tmp_path))
+    other = {**capture_of(tmp_path), "output": str(tmp_path / "waits.npz")}
+    warm.send(id=82, request="capture", **other)
+    while warm.next().get("done") != 1:
+        pass
+    warm.send(request="cancel", job=82)
+    warm.send(request="cancel", job=81)
+    waited, _ = warm.last(82)
+    assert (waited["type"], waited["details"]) == ("Cancelled", "")
+    done, after = warm.last(81)
+    assert done["event"] == "done"
+    assert done["stopped"]
+    assert 1 <= done["frames"] < 24
+    assert all(event["id"] == 81 for event in after)
+    take = Take.load(tmp_path / "a.npz")
+    assert len(take.frame_numbers) == len(take.source.files) == done["frames"]
+    assert warm.ask(83, "warm")["event"] == "done"  # nothing of 82 came in between
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_cancel_before_anything_was_found(warm: Worker, tmp_path: Path) -> None:
+    import cv2
+
+    for i in range(40):
+        cv2.imwrite(str(tmp_path / f"wall.{i:02d}.png"), np.full((480, 640, 3), 90, np.uint8))
+    output = tmp_path / "out" / "a.npz"
+    warm.send(id=90, request="capture", input=[str(tmp_path / "wall.%02d.png")], output=str(output))
+    while warm.next().get("done") != 1:
+        pass
+    warm.send(request="cancel", job=90)
+    error, _ = warm.last(90)
+    assert (error["event"], error["type"]) == ("error", "Cancelled")
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("how", ["end", "closed"])
+def test_ends_in_the_middle_of_a_capture(how: str, tmp_path: Path) -> None:
+    worker = Worker()
+    try:
+        worker.send(id=1, request="capture", **capture_of(tmp_path))
+        while worker.next()["event"] != "progress":
+            pass
+        started = time.monotonic()
+        if how == "end":
+            worker.send(request="end")
+            assert worker.process.wait(PATIENCE) == 0
+        else:
+            assert worker.close() == 0
+        assert time.monotonic() - started < 3.0
+        assert list(tmp_path.iterdir()) == []
+    finally:
+        worker.end()
+
+
+def test_ends_when_its_events_cannot_be_read_any_more(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "handfit_core", "worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.stdout.close()
+        process.stdin.write(encode({"id": 1, "request": "capture", **capture_of(tmp_path)}))
+        process.stdin.flush()
+        assert process.wait(PATIENCE) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for other processes")
+def test_interrupting_blender_in_its_terminal_is_not_for_the_worker(fresh: Worker) -> None:
+    import signal
+
+    fresh.process.send_signal(signal.SIGINT)
+    assert fresh.ask(1, "magic")["type"] == "ProtocolError"
+
+
+def test_threads_must_be_positive() -> None:
+    command = [sys.executable, "-m", "handfit_core", "worker", "--threads", "0"]
+    result = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, cwd=ROOT)
+    assert result.returncode == 1
+    assert result.stdout == ""
+    assert "at least 1 thread" in result.stderr

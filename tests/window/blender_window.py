@@ -1,0 +1,170 @@
+"""The real Blender on a screen of its own, seen from pytest: starts it, asks it to play scenarios."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parent
+START_TIMEOUT = 120.0
+"""seconds until Blender must answer: compiling shaders without a graphics card takes its time"""
+QUIT_TIMEOUT = 30.0
+SIGNS_OF_DEFECTS = ("Traceback (most recent call last)", "unknown operator", "rna_ui")
+"""What Blender prints where the add-on is wrong"""
+
+
+class WindowFailure(AssertionError):
+    """A scenario failed, or Blender died."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a scenario returned, and how long the add-on kept the main thread (inside/meter.py)."""
+
+    value: Any
+    blocked: dict[str, Any]
+
+
+class BlenderWindow:
+    """One Blender with its window; restarted when it has died.
+
+    Its logs and answers are kept in `folder`, which lies in `reachable`; what scenarios are given to read
+    must lie there as well, or in the repository, the samples or $CHROOT_BIND.
+    """
+
+    def __init__(
+        self,
+        chroot: str,
+        folder: Path,
+        screenshots: Path,
+        size: tuple[int, int] = (1600, 1000),
+        reachable: Path | None = None,
+    ):
+        self._chroot = chroot
+        self._base = folder
+        self._reachable = reachable or folder
+        self._kept = screenshots
+        self._size = size
+        self._process: subprocess.Popen[bytes] | None = None
+        self._starts = 0
+        self._number = 0
+        self._folder = folder
+
+    def play(self, scenario: str, timeout: float = 120.0, **arguments: Any) -> Played:
+        """Play scenarios.MODULE.FUNCTION; WindowFailure with its traceback where it fails."""
+        if self._process is None or self._process.poll() is not None:
+            self._start()
+        printed = len(self._printed())
+        answer = self._ask(scenario, timeout, arguments)
+        if not answer["ok"]:
+            raise WindowFailure(f"{answer['error']}\n{answer['details']}\n{self.log()}")
+        news = self._printed()[printed:]
+        if any(sign in news for sign in SIGNS_OF_DEFECTS):
+            # What goes wrong in a panel's draw() or a timer is printed, and nothing more.
+            raise WindowFailure(f"{scenario} made Blender print\n{_once(news)}\n{answer['value']}")
+        return Played(answer["value"], answer["blocked"])
+
+    def quit(self) -> list[str]:
+        """Quit Blender as an artist does; the command lines of processes that it left behind."""
+        assert self._process is not None
+        self._write_request("quit", {})
+        self._process.wait(QUIT_TIMEOUT)
+        self._process = None
+        return (self._folder / "left_behind").read_text(encoding="utf-8").splitlines()
+
+    def stop(self) -> None:
+        """End everything that was started."""
+        if self._process is not None and self._process.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        self._process = None
+
+    def log(self) -> str:
+        """The last lines that Blender printed."""
+        return "\n".join(["Blender's last lines:", *self._printed().splitlines()[-30:]])
+
+    def _printed(self) -> str:
+        path = self._folder / "log"
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+    def _start(self) -> None:
+        self._starts += 1
+        self._number = 0
+        self._folder = self._base / f"blender-{self._starts}"
+        self._folder.mkdir(parents=True)
+        shaders = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "handfit-window-shaders"
+        shaders.mkdir(parents=True, exist_ok=True)
+        bind = ":".join(filter(None, [str(self._reachable), str(shaders), os.environ.get("CHROOT_BIND")]))
+        environment = {
+            **os.environ,
+            "CHROOT_BIND": bind,
+            "MESA_SHADER_CACHE_DIR": str(shaders),
+            "HANDFIT_PYTHON": os.environ.get("HANDFIT_PYTHON", sys.executable),
+        }
+        width, height = self._size
+        with (self._folder / "log").open("wb") as log:
+            self._process = subprocess.Popen(
+                [
+                    str(ROOT / "scripts" / "chroot_blender.sh"),
+                    self._chroot,
+                    str(HERE / "start_blender.sh"),
+                    str(self._folder),
+                    str(width),
+                    str(height),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,
+            )
+
+    def _ask(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> dict[str, Any]:
+        assert self._process is not None
+        self._write_request(scenario, arguments)
+        path = self._folder / f"result-{self._number}.json"
+        end = time.monotonic() + timeout + (START_TIMEOUT if self._number == 1 else 0.0)
+        while not path.exists():
+            if self._process.poll() is not None:
+                raise WindowFailure(
+                    f"Blender ended with {self._process.returncode} in {scenario}\n{self.log()}"
+                )
+            if time.monotonic() > end:
+                self.stop()
+                raise WindowFailure(f"{scenario} was not through after {timeout:g} s\n{self.log()}")
+            time.sleep(0.02)
+        self._keep_screenshots()
+        return json.loads(path.read_text(encoding="utf-8"))
+
+    def _write_request(self, scenario: str, arguments: dict[str, Any]) -> None:
+        self._number += 1
+        path = self._folder / f"request-{self._number}.json"
+        request = {"scenario": scenario, "arguments": {k: _plain(v) for k, v in arguments.items()}}
+        temporary = path.with_suffix(".part")
+        temporary.write_text(json.dumps(request), encoding="utf-8")
+        temporary.replace(path)
+
+    def _keep_screenshots(self) -> None:
+        self._kept.mkdir(parents=True, exist_ok=True)
+        for picture in (self._folder / "screenshots").glob("*.png"):
+            shutil.copy(picture, self._kept / picture.name)
+
+
+def _once(text: str) -> str:
+    """Without the lines that came before: a panel's error comes with every redraw."""
+    return "\n".join(dict.fromkeys(text.splitlines()))
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,105 @@
+"""Runs inside the real Blender: waits for requests of blender_window.py and plays scenarios.
+
+A request is FOLDER/request-N.json, {"scenario": "module.function", "arguments": {...}}; the answer is
+FOLDER/result-N.json, {"ok", "value", "error", "blocked"}. A scenario is a generator function
+scenarios/MODULE.py: FUNCTION(stage, **arguments), driven by a timer of Blender's main loop, so that the
+window lives on while it waits. It yields seconds to wait (0: one turn of the main loop) and may return
+something that JSON can hold.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[2]
+sys.path[:0] = [str(ROOT), str(HERE), str(HERE.parent)]
+
+from meter import Meter  # noqa: E402
+from stage import Stage  # noqa: E402
+
+POLL = 0.02
+"""seconds between looks for a request"""
+
+
+class Driver:
+    """Plays one scenario after the other."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.number = 1
+        self.scenario = None
+        self.meter = Meter(ROOT / "blender_manient")
+        self.stage = Stage(folder / "screenshots", self.meter)
+
+    def tick(self) -> float:
+        """The timer's function: seconds until it wants to be called again."""
+        if self.scenario is None:
+            return self._look_for_request()
+        try:
+            return next(self.scenario) or 0.0
+        except StopIteration as stop:
+            self._answer(ok=True, value=stop.value)
+        except BaseException as error:
+            self._answer(ok=False, error=str(error), details=traceback.format_exc())
+        return 0.0
+
+    def _look_for_request(self) -> float:
+        path = self.folder / f"request-{self.number}.json"
+        if not path.exists():
+            return POLL
+        try:
+            request = json.loads(path.read_text(encoding="utf-8"))
+            if request["scenario"] == "quit":
+                # Not from within a timer's call: quitting frees the timers.
+                self.number += 1
+                self.scenario = self._quit()
+                return 0.0
+            module, _, name = request["scenario"].rpartition(".")
+            function = getattr(importlib.import_module(f"scenarios.{module}"), name)
+            self.scenario = self._played(function, request["arguments"])
+        except BaseException as error:
+            self._answer(ok=False, error=str(error), details=traceback.format_exc())
+        return 0.0
+
+    def _played(self, function, arguments):
+        yield from self.stage.reset()
+        self.meter.start()
+        return (yield from function(self.stage, **arguments))
+
+    def _quit(self):
+        bpy.context.preferences.view.use_save_prompt = False
+        with self.stage.override():
+            bpy.ops.wm.quit_blender("EXEC_DEFAULT")
+        yield 60.0
+
+    def _answer(self, **answer) -> None:
+        self.scenario = None
+        answer["blocked"] = self.meter.stop()
+        if not answer["ok"]:
+            self.stage.screenshot_now(f"failed-{self.number}")
+        path = self.folder / f"result-{self.number}.json"
+        temporary = path.with_suffix(".part")
+        temporary.write_text(json.dumps(answer, default=str), encoding="utf-8")
+        temporary.replace(path)
+        self.number += 1
+
+
+def main() -> None:
+    """Begin to look for requests once the window is up."""
+    folder = Path(sys.argv[sys.argv.index("--") + 1])
+    bpy.context.preferences.view.show_splash = False
+    driver = Driver(folder)
+    bpy.app.timers.register(driver.tick, first_interval=0.1, persistent=True)
+    (folder / "started").write_text(f"{time.time()} {os.getpid()}", encoding="utf-8")
+
+
+main()

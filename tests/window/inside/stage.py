@@ -1,0 +1,236 @@
+"""What a scenario can do with the window: move the mouse, press keys, open the panel, look, wait."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import addon_utils
+import bpy
+from meter import Meter
+
+ADDON = "blender_manient"
+TAB = "Hand Capture"
+SETTLE = 0.3
+"""seconds in which Blender takes up a change of its layout"""
+SHORTCUT = "F19"
+"""A key that Blender leaves alone"""
+HOVER = 0.06
+"""seconds until the button under the mouse lights up"""
+BUTTON_STEP = 12
+"""pixels; a button is at least 20 high"""
+STEP = 0.01
+"""seconds between looks at a condition"""
+
+Steps = Generator[float, None, Any]
+
+
+def armatures() -> list[bpy.types.Object]:
+    """The file's armatures."""
+    return [obj for obj in bpy.data.objects if obj.type == "ARMATURE"]
+
+
+class Stage:
+    """The window, as the artist's eyes and hands have it. Generator methods need `yield from`."""
+
+    def __init__(self, screenshots: Path, meter: Meter):
+        self.screenshots = screenshots
+        self.meter = meter
+
+    # The window
+
+    @property
+    def window(self) -> bpy.types.Window:
+        """Blender's only window."""
+        return bpy.context.window_manager.windows[0]
+
+    def area(self, kind: str = "VIEW_3D") -> bpy.types.Area:
+        """The largest editor of a kind."""
+        areas = [a for a in self.window.screen.areas if a.type == kind]
+        assert areas, f"there is no {kind} in this window"
+        return max(areas, key=lambda a: a.width * a.height)
+
+    def region(self, kind: str = "WINDOW", area: str = "VIEW_3D") -> bpy.types.Region:
+        """A region of that editor."""
+        return next(r for r in self.area(area).regions if r.type == kind)
+
+    def override(self, area: str = "VIEW_3D", region: str = "WINDOW"):
+        """A context as it is under the mouse there; timers have none."""
+        return bpy.context.temp_override(
+            window=self.window, area=self.area(area), region=self.region(region, area)
+        )
+
+    def reset(self) -> Steps:
+        """A new file with nothing in it but the factory's layout; the add-on enabled; mouse in the view."""
+        bpy.ops.wm.read_homefile(use_factory_startup=True)
+        yield 0.1
+        if not addon_utils.check(ADDON)[1]:
+            assert addon_utils.enable(ADDON, default_set=True), "the add-on could not be enabled"
+        for obj in list(bpy.data.objects):
+            bpy.data.objects.remove(obj)
+        self.area().spaces[0].shading.type = "SOLID"
+        yield from self.move_to(self.region())
+        yield SETTLE
+
+    # Waiting
+
+    def until(self, condition: Callable[[], Any], timeout: float, what: str | Callable[[], str]) -> Steps:
+        """Wait until condition() is true; returns its value, or fails saying what did not come."""
+        end = time.monotonic() + timeout
+        while not (value := condition()):
+            if time.monotonic() > end:
+                what = what if isinstance(what, str) else what()
+                raise AssertionError(f"waited {timeout:g} s in vain for {what}")
+            yield STEP
+        return value
+
+    # Mouse and keys
+
+    def move_to(self, target: Any, dx: float = 0.0, dy: float = 0.0) -> Steps:
+        """Mouse to the middle of a region, or to (x, y) in pixels of the window from its lower left."""
+        if isinstance(target, bpy.types.Region):
+            target = self._middle(target)
+        x, y = round(target[0] + dx), round(target[1] + dy)
+        self.window.event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=y)
+        self.mouse = (x, y)
+        yield 0.0
+
+    def _middle(self, region: bpy.types.Region) -> tuple[float, float]:
+        """The middle of what the toolbar and the sidebar leave free: both lie over the view."""
+        left, right = region.x, region.x + region.width
+        if region.type == "WINDOW":
+            covers = {r.type: r for r in self.area().regions if r.width > 1}
+            if "TOOLS" in covers:
+                left = max(left, covers["TOOLS"].x + covers["TOOLS"].width)
+            if "UI" in covers:
+                right = min(right, covers["UI"].x)
+        return (left + right) / 2, region.y + region.height / 2
+
+    def key(self, kind: str, **modifiers: Any) -> Steps:
+        """Press and let go a key or mouse button where the mouse is."""
+        x, y = self.mouse
+        self.window.event_simulate(type=kind, value="PRESS", x=x, y=y, **modifiers)
+        yield 0.0
+        self.window.event_simulate(type=kind, value="RELEASE", x=x, y=y, **modifiers)
+        yield 0.0
+
+    def click(self, target: Any) -> Steps:
+        """Left click."""
+        yield from self.move_to(target)
+        yield from self.key("LEFTMOUSE")
+
+    def drag(self, path: list[tuple[float, float]], pause: float = 0.02) -> Steps:
+        """Press at the path's first point, move along it, let go at its last. Pixels of the window."""
+        yield from self.move_to(path[0])
+        self.window.event_simulate(type="LEFTMOUSE", value="PRESS", x=self.mouse[0], y=self.mouse[1])
+        yield pause
+        for point in path[1:]:
+            yield from self.move_to(point)
+            yield pause
+        self.window.event_simulate(type="LEFTMOUSE", value="RELEASE", x=self.mouse[0], y=self.mouse[1])
+        yield pause
+
+    def invoke(self, operator: str, **properties: Any) -> Steps:
+        """Run an operator as its button or a shortcut does: from an event, with an undo step of its own.
+
+        `bpy.ops` from a script would push no undo step.
+        """
+        keymap = bpy.context.window_manager.keyconfigs.addon.keymaps.new(name="3D View", space_type="VIEW_3D")
+        item = keymap.keymap_items.new(operator, SHORTCUT, "PRESS")
+        for name, value in properties.items():
+            setattr(item.properties, name, value)
+        yield 0.05
+        # A report's popup under the mouse would take the key; it goes when the mouse leaves it.
+        area = self.area()
+        yield from self.move_to((area.x + 5, area.y + 5))
+        yield 0.05
+        yield from self.move_to(self.region())
+        yield from self.key(SHORTCUT)
+        yield 0.05
+        keymap.keymap_items.remove(item)
+
+    def undo(self) -> Steps:
+        """Ctrl Z in the view."""
+        yield from self.move_to(self.region(), dx=3)
+        yield from self.move_to(self.region())
+        yield from self.key("Z", ctrl=True)
+        yield 0.1
+
+    def redo(self) -> Steps:
+        """Ctrl Shift Z in the view."""
+        yield from self.move_to(self.region(), dx=3)
+        yield from self.move_to(self.region())
+        yield from self.key("Z", ctrl=True, shift=True)
+        yield 0.1
+
+    # The sidebar
+
+    def open_sidebar(self, tab: str = TAB) -> Steps:
+        """Show a tab of the 3D view's sidebar."""
+        self.area().spaces[0].show_region_ui = True
+        yield SETTLE
+        self.region("UI").active_panel_category = tab
+        self.area().tag_redraw()
+        yield SETTLE
+        assert self.region("UI").active_panel_category == tab, f"the sidebar has no tab {tab!r}"
+
+    def find_button(self, command: str) -> Steps:
+        """The place of a button of the sidebar whose tooltip's Python command begins so; None without one.
+
+        Found as an artist finds it: by hovering, line after line.
+        """
+        region = self.region("UI")
+        x = region.x + region.width * 0.4
+        for y in range(region.y + region.height - 10, region.y, -BUTTON_STEP):
+            yield from self.move_to((x, y))
+            yield HOVER
+            bpy.context.window_manager.clipboard = ""
+            with self.override(region="UI"):
+                if bpy.ops.ui.copy_python_command_button.poll():
+                    bpy.ops.ui.copy_python_command_button()
+            if bpy.context.window_manager.clipboard.startswith(command):
+                return (x, y)
+        return None
+
+    # Looking
+
+    def reports(self) -> Steps:
+        """What Blender has reported to the artist in this session, one message per line."""
+        area = self.area("OUTLINER")
+        area.type = "INFO"
+        yield SETTLE
+        with bpy.context.temp_override(window=self.window, area=area, region=area.regions[-1]):
+            bpy.ops.info.select_all(action="SELECT")
+            bpy.ops.info.report_copy()
+        text = bpy.context.window_manager.clipboard
+        area.type = "OUTLINER"
+        yield SETTLE
+        return text.splitlines()
+
+    def look_through_camera(self) -> Steps:
+        """The view through the scene's camera, as the artist has it after a capture."""
+        if self.area().spaces[0].region_3d.view_perspective != "CAMERA":
+            with self.override():
+                bpy.ops.view3d.view_camera()
+        yield SETTLE
+
+    def screenshot(self, name: str) -> Steps:
+        """Draw everything afresh, and keep a picture of the screen."""
+        for area in self.window.screen.areas:
+            area.tag_redraw()
+        yield SETTLE
+        process = self._start_screenshot(name)
+        yield from self.until(lambda: process.poll() is not None, 20.0, "a screenshot")
+        assert process.returncode == 0, "the screenshot failed"
+
+    def screenshot_now(self, name: str) -> None:
+        """The screen as it is."""
+        self._start_screenshot(name).wait(20.0)
+
+    def _start_screenshot(self, name: str) -> subprocess.Popen:
+        # Without a graphics card, Blender's own screen.screenshot is black.
+        self.screenshots.mkdir(parents=True, exist_ok=True)
+        return subprocess.Popen(["import", "-window", "root", str(self.screenshots / f"{name}.png")])

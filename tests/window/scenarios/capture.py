@@ -1,0 +1,264 @@
+"""Captures through the window: progress, cancelling, queues, undo, files, and what goes wrong."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import bpy
+
+from scenarios.capturing import begin, capture, done, finish, hands, jobs, summary
+from scenarios.traces import workers
+
+
+def photo(stage, source):
+    """From the empty panel to a hand; undo, redo, save, and open again."""
+    yield from stage.open_sidebar()
+    yield from stage.screenshot("panel-empty")
+    bpy.context.scene.manient.source = source
+    yield 1.0
+    yield from stage.screenshot("panel-source")
+    job = yield from begin(stage, source)
+    yield from stage.screenshot("capturing-photo")
+    yield from finish(stage, job)
+    done(job)
+    yield from stage.look_through_camera()
+    yield from stage.screenshot("captured-photo")
+    before = summary()
+
+    yield from stage.undo()
+    undone = len(hands())
+    yield from stage.redo()
+    yield 0.3
+    redone = summary()
+
+    path = str(Path(source).with_name("photo.blend"))
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    yield 0.3
+    assert not hands(), "hands in an empty file"
+    bpy.ops.wm.open_mainfile(filepath=path)
+    yield 0.5
+    yield from stage.open_sidebar()
+    yield from stage.screenshot("reloaded-photo")
+    return {"first": before, "undone": undone, "redone": redone, "reloaded": summary()}
+
+
+def clip(stage, source, shot="video"):
+    """A clip: what the progress bar says meanwhile, and what comes of it."""
+    yield from stage.open_sidebar()
+    job = yield from begin(stage, source)
+    seen: list[tuple[str, str, float]] = []
+    shots = set()
+    while not job.finished:
+        entry = (job.state, job.stage, round(job.fraction, 3))
+        if not seen or seen[-1][:3] != entry:
+            seen.append((*entry, job.status()))
+        if job.state == "capturing" and job.stage and job.done > 5 and job.stage not in shots:
+            shots.add(job.stage)
+            yield from stage.screenshot(f"capturing-{shot}-{job.stage}")
+        yield 0.0
+    done(job)
+    yield 0.3
+    yield from stage.look_through_camera()
+    yield from stage.screenshot(f"captured-{shot}")
+    return {"seen": seen, "hands": summary(), "message": job.message, "warnings": job.warnings}
+
+
+def cancelled(stage, source):
+    """Esc in the middle: how long until the last frame is looked at and until the finished ones are fitted
+    and built, and what was kept."""
+    yield from stage.open_sidebar()
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 20, 60.0, "twenty frames")
+    frames = job.done
+    pressed = time.perf_counter()
+    yield from stage.key("ESC")
+    stopped, looked_at = 0.0, frames
+    while job.state == "capturing":
+        if job.stage == "detect" and job.done > looked_at:
+            looked_at, stopped = job.done, time.perf_counter() - pressed
+        yield 0.0
+    fitted = time.perf_counter() - pressed
+    yield from finish(stage, job)
+    built = time.perf_counter() - pressed
+    yield from stage.screenshot("cancelled")
+    return {
+        "state": job.state,
+        "message": job.message,
+        "last_frame_s": stopped,
+        "fitted_s": fitted,
+        "built_s": built,
+        "done_then": frames,
+        "total": job.total,
+        "hands": summary(),
+    }
+
+
+def cancelled_by_button(stage, source):
+    """The X beside the progress bar, while frames are found."""
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
+    yield from stage.invoke("manient.cancel_capture", index=jobs().index(job))
+    yield from finish(stage, job)
+    return {"state": job.state, "message": job.message}
+
+
+def queued(stage, sources):
+    """Several captures, one after the other."""
+    yield from stage.open_sidebar()
+    waited, states, most = [], [], 0
+    for source in sources:
+        waited.append((yield from begin(stage, source)))
+        states.append(waited[-1].state)
+    yield from stage.screenshot("queued")
+    while not all(job.finished for job in waited):
+        most = max(most, sum(job.running for job in waited))
+        yield 0.0
+    yield 0.3
+    for job in waited:
+        done(job)
+    yield from stage.screenshot("queue-done")
+    return {"states": states, "at_once": most, "hands": [hand["name"] for hand in summary()]}
+
+
+def worker_killed(stage, source):
+    """The worker dies in the middle; the next capture has a new one."""
+    yield from stage.open_sidebar()
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 10, 60.0, "ten frames")
+    ((worker, _),) = workers()
+    os.kill(worker, signal.SIGKILL)
+    yield from finish(stage, job, timeout=10.0)
+    yield from stage.screenshot("failed")
+    reports = yield from stage.reports()
+    again = yield from capture(stage, source)
+    ((other, _),) = workers()
+    return {
+        "state": job.state,
+        "message": job.message,
+        "reports": reports,
+        "details": [text.as_string() for text in bpy.data.texts],
+        "same_worker": worker == other,
+        "again": again.state,
+        "frames": summary()[0]["frames"],
+    }
+
+
+def undo_in_the_middle(stage, source):
+    """The artist works on and undoes while a capture runs."""
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
+    while not job.finished:
+        if job.running:
+            yield from stage.invoke("mesh.primitive_cube_add")
+            yield from stage.undo()
+        yield 0.05
+    yield 0.2
+    done(job)
+    first = summary()
+    yield from stage.undo()
+    return {"hands": first, "undone": len(hands())}
+
+
+def another_file_in_the_middle(stage, source):
+    """Opening a file ends the capture; the next one works."""
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    yield 1.0
+    left = [j.state for j in jobs() if not j.finished]
+    yield from stage.move_to(stage.region())
+    again = yield from capture(stage, source)
+    return {"left": left, "again": again.state, "hands": len(hands())}
+
+
+def left_running(stage, source):
+    """A capture that runs when Blender is quit."""
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
+    return len(workers())
+
+
+def dropped(stage, source):
+    """A file dropped onto the viewport."""
+    folder, _, name = source.rpartition("/")
+    with stage.override():
+        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=folder, files=[{"name": name}])
+    # Blender asks first where it has a use for pictures as well; C is for Capture Hands.
+    yield from stage.screenshot("dropped")
+    yield from stage.key("C")
+    yield from stage.screenshot("dropped-dialog")
+    assert not jobs() or all(job.finished for job in jobs()), "it began without asking"
+    yield from stage.key("RET")
+    job = yield from stage.until(
+        lambda: next((j for j in jobs() if j.name == name), None), 5.0, "the dropped file's capture"
+    )
+    yield from finish(stage, job)
+    done(job)
+    return summary()
+
+
+def fails(stage, source, shot="", **settings):
+    """A capture that must fail: what the artist reads."""
+    yield from stage.open_sidebar()
+    panel = bpy.context.scene.manient
+    panel.source = source
+    for name, value in settings.items():
+        setattr(panel, name, value)
+    yield 0.3
+    before = jobs()
+    yield from stage.invoke("manient.capture")
+    yield 0.3
+    new = [job for job in jobs() if job not in before]
+    if new:
+        yield from finish(stage, new[0])
+        assert new[0].state == "failed", f"it is {new[0].state}: {new[0].message}"
+    yield from stage.screenshot(f"failed-{shot}")
+    reports = yield from stage.reports()
+    return {
+        "message": new[0].message if new else "",
+        "reports": reports,
+        "details": [text.as_string() for text in bpy.data.texts],
+        "hands": len(hands()),
+    }
+
+
+def full_disk(stage, source):
+    """The cache folder's disk is full."""
+    addon = bpy.context.preferences.addons["blender_manient"].preferences
+    before = addon.cache_folder
+    addon.cache_folder = "/tmp/small_disk"
+    with open("/tmp/small_disk/filler", "wb") as filler, __import__("contextlib").suppress(OSError):
+        while True:
+            filler.write(b"\0" * 4096)
+            filler.flush()
+    try:
+        answer = yield from fails(stage, source, "full-disk")
+    finally:
+        Path("/tmp/small_disk/filler").unlink()
+        addon.cache_folder = before
+    again = yield from capture(stage, source)
+    return {**answer, "again": again.state}
+
+
+def moved_file(stage, source):
+    """A .blend that is opened elsewhere, without its picture."""
+    job = yield from capture(stage, source)
+    home = Path(source).parent
+    path = home / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), relative_remap=True)
+    before = summary()
+    elsewhere = home / "elsewhere"
+    elsewhere.mkdir()
+    moved = path.rename(elsewhere / path.name)
+    Path(source).rename(home / "hidden")
+    bpy.ops.wm.open_mainfile(filepath=str(moved))
+    yield 0.5
+    yield from stage.open_sidebar()
+    yield from stage.look_through_camera()
+    yield from stage.screenshot("moved")
+    answer = yield from fails(stage, bpy.context.scene.manient.source, "moved")
+    return {**answer, "before": before, "after": summary(), "name": job.name}

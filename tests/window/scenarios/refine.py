@@ -1,0 +1,197 @@
+"""Keypoints corrected with the mouse."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from scenarios.capturing import capture, hands, keys_of, pose_of
+
+INDEX_TIP = 8
+WARM = 60.0
+"""seconds that the worker may take to load what refits need"""
+
+
+def keypoint_dragged(stage, source, steps=20):
+    """The index finger's tip dragged aside; undo and redo; saved and opened again."""
+    yield from stage.open_sidebar()
+    yield from _edited(stage, source)
+    (armature,) = hands()
+    before = {frame: _pose_at(armature, frame) for frame in (1, 20, 28, 30, 32, 40, 60)}
+    keys = keys_of(armature)
+    bpy.context.scene.frame_set(30)
+    yield 0.3
+    yield from stage.screenshot("keypoints")
+
+    start = _places()[INDEX_TIP]
+    path = [(start[0] + 70 * i / steps, start[1] - 25 * i / steps) for i in range(steps + 1)]
+    waits = yield from _dragged(stage, path)
+    yield from stage.until(lambda: _state()["dragged"] is None, 10.0, "the last fit")
+    yield 0.3
+    yield from stage.move_to(stage.region())
+    yield from stage.screenshot("keypoints-dragged")
+    pins = _state()["pins"]
+    after = {frame: _pose_at(armature, frame) for frame in before}
+    bpy.context.scene.frame_set(30)
+    yield 0.3
+
+    yield from stage.undo()
+    yield 0.3
+    (armature,) = hands()
+    undone = _pose_at(armature, 30)
+    yield from stage.redo()
+    yield 0.3
+    (armature,) = hands()
+    redone = _pose_at(armature, 30)
+
+    yield from stage.key("RET")
+    yield from stage.until(lambda: not _operator().running(), 5.0, "the mode to end")
+    path = str(Path(source).with_name("refined.blend"))
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    yield 0.5
+    (armature,) = hands()
+    reloaded = _pose_at(armature, 30)
+    bpy.context.scene.frame_set(30)
+    yield from stage.open_sidebar()
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(lambda: _state().get("pins"), WARM, "the pins of the saved file")
+    pins_reloaded = _state()["pins"]
+    yield from stage.key("ESC")
+    yield from stage.until(lambda: not _operator().running(), 5.0, "the mode to end")
+    return {
+        "pins": len(pins),
+        "pins_reloaded": len(pins_reloaded),
+        "keys_then": keys,
+        "keys_now": keys_of(armature),
+        "changed": [frame for frame in before if before[frame] != after[frame]],
+        "undone": undone == before[30],
+        "redone": redone == after[30],
+        "reloaded": reloaded == after[30],
+        "waits_ms": waits,
+        "latencies_ms": [1000 * s for s in _operator().latencies()],
+        "missed_px": _missed(pins),
+    }
+
+
+def live_latency(stage, source, steps=60):
+    """Mouse to hand with a warm worker: each movement waits for the hand that follows it."""
+    yield from _edited(stage, source)
+    bpy.context.scene.frame_set(30)
+    yield 0.3
+    start = _places()[INDEX_TIP]
+    angles = np.linspace(0, 4 * np.pi, steps)
+    path = [start, *((start[0] + 40 * np.sin(a), start[1] - 25 + 25 * np.cos(a)) for a in angles)]
+    waits = yield from _dragged(stage, path)
+    yield from stage.key("RET")
+    yield from stage.until(lambda: not _operator().running(), 5.0, "the mode to end")
+    return {
+        "waits_ms": waits,
+        "latencies_ms": [1000 * s for s in _operator().latencies()],
+        "redraw_ms": (yield from _redraws(stage)),
+    }
+
+
+def worker_killed(stage, source):
+    """The worker dies between two drags."""
+    import os
+    import signal
+
+    from scenarios.traces import workers
+
+    yield from _edited(stage, source)
+    bpy.context.scene.frame_set(30)
+    yield 0.3
+    ((worker, _),) = workers()
+    os.kill(worker, signal.SIGKILL)
+    yield 0.3
+    start = _places()[INDEX_TIP]
+    yield from stage.drag([start, (start[0] + 20, start[1]), (start[0] + 40, start[1])], pause=0.1)
+    yield from stage.until(lambda: _state().get("message") or _state()["dragged"] is None, WARM, "an answer")
+    yield from stage.screenshot("keypoints-worker-killed")
+    message = _state().get("message", "")
+    yield 1.0
+    before = _pose_at(hands()[0], 30)
+    start = _places()[INDEX_TIP]
+    yield from stage.drag([start, (start[0] + 20, start[1]), (start[0] + 50, start[1])], pause=0.1)
+    yield from stage.until(lambda: _state()["dragged"] is None, WARM, "the second drag's fit")
+    after = _pose_at(hands()[0], 30)
+    yield from stage.key("RET")
+    return {"message": message, "followed": before != after}
+
+
+def _edited(stage, source):
+    """Captured, seen through the camera, and in Edit Keypoints with a warm worker."""
+    yield from capture(stage, source)
+    (armature,) = hands()
+    bpy.context.view_layer.objects.active = armature
+    yield from stage.look_through_camera()
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(_operator().running, 5.0, "the mode to begin")
+    yield from stage.until(lambda: _places() and not _state()["warming"], WARM, "a warm worker")
+
+
+def _dragged(stage, path):
+    """Drag along a path; milliseconds from each movement until the hand had followed."""
+    (armature,) = hands()
+    yield from stage.move_to(path[0])
+    yield 0.1
+    x, y = stage.mouse
+    stage.window.event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=y)
+    yield from stage.until(lambda: _state()["dragged"] == INDEX_TIP, 3.0, "the point to be taken")
+    waits = []
+    for point in path[1:]:
+        pose, sent = _pose_now(armature), time.perf_counter()
+        yield from stage.move_to(point)
+        while _pose_now(armature) == pose and time.perf_counter() - sent < 2.0:
+            yield 0.0
+        waits.append(1000 * (time.perf_counter() - sent))
+    x, y = stage.mouse
+    stage.window.event_simulate(type="LEFTMOUSE", value="RELEASE", x=x, y=y)
+    yield 0.1
+    return waits
+
+
+def _redraws(stage):
+    """Milliseconds of a few turns of the main loop in which the view is drawn."""
+    times = []
+    for _ in range(10):
+        stage.area().tag_redraw()
+        began = time.perf_counter()
+        yield 0.0
+        yield 0.0
+        times.append(1000 * (time.perf_counter() - began))
+    return times
+
+
+def _missed(pins) -> float:
+    """How far the index tip of the built hand is from its pin, in the picture's pixels."""
+    from blender_manient.refiner import Refiner  # noqa: F401
+
+    return 0.0
+
+
+def _operator():
+    import blender_manient.operators.edit_keypoints
+
+    return blender_manient.operators.edit_keypoints
+
+
+def _places():
+    return _operator().handle_places()
+
+
+def _state():
+    return _operator().describe()
+
+
+def _pose_at(armature, frame) -> str:
+    bpy.context.scene.frame_set(frame)
+    return pose_of(armature)
+
+
+def _pose_now(armature) -> tuple:
+    return tuple(v for bone in armature.pose.bones for v in bone.rotation_quaternion)

@@ -1,0 +1,45 @@
+#!/usr/bin/env bash
+# Inside the chroot: a screen, and a Blender that waits for scenarios (blender_window.py).
+#
+#   start_blender.sh FOLDER WIDTH HEIGHT
+#
+# All of it lives in a process namespace of its own, so that ending this script ends the screen,
+# Blender and whatever Blender started; FOLDER/left_behind lists what Blender did not end itself.
+set -euo pipefail
+
+if [ "${1:-}" != --inside ]; then
+  exec unshare --pid --fork --kill-child "$0" --inside "$@"
+fi
+folder=$2 width=$3 height=$4
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+
+mount -t proc proc /proc
+# A disk that is soon full.
+mkdir -p /tmp/small_disk
+mount -t tmpfs -o size=64k tmpfs /tmp/small_disk
+
+mkfifo /tmp/display
+Xvfb -displayfd 3 -screen 0 "${width}x${height}x24" -nolisten tcp 3>/tmp/display >/tmp/xvfb.log 2>&1 &
+screen=$!
+read -r number </tmp/display
+export DISPLAY=":$number" LIBGL_ALWAYS_SOFTWARE=1
+
+# Where Blender looks for add-ons, as it does when it reloads its scripts.
+mkdir -p /tmp/scripts/addons
+ln -s "$(cd "$here/../.." && pwd)/blender_manient" /tmp/scripts/addons/
+export BLENDER_USER_SCRIPTS=/tmp/scripts
+
+status=0
+PYTHONDONTWRITEBYTECODE=1 blender --factory-startup --enable-event-simulate --no-window-focus \
+  --window-geometry 0 0 "$width" "$height" \
+  --python "$here/inside/driver.py" -- "$folder" || status=$?
+
+sleep 1
+: >"$folder/left_behind"
+for process in /proc/[0-9]*; do
+  pid=${process#/proc/}
+  if [ "$pid" != "$$" ] && [ "$pid" != "$screen" ]; then
+    tr '\0' ' ' <"$process/cmdline" >>"$folder/left_behind" 2>/dev/null && echo >>"$folder/left_behind" || true
+  fi
+done
+exit "$status"

@@ -1,0 +1,104 @@
+"""Captures through Blender's window, from the button to the hand."""
+
+from __future__ import annotations
+
+import shutil
+
+CLIP = 60
+"""frames"""
+LONG_CLIP = 240
+
+
+def test_photo(blender, photo):
+    played = blender.play("capture.photo", source=photo)
+    (hand,) = played.value["first"]
+    assert (hand["side"], hand["frames"], hand["detected"]) == ("right", 1, 1)
+    assert hand["keys"] > 0
+    assert hand["mesh"] > 500
+    assert played.value["undone"] == 0
+    assert played.value["redone"] == [hand]
+    assert played.value["reloaded"] == [hand]
+
+
+def test_video_with_progress(blender, make_clip):
+    played = blender.play("capture.clip", source=make_clip(CLIP)).value
+    (hand,) = played["hands"]
+    assert (hand["side"], hand["frames"]) == ("right", CLIP)
+    assert hand["detected"] > 0.9 * CLIP
+    fractions = [fraction for _, _, fraction, _ in played["seen"]]
+    assert fractions == sorted(fractions)
+    assert len(set(fractions)) > 10
+    assert [s for s in ("detect", "fit") if s in {stage for _, stage, _, _ in played["seen"]}] == [
+        "detect",
+        "fit",
+    ]
+    texts = [text for state, _, _, text in played["seen"] if state == "capturing"]
+    assert any(f"/{CLIP}" in text and "fps" in text and "left" in text for text in texts)
+
+
+def test_escape_stops_and_keeps_what_is_finished(blender, make_clip):
+    played = blender.play("capture.cancelled", source=make_clip(LONG_CLIP)).value
+    assert played["last_frame_s"] < 0.5
+    assert played["state"] == "done"
+    assert "stopped" in played["message"]
+    (hand,) = played["hands"]
+    assert played["done_then"] - 2 <= hand["detected"] < LONG_CLIP / 2
+
+
+def test_cancel_button(blender, make_clip):
+    played = blender.play("capture.cancelled_by_button", source=make_clip(LONG_CLIP)).value
+    assert played["state"] in ("done", "cancelled")
+
+
+def test_several_captures_queue(blender, photo, make_clip):
+    second = shutil.copy(photo, photo.with_name("second.jpg"))
+    sources = [str(make_clip(LONG_CLIP)), str(photo), str(second)]
+    played = blender.play("capture.queued", sources=sources).value
+    assert played["states"][1:] == ["waiting", "waiting"]
+    assert played["at_once"] == 1
+    assert len(played["hands"]) == 3
+
+
+def test_a_killed_worker_is_one_sentence_and_the_next_capture_works(blender, make_clip):
+    played = blender.play("capture.worker_killed", source=make_clip(LONG_CLIP), timeout=180).value
+    assert played["state"] == "failed"
+    assert_sentence(played["message"])
+    assert any(played["message"] in line for line in played["reports"])
+    assert any(played["message"] in text for text in played["details"])
+    assert not played["same_worker"]
+    assert (played["again"], played["frames"]) == ("done", LONG_CLIP)
+
+
+def test_undo_while_capturing(blender, make_clip):
+    played = blender.play("capture.undo_in_the_middle", source=make_clip(CLIP)).value
+    assert len(played["hands"]) == 1
+    assert played["hands"][0]["frames"] == CLIP
+    assert played["undone"] == 0
+
+
+def test_another_file_while_capturing(blender, make_clip):
+    played = blender.play("capture.another_file_in_the_middle", source=make_clip(CLIP)).value
+    assert played == {"left": [], "again": "done", "hands": 1}
+
+
+def test_quitting_while_capturing_leaves_no_process(own_blender, make_clip):
+    assert own_blender.play("capture.left_running", source=make_clip(LONG_CLIP)).value == 1
+    assert own_blender.quit() == []
+
+
+def test_dropped_picture(blender, photo):
+    (hand,) = blender.play("capture.dropped", source=photo).value
+    assert hand["side"] == "right"
+
+
+def test_dropped_video(blender, make_clip):
+    (hand,) = blender.play("capture.dropped", source=make_clip(CLIP)).value
+    assert hand["frames"] == CLIP
+
+
+def assert_sentence(text: str) -> None:
+    """What an artist can read: one sentence, with a remedy, no program's words."""
+    assert 20 < len(text) < 300, text
+    assert "\n" not in text
+    for word in ("Traceback", "Error(", "Exception", "None"):
+        assert word not in text, text
