@@ -7,8 +7,8 @@ import itertools
 import os
 import shutil
 import tempfile
-import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -26,12 +26,15 @@ _ABANDONED = 24 * 3600.0
 """seconds without a change after which such a folder belongs to a Blender that has crashed"""
 _STALE = 10.0
 """seconds for which a measured size is shown without measuring again"""
+_SLICE = 0.004
+"""seconds that one step of measuring takes"""
 
 _takes_folder: Path | None = None
 _numbers = itertools.count(1)
 _measured: int | None = None
 _measured_at = 0.0
-_measuring: threading.Thread | None = None
+_measuring: Iterator[int] | None = None
+_measured_so_far = 0
 
 
 def folder_path() -> Path:
@@ -91,7 +94,6 @@ def remove_temporary_takes() -> None:
 
 def clear() -> tuple[int, int]:
     """Remove everything but pictures that the open file shows; returns (bytes freed, files left)."""
-    global _measured, _measured_at, _measuring
     kept = {Path(bpy.path.abspath(image.filepath)) for image in bpy.data.images if image.filepath}
     freed = left = 0
     for path in _files(folder_path()):
@@ -107,49 +109,60 @@ def clear() -> tuple[int, int]:
     for parent, _, _ in os.walk(folder_path(), topdown=False):
         with contextlib.suppress(OSError):  # not empty
             Path(parent).rmdir()
-    _measured, _measured_at, _measuring = None, 0.0, None
+    _forget_size()
     return freed, left
 
 
 def shown_size() -> int | None:
-    """The folder's size in bytes as last measured, None while nobody knows; measures anew in a thread.
+    """The folder's size in bytes as last measured, None while nobody knows; measures anew, in slices.
 
     For drawing: costs nothing, and the preferences are drawn again when there is a new number.
     """
-    global _measuring
+    global _measuring, _measured_so_far
     if _measuring is None and time.monotonic() - _measured_at > _STALE:
-        _measuring = threading.Thread(target=_measure, args=(folder_path(),), daemon=True)
-        _measuring.start()
-        bpy.app.timers.register(_show_when_measured, first_interval=0.05)
+        _measuring, _measured_so_far = _sizes(folder_path()), 0
+        bpy.app.timers.register(measure_on, first_interval=0.05)
     return _measured
 
 
-def measure(folder: Path) -> int:
-    """Bytes in all files of a folder; 0 where there is none."""
-    total = 0
-    for path in _files(folder):
-        with contextlib.suppress(OSError):
-            total += path.stat().st_size
-    return total
-
-
-def _measure(folder: Path) -> None:
-    global _measured, _measured_at
-    size = measure(folder)
-    _measured, _measured_at = size, time.monotonic()
-
-
-def _show_when_measured() -> float | None:
-    global _measuring
-    if _measuring is not None and _measuring.is_alive():
-        return 0.1
-    _measuring = None
+def measure_on() -> float | None:
+    """Go on measuring for a few milliseconds; returns seconds until the next time, None when it is done."""
+    global _measured, _measured_at, _measuring, _measured_so_far
+    if _measuring is None:
+        return None
+    until = time.perf_counter() + _SLICE
+    for size in _measuring:
+        _measured_so_far += size
+        if time.perf_counter() > until:
+            return 0.02
+    _measured, _measured_at, _measuring = _measured_so_far, time.monotonic(), None
     preferences.redraw()
     return None
 
 
-def _files(folder: Path) -> list[Path]:
-    return [Path(parent, name) for parent, _, names in os.walk(folder) for name in names]
+def measure(folder: Path) -> int:
+    """Bytes in all files of a folder; 0 where there is none."""
+    return sum(_sizes(folder))
+
+
+def _sizes(folder: Path) -> Iterator[int]:
+    """The bytes of each file."""
+    for path in _files(folder):
+        size = 0
+        with contextlib.suppress(OSError):
+            size = path.stat().st_size
+        yield size
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    return (Path(parent, name) for parent, _, names in os.walk(folder) for name in names)
+
+
+def _forget_size() -> None:
+    global _measured, _measured_at, _measuring
+    if bpy.app.timers.is_registered(measure_on):
+        bpy.app.timers.unregister(measure_on)
+    _measured, _measured_at, _measuring = None, 0.0, None
 
 
 def _remove_abandoned(folder: Path) -> None:
@@ -172,8 +185,5 @@ def register() -> None:
 
 def unregister() -> None:
     """Remove this Blender's takes and forget the size."""
-    global _measured, _measured_at, _measuring
-    if bpy.app.timers.is_registered(_show_when_measured):
-        bpy.app.timers.unregister(_show_when_measured)
-    _measured, _measured_at, _measuring = None, 0.0, None
+    _forget_size()
     remove_temporary_takes()

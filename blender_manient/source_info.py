@@ -124,7 +124,8 @@ def _await_answer() -> float | None:
 
 def _take_in(info: SourceInfo, event: dict[str, Any]) -> None:
     if event["event"] == "error":
-        info.problem = str(event.get("message", ""))
+        message = str(event.get("message", ""))
+        info.problem = message[:1].upper() + message[1:]
         return
     info.width, info.height = int(event["width"]), int(event["height"])
     info.fps, info.frames = float(event["fps"]), int(event["frames"])

@@ -16,14 +16,13 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError
-from handfit_core.skeleton import NUM_KEYPOINTS, Side
+from handfit_core.skeleton import NUM_KEYPOINTS
 
 from .. import details, jobs, screen
 from ..correction_field import Pins
 from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
 from ..scene import corrections
-from ..scene.armature import bone_names
 from ..scene.keys import set_pose
 from ..worker import shared
 from ..worker.client import as_error
@@ -35,6 +34,9 @@ REACH: Final = 14.0
 _SLOW: Final = 0.06
 """seconds after which the dragged point is drawn without the hand. Before that the answer is nearly there,
 and drawing twice would only make it later"""
+_PATIENCE: Final = 0.04
+"""seconds that a movement of the mouse may wait for its answer, so that the next picture has the hand in its
+place; a worker that was slower the last time is not waited for"""
 _STILL: Final = 3
 """pixels. A press that moves less is a click"""
 
@@ -104,6 +106,7 @@ class KeypointMode:
         camera = refiner.hand.camera
         assert camera is not None
         self._warming = shared.worker().request("warm")
+        self._solved_in = _PATIENCE
         self.view = view.CaptureView(viewport, camera, context)
         self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         bpy.app.handlers.undo_post.append(self._on_undo)
@@ -286,6 +289,7 @@ class KeypointMode:
                         raise as_error(event)
                     if event["event"] == "done":
                         drag.request = 0
+                        self._solved_in = float(event.get("seconds", 0.0))
                         self._show(context, drag, self.refiner.poses(event))
             if not drag.request and drag.moved and drag.waiting:
                 if drag.place is None and not drag.pins:
@@ -299,6 +303,16 @@ class KeypointMode:
                 self._redraw(context)
         except HandfitError as error:
             self._failed(context, error)
+
+    def follow(self, context: bpy.types.Context) -> None:
+        """`tick`, and a moment's patience with the answer."""
+        waited_before = self.drag is not None and self.drag.request
+        self.tick(context)
+        # A drawing of a crowded scene takes longer than the answer, which would then be late by one.
+        until = time.perf_counter() + (0.0 if waited_before or self._solved_in > _PATIENCE else _PATIENCE)
+        while self.drag is not None and self.drag.request and time.perf_counter() < until:
+            time.sleep(0.001)
+            self.tick(context)
 
     def _redraw(self, context: bpy.types.Context) -> None:
         """The picture and what is over it; not the headers and the sidebar beside it."""
@@ -330,8 +344,7 @@ class KeypointMode:
             return
         drag.answer = poses
         armature = self.refiner.armature
-        if not _set_quietly(armature, self.refiner.side, poses):
-            set_pose(armature, self.refiner.side, poses.quats[0], poses.locations[0])
+        set_pose(armature, self.refiner.side, poses.quats[0], poses.locations[0])
         context.view_layer.update()
         latencies.append(time.perf_counter() - drag.sent_at)
         drag.drawn = drag.sent is drag.place
@@ -448,24 +461,6 @@ class KeypointMode:
         if track.doubtful is not None and track.doubtful[row]:
             return "Doubtful frame", True
         return "", False
-
-
-def _set_quietly(armature: bpy.types.Object, side: Side, poses: BonePoses) -> bool:
-    """Set the bones without having every editor drawn again; False where bones are not in quaternions."""
-    bones = armature.pose.bones
-    own = [bones.find(name) for name in bone_names(side)]
-    if any(bones[at].rotation_mode != "QUATERNION" for at in own):
-        return False
-    for name, values, rows in (
-        ("rotation_quaternion", poses.quats[0], own),
-        ("location", poses.locations[:1], own[:1]),
-    ):
-        present = np.empty((len(bones), values.shape[1]), dtype=np.float32)
-        bones.foreach_get(name, present.ravel())
-        present[rows] = values
-        bones.foreach_set(name, present.ravel())
-    armature.update_tag(refresh={"DATA"})
-    return True
 
 
 def refresh(scene: bpy.types.Scene) -> None:

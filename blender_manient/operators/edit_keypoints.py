@@ -128,9 +128,10 @@ class MANIENT_OT_edit_keypoints(bpy.types.Operator):
 
     def _while_dragging(self, context, event, viewport):
         assert _mode is not None
-        if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
+        if event.type == "MOUSEMOVE":
+            # Those in between have been overtaken already.
             _mode.move(viewport, event.mouse_x, event.mouse_y)
-            _mode.tick(context)
+            _mode.follow(context)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             _mode.move(viewport, event.mouse_x, event.mouse_y)
             _mode.release()

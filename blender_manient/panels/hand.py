@@ -32,11 +32,10 @@ class MANIENT_PT_hand(Section, bpy.types.Panel):
                 sentence(layout, context, "Choose your MANO file or folder", "ERROR", alert=True)
             layout.operator("manient.check_mano", text="Check Files")
             for result in check_mano.results(settings.model_path or folder):
-                sentence(
-                    layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok
-                )
+                icon = "CHECKMARK" if result.ok else "ERROR"
+                sentence(layout, context, result.sentence, icon, alert=not result.ok)
         row = layout.row(heading="Expected Size")
         row.prop(settings, "use_hand_length", text="")
         sub = row.row()
         sub.active = settings.use_hand_length
-        sub.prop(settings, "hand_length", text="")
+        sub.prop(settings, "hand_length", text="cm")

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ..scene import markers
+from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
 from .section import Section, sentence
 
@@ -58,3 +59,9 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             )
             mark.hand = armature.name
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
+        if armature.manient.show_confidence and context.mode != "POSE":
+            sentence(box, context, "Blender shows bone colors in Pose Mode", "INFO")
+        missing = missing_picture(hand.camera)
+        if missing:
+            text = f"{missing} was moved: use File > External Data > Find Missing Files to see it again"
+            sentence(box, context, text, "ERROR")

@@ -231,8 +231,9 @@ def _steps(
         warnings += _show_behind_own(own_camera, plate, take, scene)
     scene.collection.children.link(collection)
     if match_scene:
-        set_timing(scene, take)
-        scene.frame_current = scene.frame_start
+        if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
+            set_timing(scene, take)
+        scene.frame_current = int(take.frame_numbers[0])
         if own_camera is None:
             frame_scene(scene, take)
             scene.camera = camera
@@ -244,7 +245,7 @@ def _steps(
             bpy.context.view_layer.update()  # copies the whole action, which takes longest of all
     yield None
     if match_scene:
-        scene.frame_set(scene.frame_start)
+        scene.frame_set(int(take.frame_numbers[0]))
     return BuiltTake(collection, camera, tuple(hands), (*warnings, *plate_warnings))
 
 

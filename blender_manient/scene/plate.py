@@ -134,3 +134,17 @@ def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
     copy.update()
     copy.pack()
     return copy
+
+
+def missing_picture(camera: bpy.types.Object | None) -> str:
+    """The name of the picture that the camera should show and that is not where it was; empty if all is
+    well. Cheap enough for drawing."""
+    backgrounds = camera.data.background_images if camera is not None and camera.type == "CAMERA" else ()
+    for background in backgrounds:
+        image = background.image if background.source == "IMAGE" else None
+        if image is None or image.packed_file or image.source not in {"FILE", "SEQUENCE", "MOVIE"}:
+            continue
+        path = Path(bpy.path.abspath(image.filepath, library=image.library))
+        if not path.is_file():
+            return path.name
+    return ""

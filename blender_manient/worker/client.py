@@ -31,10 +31,11 @@ _START_LIMIT = 60.0
 """seconds until a started process must have said that it is ready"""
 _NOISE_LIMIT = 200
 """lines before that which are no messages"""
-_GRACE = 0.15
-"""seconds that Blender's main thread waits for a process to end"""
+_GRACE = 0.03
+"""seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
+0.1, all of it to give back memory"""
 _PATIENCE = 3.0
-"""seconds that a script waits for that"""
+"""seconds that a script gives it"""
 
 Event = dict[str, Any]
 """One message of the worker"""
@@ -107,7 +108,8 @@ class CaptureOptions:
 class Worker:
     """One process that captures. It starts with the first request; after a crash the next one starts another.
 
-    Nothing but `wait` blocks. Not for use by several threads.
+    Nothing but `wait` blocks, and `stop` for a moment. No thread runs for it: what the process says is taken
+    in by `poll` and `wait`, and it works on only as long as somebody calls them.
     """
 
     def __init__(
@@ -136,10 +138,7 @@ class Worker:
         return self
 
     def __exit__(self, *_: object) -> None:
-        child = self._child
         self.stop(_PATIENCE)
-        if child is not None:
-            child.kill()  # now: the script may be at its end, and its threads with it
 
     @property
     def alive(self) -> bool:
@@ -247,7 +246,8 @@ class Worker:
     def stop(self, seconds: float = _GRACE) -> None:
         """End the process; open requests get an `error` of type Cancelled.
 
-        Waits at most `seconds` for it; one that takes longer is ended later by a thread.
+        One that has not ended after `seconds` is killed. A take is written whole or not at all; of what
+        was being written a temporary file may stay beside it.
         """
         child, self._child, self._hello = self._child, None, None
         if child is not None:
@@ -268,7 +268,8 @@ class Worker:
         child = self._child
         if child is None:
             return
-        ended = child.ended()  # asked first: nothing is said after that
+        child.exchange()
+        ended = child.ended()
         for message in child.received():
             if self._hello is None and not self._greeted(message):
                 return

@@ -1,64 +1,79 @@
-"""One child process whose pipes are read and written by threads, so that nobody here ever waits for it."""
+"""One child process that speaks JSON lines; nobody here ever waits for it, and no thread runs for it."""
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import os
-import queue
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Sequence
-from typing import IO, Any
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from handfit_core.errors import ProtocolError
 from handfit_core.worker import protocol
 
-_CHUNK = 1 << 16
+from .pipes import ReadEnd, pipe_from_child, pipe_to_child, wait_for
+
+_CHUNK = 1 << 14
+"""bytes of its output that are taken between two looks at the clock"""
+_SLICE = 0.004
+"""seconds after which `exchange` reads, or writes, no more"""
+_ROOM = 0.001
+"""seconds that a child which has just read gets to read on"""
 _KEPT = 16_384
 """bytes of its stderr that are kept"""
 _LINGER = 1.0
 """seconds between the end of its output and its own end, after which it is killed"""
-_PATIENCE = 2.0
-"""seconds that it gets, once its stdin is closed, to take its temporary files away"""
+_LOOK = 0.005
+"""seconds between two looks at whether it has ended"""
+_DEATH = 0.01
+"""seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
+
+_killed: list[subprocess.Popen[Any]] = []
+"""Processes that were killed; the system keeps their numbers until somebody asks how they ended"""
 
 
 class ChildProcess:
-    """A child that speaks JSON lines. Messages may be sent and taken at any time; nothing blocks.
+    """A child that speaks JSON lines. Nothing blocks; `exchange` has to be called again and again.
 
-    The pipes are used without Python's buffers: a buffer that a thread holds while the interpreter shuts
-    down would abort Blender. Each thread closes its own pipe.
+    What it writes meanwhile waits in the pipes; when they are full, the child waits.
     """
 
     def __init__(self, command: Sequence[str], environment: dict[str, str], *, echo: bool = False) -> None:
         """Start it. `echo` repeats its stderr on ours. Raises OSError."""
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment,
-            bufsize=0,
-            **_apart(),
-        )
+        reap()
+        with contextlib.ExitStack() as theirs, contextlib.ExitStack() as ours:
+            self._stdin, child_stdin = pipe_to_child()
+            theirs.callback(os.close, child_stdin)
+            ours.callback(self._stdin.close)
+            self._stdout, child_stdout = pipe_from_child()
+            theirs.callback(os.close, child_stdout)
+            ours.callback(self._stdout.close)
+            self._stderr, child_stderr = pipe_from_child()
+            theirs.callback(os.close, child_stderr)
+            ours.callback(self._stderr.close)
+            self._process = subprocess.Popen(
+                command,
+                stdin=child_stdin,
+                stdout=child_stdout,
+                stderr=child_stderr,
+                env=environment,
+                **_apart(),
+            )
+            ours.pop_all()
         self.pid = self._process.pid
         self.noise = 0
         """Lines on its stdout that were no messages"""
         self._echo = echo
         self._said = b""
-        self._received: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._to_send: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._news = threading.Event()
+        self._line: list[bytes] = []
+        """The beginning of a line on its stdout"""
+        self._received: list[dict[str, Any]] = []
+        self._to_send: deque[memoryview] = deque()
         self._ending_since: float | None = None
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        self._stdout = _thread(self._read_messages, self._process.stdout)
-        self._stderr = _thread(self._read_words, self._process.stderr)
-        _thread(self._write, self._process.stdin)
 
     @property
     def exit_code(self) -> int | None:
@@ -67,27 +82,35 @@ class ChildProcess:
 
     def send(self, line: bytes) -> None:
         """Put one encoded message on its way; to a child that is gone it is lost."""
-        self._to_send.put(line)
+        self._to_send.append(memoryview(line))
+        self._write()
+
+    def exchange(self) -> None:
+        """Read what it said, and write what it has not taken yet; for a few milliseconds at most."""
+        self._write()
+        until = time.perf_counter() + _SLICE
+        streams = [(self._stdout, self._take_output), (self._stderr, self._take_words)]
+        # In turns: neither of them can keep us from hearing the other.
+        while streams:
+            streams = [stream for stream in streams if _read(*stream)]
+            if time.perf_counter() > until:
+                return
 
     def received(self) -> list[dict[str, Any]]:
-        """The messages since the last call, in order."""
-        messages = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                messages.append(self._received.get_nowait())
+        """The messages that `exchange` has read since the last call, in order."""
+        messages, self._received = self._received, []
         return messages
 
     def wait_for_news(self, seconds: float) -> None:
-        """Return when a message came or its output ended, or after `seconds`."""
-        self._news.wait(seconds)
-        self._news.clear()
+        """Return when `exchange` has something to do, or after `seconds`."""
+        wait_for((self._stdout, self._stderr), self._stdin if self._to_send else None, seconds)
 
     def ended(self) -> bool:
         """Whether it is over and everything it said was read; one that half ended is helped along."""
-        exited = self._process.poll() is not None
-        if exited and not self._stdout.is_alive() and not self._stderr.is_alive():
+        exited = self.exit_code is not None
+        if exited and self._stdout.closed and self._stderr.closed:
             return True
-        if not exited and self._stdout.is_alive():
+        if not exited and not self._stdout.closed:
             return False
         now = time.monotonic()
         self._ending_since = self._ending_since or now
@@ -101,81 +124,101 @@ class ChildProcess:
         return self._said.decode("utf-8", errors="replace")
 
     def stop(self, seconds: float) -> None:
-        """Close its stdin, which ends it, and wait `seconds`; if it needs longer a thread kills it."""
-        self._to_send.put(None)
-        try:
-            self._process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            _stopping.add(self)
-            threading.Thread(target=self._finish, daemon=True).start()
-
-    def _finish(self) -> None:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_PATIENCE)
+        """Close its stdin, which ends it, and kill it when that takes longer than `seconds`."""
+        self._to_send.clear()
+        self._stdin.close()
+        until = time.monotonic() + seconds
+        while self.exit_code is None and (left := until - time.monotonic()) > 0:
+            self.exchange()
+            self.wait_for_news(min(_LOOK, left))
         self.kill()
-        self._process.wait()
-        _stopping.discard(self)
 
     def kill(self) -> None:
-        """End it at once, with whatever it started."""
-        self._to_send.put(None)
-        if self._process.poll() is not None:
+        """End it at once, with whatever it started; what it said last is read."""
+        self.exchange()
+        self._to_send.clear()
+        for end in (self._stdin, self._stdout, self._stderr):
+            end.close()
+        if self.exit_code is not None:
             return
         with contextlib.suppress(OSError):
             if sys.platform == "win32":
                 self._process.kill()
             else:
                 os.killpg(self.pid, signal.SIGKILL)
-        # The system needs a moment for a large process, and keeps its number until somebody has asked.
-        threading.Thread(target=self._process.wait, daemon=True).start()
-
-    def _read_messages(self, stream: IO[bytes]) -> None:
-        parts: list[bytes] = []
-        while chunk := _read(stream):
-            first, *others = chunk.split(b"\n")
-            parts.append(first)
-            for other in others:
-                self._take_line(b"".join(parts))
-                parts = [other]
-        self._news.set()
-
-    def _take_line(self, line: bytes) -> None:
-        if not line.strip():
-            return
         try:
-            message = protocol.decode(line)
-        except ProtocolError:  # some library prints
-            self.noise += 1
-            self._remember(line + b"\n")
-            return
-        self._received.put(message)
-        self._news.set()
+            self._process.wait(_DEATH)
+        except subprocess.TimeoutExpired:
+            _killed.append(self._process)
 
-    def _read_words(self, stream: IO[bytes]) -> None:
-        while chunk := _read(stream):
-            self._remember(chunk)
-            if self._echo and sys.stderr is not None:
-                sys.stderr.write(chunk.decode("utf-8", errors="replace"))
+    def _write(self) -> None:
+        until = time.perf_counter() + _SLICE
+        reads = False
+        while self._to_send and time.perf_counter() < until:
+            try:
+                taken = self._stdin.write(self._to_send[0])
+            except OSError:  # it is gone, as its stdout tells
+                self._to_send.clear()
+                self._stdin.close()
+                return
+            if not taken and not (reads and self._stdin.wait_for_room(_ROOM)):
+                return
+            reads = taken > 0
+            rest = self._to_send.popleft()[taken:]
+            if rest:
+                self._to_send.appendleft(rest)
+
+    def _take_output(self, chunk: bytes) -> None:
+        first, *others = chunk.split(b"\n")
+        self._line.append(first)
+        noise: list[bytes] = []
+        for other in others:
+            line = b"".join(self._line)
+            self._line = [other]
+            if not line.strip():
+                continue
+            message = _message(line)
+            if message is None:  # some library prints
+                noise.append(line)
+            else:
+                self._received.append(message)
+        if noise:
+            self.noise += len(noise)
+            self._remember(b"\n".join(noise) + b"\n")
+
+    def _take_words(self, chunk: bytes) -> None:
+        self._remember(chunk)
+        if self._echo and sys.stderr is not None:
+            sys.stderr.write(chunk.decode("utf-8", errors="replace"))
 
     def _remember(self, words: bytes) -> None:
         self._said = (self._said + words)[-_KEPT:]
 
-    def _write(self, stream: IO[bytes]) -> None:
-        with contextlib.suppress(OSError):  # it is gone, as its stdout tells
-            while (line := self._to_send.get()) is not None:
-                rest = memoryview(line)
-                while rest:
-                    rest = rest[os.write(stream.fileno(), rest) :]
+
+def reap() -> None:
+    """Ask the system about the killed processes, so that it forgets them."""
+    _killed[:] = [process for process in _killed if process.poll() is None]
 
 
-_stopping: set[ChildProcess] = set()
-"""Those that a thread would kill a little later; with the interpreter that thread would end, too"""
+def _read(end: ReadEnd, take: Callable[[bytes], None]) -> bool:
+    """Take one chunk; whether there was one."""
+    if end.closed:
+        return False
+    chunk = end.read(_CHUNK)
+    if chunk:
+        take(chunk)
+    elif chunk is not None:
+        end.close()
+    return bool(chunk)
 
 
-@atexit.register
-def _kill_the_stopping() -> None:
-    for child in list(_stopping):
-        child.kill()
+def _message(line: bytes) -> dict[str, Any] | None:
+    if not line.startswith(b"{"):  # a flood of other lines is dealt with quickly
+        return None
+    try:
+        return protocol.decode(line)
+    except ProtocolError:
+        return None
 
 
 def _apart() -> dict[str, Any]:
@@ -183,20 +226,3 @@ def _apart() -> dict[str, Any]:
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}
-
-
-def _read(stream: IO[bytes]) -> bytes:
-    try:
-        return os.read(stream.fileno(), _CHUNK)
-    except OSError:
-        return b""
-
-
-def _thread(use, stream: IO[bytes]) -> threading.Thread:
-    def run() -> None:
-        with contextlib.suppress(OSError), stream:
-            use(stream)
-
-    thread = threading.Thread(target=run, daemon=True, name="manient-worker")
-    thread.start()
-    return thread

@@ -165,10 +165,12 @@ def test_a_scene_that_is_not_open_is_refused(make_take):
         build_take(make_take().take, scene=other)
 
 
-def test_single_photo(make_take):
-    made = make_take(frame_numbers=np.array([1]))
+def test_a_single_picture_leaves_the_timeline_as_it_is(make_take):
+    scene = bpy.context.scene
+    scene.frame_end, scene.render.fps = 120, 50
+    made = make_take(frame_numbers=np.array([7]))
     built = build_take(made.take)
-    assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == (1, 1)
+    assert (scene.frame_start, scene.frame_end, scene.render.fps, scene.frame_current) == (1, 120, 50, 7)
     assert all(len(c.keyframe_points) == 1 for c in action_curves(built.hands[0].action))
 
 

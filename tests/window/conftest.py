@@ -58,7 +58,11 @@ def _window(tmp_path_factory, screenshots: Path, size: tuple[int, int]) -> Itera
 
 @pytest.fixture(scope="session")
 def rendered_hand() -> Path:
-    """The bundled image sequence."""
+    """The bundled image sequence, for tests that capture."""
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    code = "import torch, cv2, mediapipe, scipy"
+    if subprocess.run([python, "-c", code], capture_output=True, check=False).returncode != 0:
+        pytest.skip("needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON")
     return ROOT / "samples" / "rendered_hand"
 
 

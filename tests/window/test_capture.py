@@ -7,6 +7,7 @@ import shutil
 CLIP = 60
 """frames"""
 LONG_CLIP = 240
+VERY_LONG_CLIP = 1500
 
 
 def test_photo(blender, photo):
@@ -27,7 +28,7 @@ def test_video_with_progress(blender, make_clip):
     assert hand["detected"] > 0.9 * CLIP
     fractions = [fraction for _, _, fraction, _ in played["seen"]]
     assert fractions == sorted(fractions)
-    assert len(set(fractions)) > 10
+    assert len(set(fractions)) > 3
     assert [s for s in ("detect", "fit") if s in {stage for _, stage, _, _ in played["seen"]}] == [
         "detect",
         "fit",
@@ -45,9 +46,11 @@ def test_escape_stops_and_keeps_what_is_finished(blender, make_clip):
     assert played["done_then"] - 2 <= hand["detected"] < LONG_CLIP / 2
 
 
-def test_cancel_button(blender, make_clip):
-    played = blender.play("capture.cancelled_by_button", source=make_clip(LONG_CLIP)).value
-    assert played["state"] in ("done", "cancelled")
+def test_the_panels_buttons_by_mouse(blender, make_clip):
+    played = blender.play("capture.by_the_button", source=make_clip(VERY_LONG_CLIP)).value
+    assert played["state"] == "done"
+    assert "stopped" in played["message"]
+    assert 5 <= played["frames"][0] < VERY_LONG_CLIP
 
 
 def test_several_captures_queue(blender, photo, make_clip):

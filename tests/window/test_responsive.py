@@ -21,7 +21,9 @@ def test_ten_thousand_frames_are_built_in_slices(small_blender, long_take, photo
     print(_shown(played["measured"]), played["seconds"], played["idle"])
     assert len(played["keys"]) == 3
     assert played["fractions"] > 20
-    assert played["measured"]["longest_call_ms"] < LONGEST_CALL_MS, _shown(played["measured"])
+    assert sum(total for _, _, total in played["measured"]["calls"].values()) < 2000
+    # Blender copies the whole action and writes an undo step of 1.4 million keys in one go each.
+    assert played["measured"]["longest_call_ms"] < 150, _shown(played["measured"])
 
 
 def test_ten_thousand_frames_are_imported_in_two_seconds(small_blender, long_take):
@@ -30,15 +32,13 @@ def test_ten_thousand_frames_are_imported_in_two_seconds(small_blender, long_tak
 
 
 def test_the_hand_follows_the_mouse(small_blender, make_clip):
-    """Without a graphics card, drawing the window takes as long as everything else together: one
-    redraw is taken off."""
     played = small_blender.play("refine.live_latency", source=make_clip(CLIP), timeout=180).value
     latency, redraw = statistics.median(played["latencies_ms"]), statistics.median(played["redraw_ms"])
     print(
         f"mouse to hand {latency:.0f} ms (median), of which a redraw without a graphics card {redraw:.0f} ms"
     )
     assert len(played["latencies_ms"]) > 30
-    assert latency - redraw < LATENCY_MS
+    assert latency < LATENCY_MS
 
 
 def _shown(blocked: dict) -> str:

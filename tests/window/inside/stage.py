@@ -143,26 +143,29 @@ class Stage:
         for name, value in properties.items():
             setattr(item.properties, name, value)
         yield 0.05
-        # A report's popup under the mouse would take the key; it goes when the mouse leaves it.
-        area = self.area()
-        yield from self.move_to((area.x + 5, area.y + 5))
-        yield 0.05
-        yield from self.move_to(self.region())
+        yield from self.leave_popups()
         yield from self.key(SHORTCUT)
         yield 0.05
         keymap.keymap_items.remove(item)
 
+    def leave_popups(self) -> Steps:
+        """Mouse to the corner of the view and back: a report's popup goes when the mouse leaves it, and takes
+        all keys until then."""
+        area = self.area()
+        yield from self.move_to((area.x + 5, area.y + 5))
+        yield 0.05
+        yield from self.move_to(self.region())
+        yield 0.05
+
     def undo(self) -> Steps:
         """Ctrl Z in the view."""
-        yield from self.move_to(self.region(), dx=3)
-        yield from self.move_to(self.region())
+        yield from self.leave_popups()
         yield from self.key("Z", ctrl=True)
         yield 0.1
 
     def redo(self) -> Steps:
         """Ctrl Shift Z in the view."""
-        yield from self.move_to(self.region(), dx=3)
-        yield from self.move_to(self.region())
+        yield from self.leave_popups()
         yield from self.key("Z", ctrl=True, shift=True)
         yield 0.1
 
@@ -177,13 +180,13 @@ class Stage:
         yield SETTLE
         assert self.region("UI").active_panel_category == tab, f"the sidebar has no tab {tab!r}"
 
-    def find_button(self, command: str) -> Steps:
+    def find_button(self, command: str, along: float = 0.4) -> Steps:
         """The place of a button of the sidebar whose tooltip's Python command begins so; None without one.
 
-        Found as an artist finds it: by hovering, line after line.
+        Found as an artist finds it: by hovering, line after line, `along` so much of the sidebar's width.
         """
         region = self.region("UI")
-        x = region.x + region.width * 0.4
+        x = region.x + region.width * along
         for y in range(region.y + region.height - 10, region.y, -BUTTON_STEP):
             yield from self.move_to((x, y))
             yield HOVER

@@ -46,6 +46,23 @@ def photo(stage, source):
     return {"first": before, "undone": undone, "redone": redone, "reloaded": summary()}
 
 
+def by_the_button(stage, source):
+    """The mouse on the panel's own buttons: Capture, then the X beside the progress bar."""
+    yield from stage.open_sidebar()
+    bpy.context.scene.manient.source = source
+    yield 0.5
+    place = yield from stage.find_button("bpy.ops.manient.capture(")
+    assert place is not None, "the sidebar has no button Capture"
+    yield from stage.click(place)
+    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
+    place = yield from stage.find_button("bpy.ops.manient.cancel_capture(", along=0.83)
+    assert place is not None, "there is no button to cancel"
+    yield from stage.click(place)
+    yield from finish(stage, job)
+    return {"state": job.state, "message": job.message, "frames": [h["frames"] for h in summary()]}
+
+
 def clip(stage, source, shot="video"):
     """A clip: what the progress bar says meanwhile, and what comes of it."""
     yield from stage.open_sidebar()
@@ -95,15 +112,6 @@ def cancelled(stage, source):
         "total": job.total,
         "hands": summary(),
     }
-
-
-def cancelled_by_button(stage, source):
-    """The X beside the progress bar, while frames are found."""
-    job = yield from begin(stage, source)
-    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
-    yield from stage.invoke("manient.cancel_capture", index=jobs().index(job))
-    yield from finish(stage, job)
-    return {"state": job.state, "message": job.message}
 
 
 def queued(stage, sources):

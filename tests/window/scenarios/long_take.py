@@ -23,7 +23,7 @@ def built_in_slices(stage, take, source):
     scene = bpy.context.scene
     job = jobs.Job("long.mp4", (source,), CaptureOptions(), jobs.Building(scene=scene.name))
     job.state = "building"
-    job._reader = jobs._Reader(Path(take))
+    job._take_path = Path(take)
     jobs.submit(job)
     stage.meter.reset()
     began = time.perf_counter()

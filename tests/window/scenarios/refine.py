@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import bpy
 import numpy as np
 
 from scenarios.capturing import capture, hands, keys_of, pose_of
+from scenarios.traces import workers
 
 INDEX_TIP = 8
 WARM = 60.0
@@ -73,7 +76,6 @@ def keypoint_dragged(stage, source, steps=20):
         "reloaded": reloaded == after[30],
         "waits_ms": waits,
         "latencies_ms": [1000 * s for s in _operator().latencies()],
-        "missed_px": _missed(pins),
     }
 
 
@@ -97,11 +99,6 @@ def live_latency(stage, source, steps=60):
 
 def worker_killed(stage, source):
     """The worker dies between two drags."""
-    import os
-    import signal
-
-    from scenarios.traces import workers
-
     yield from _edited(stage, source)
     bpy.context.scene.frame_set(30)
     yield 0.3
@@ -165,13 +162,6 @@ def _redraws(stage):
         yield 0.0
         times.append(1000 * (time.perf_counter() - began))
     return times
-
-
-def _missed(pins) -> float:
-    """How far the index tip of the built hand is from its pin, in the picture's pixels."""
-    from blender_manient.refiner import Refiner  # noqa: F401
-
-    return 0.0
 
 
 def _operator():

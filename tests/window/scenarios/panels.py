@@ -1,0 +1,82 @@
+"""Every section of the sidebar, open."""
+
+from __future__ import annotations
+
+import sys
+import types
+
+import addon_utils
+import bpy
+from stage import ADDON
+
+from scenarios.capturing import capture, hands
+
+
+def all_sections(stage, source, shot="sections"):
+    """With a captured clip: every section open, the mouse wheel turned through all of them."""
+    panels = _opened_by_default()
+    try:
+        yield from capture(stage, source)
+        (armature, *_) = hands()
+        bpy.context.view_layer.objects.active = armature
+        yield from stage.look_through_camera()
+        yield from stage.open_sidebar()
+        stage.meter.reset()
+        region = stage.region("UI")
+        for number in range(1, 4):
+            yield from stage.screenshot(f"{shot}-{number}")
+            yield from stage.move_to((region.x + region.width / 2, region.y + region.height / 2))
+            for _ in range(12):
+                yield from stage.key("WHEELDOWNMOUSE")
+            yield 0.3
+        drawn = [name for name in stage.meter.calls if name.endswith(".draw")]
+    finally:
+        _closed_again(panels)
+    return sorted(drawn)
+
+
+def preferences(stage):
+    """The add-on's preferences, as the artist finds them."""
+    # An extension's manifest would name it to Blender; this Blender runs the repository as it is.
+    listed = types.ModuleType(ADDON)
+    listed.bl_info = {"name": "Manient Hand Capture", "category": "Animation", "blender": (4, 2, 0)}
+    listed.bl_info |= {"author": "", "version": (0, 1, 0), "location": "", "description": "", "warning": ""}
+    listed.bl_info |= {"doc_url": "", "tracker_url": "", "support": "COMMUNITY", "show_expanded": True}
+    listed.__file__ = sys.modules[ADDON].__file__
+    addon_utils.modules_refresh()
+    addon_utils.addons_fake_modules[ADDON] = listed
+    bpy.context.preferences.active_section = "ADDONS"
+    bpy.context.window_manager.addon_search = "manient"
+    area = stage.area()
+    area.type = "PREFERENCES"
+    yield 0.3
+    yield from stage.screenshot("preferences")
+    area.type = "VIEW_3D"
+    del addon_utils.addons_fake_modules[ADDON]
+    bpy.context.window_manager.addon_search = ""
+    yield 0.2
+
+
+def _sections() -> list[type]:
+    from blender_manient import panels
+
+    return list(panels._CLASSES)
+
+
+def _opened_by_default() -> dict[type, set[str]]:
+    """A section's state comes from its class when it is first drawn in a new file."""
+    before = {cls: set(getattr(cls, "bl_options", ())) for cls in _sections()}
+    _register_with({cls: options - {"DEFAULT_CLOSED"} for cls, options in before.items()})
+    return before
+
+
+def _closed_again(before: dict[type, set[str]]) -> None:
+    _register_with(before)
+
+
+def _register_with(options: dict[type, set[str]]) -> None:
+    for cls in reversed(list(options)):
+        bpy.utils.unregister_class(cls)
+    for cls, wanted in options.items():
+        cls.bl_options = wanted
+        bpy.utils.register_class(cls)

@@ -1,0 +1,79 @@
+"""What docs/artists.md shows."""
+
+from __future__ import annotations
+
+import math
+
+import addon_utils
+import bpy
+
+from scenarios.capturing import begin, done, finish, hands
+
+INDEX_TIP = 8
+
+
+def tour(stage, folder, source, edited_frame=12):
+    """The whole way, with a picture of every station. `source` lies in `folder`, as does the .blend."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/scene.blend")
+    _open_all_sections()
+    yield from stage.open_sidebar()
+    yield from stage.move_to(stage.region())
+    yield 0.3
+    yield from stage.screenshot("empty")
+
+    source = f"//{source}"
+    bpy.context.scene.manient.source = source
+    yield 1.5
+    job = yield from begin(stage, source)
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 8, 60.0, "eight frames")
+    yield from stage.screenshot("capturing")
+    yield from finish(stage, job)
+    done(job)
+    yield 1.0
+    bpy.context.scene.frame_set(edited_frame)
+    yield from stage.leave_popups()
+    yield 12.0  # until Blender's message in the status bar is gone
+    yield from stage.screenshot("captured")
+
+    (armature,) = hands()
+    armature.manient.show_confidence = True
+    bpy.context.scene.frame_set(edited_frame)
+    yield 0.5
+    yield from stage.screenshot("confidence")
+    armature.manient.show_confidence = False
+    yield 0.3
+    yield from _drag_a_fingertip(stage)
+    return {"hands": len(hands())}
+
+
+def _drag_a_fingertip(stage):
+    from blender_manient.operators import edit_keypoints
+
+    with stage.override():
+        bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
+    yield 1.0
+    yield from stage.until(lambda: not edit_keypoints.describe()["warming"], 60.0, "the worker to be warm")
+    x, y = edit_keypoints.handle_places()[INDEX_TIP]
+    path = [
+        (x + 45 * math.sin(0.5 * math.pi * i / 20), y - 60 * (1 - math.cos(0.5 * math.pi * i / 20)))
+        for i in range(21)
+    ]
+    yield from stage.drag(path, pause=0.1)
+    yield from stage.until(lambda: edit_keypoints.describe()["dragged"] is None, 20.0, "the last fit")
+    yield 1.0
+    yield from stage.screenshot("keypoints")
+    yield from stage.key("RET")
+    yield 0.5
+
+
+def _open_all_sections():
+    """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
+    from blender_manient import panels
+
+    for cls in reversed(panels._CLASSES):
+        bpy.utils.unregister_class(cls)
+    for cls in panels._CLASSES:
+        if not hasattr(cls, "bl_parent_id"):
+            cls.bl_options = set()
+        bpy.utils.register_class(cls)
+    assert addon_utils.check("blender_manient")[1]

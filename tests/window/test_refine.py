@@ -1,0 +1,28 @@
+"""Edit Keypoints in the window: a point is dragged with the mouse, and the hand follows."""
+
+from __future__ import annotations
+
+from tests.window.test_capture import assert_sentence
+
+CLIP = 60
+"""frames"""
+
+
+def test_keypoint_dragged_undone_redone_and_saved(blender, make_clip, tmp_path):
+    source = tmp_path / "clip.mp4"
+    source.write_bytes(make_clip(CLIP).read_bytes())
+    played = blender.play("refine.keypoint_dragged", source=source, timeout=240).value
+    assert played["pins"] == played["pins_reloaded"] == 1
+    assert played["undone"]
+    assert played["redone"]
+    assert played["reloaded"]
+    # Spread is six frames: the neighbours follow, the rest stays, and no key comes or goes.
+    assert played["changed"] == [28, 30, 32]
+    assert played["keys_now"] == played["keys_then"]
+
+
+def test_the_worker_dies_between_two_drags(blender, make_clip):
+    played = blender.play("refine.worker_killed", source=make_clip(CLIP), timeout=240).value
+    assert played["followed"]
+    if played["message"]:
+        assert_sentence(played["message"])
