@@ -38,7 +38,10 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         select.hand = armature.name
         track = hand.track
         found, count = int(track.detected.sum()), len(track.detected)
-        error = float(np.mean(track.reprojection_error[track.detected])) if found else float("nan")
+        if not found:
+            sentence(box, context, "Mirrored: it is not in the picture itself", "MOD_MIRROR")
+            return
+        error = float(np.mean(track.reprojection_error[track.detected]))
         lines = box.column(align=True)
         lines.scale_y = 0.85
         filled = 0 if track.filled is None else int(track.filled.sum())
@@ -54,9 +57,10 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
                 jump.direction, jump.hand = direction, armature.name
         row = box.row(align=True)
         if count > 1:
-            mark = row.operator(
-                "manient.mark_doubtful", text="Markers", depress=markers.is_marked(context.scene, hand)
-            )
+            marked = markers.is_marked(context.scene, hand)
+            markable = row.row(align=True)
+            markable.enabled = marked or doubtful + filled > 0
+            mark = markable.operator("manient.mark_doubtful", text="Markers", depress=marked)
             mark.hand = armature.name
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
         if armature.manient.show_confidence and context.mode != "POSE":

@@ -107,11 +107,14 @@ writer.release()
 
 @pytest.fixture(scope="session")
 def long_take(tmp_path_factory) -> Path:
-    """10 000 frames of two hands, as a take file."""
-    frames = 10_000
-    t = np.linspace(0.0, 100.0, frames)
+    """10 000 frames of two hands, as a take file: a hundred times the same hundred."""
+    frames, t = 10_000, np.linspace(0.0, 2 * np.pi, 100)
     camera = Intrinsics.assumed(1280, 720)
     tracks, digests = [], {}
+
+    def again(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values] * (frames // len(t)))
+
     for side in SIDES:
         hand = load_model("open-hand", side)
         orient = np.stack([0.3 * np.sin(t), 0.2 * np.cos(t), t * 0], axis=-1)
@@ -123,11 +126,11 @@ def long_take(tmp_path_factory) -> Path:
         track = HandTrack(
             side=side,
             betas=np.zeros(10),
-            global_orient=orient,
-            hand_pose=pose,
-            transl=transl,
-            joints_3d=posed.keypoints,
-            keypoints_2d=camera.project(posed.keypoints),
+            global_orient=again(orient),
+            hand_pose=again(pose),
+            transl=again(transl),
+            joints_3d=again(posed.keypoints),
+            keypoints_2d=again(camera.project(posed.keypoints)),
             reprojection_error=np.full(frames, 2.0),
             detected=np.ones(frames, dtype=bool),
             score=np.ones(frames),

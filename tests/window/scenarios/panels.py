@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import types
+from pathlib import Path
 
 import addon_utils
 import bpy
@@ -14,7 +14,7 @@ from scenarios.capturing import capture, hands
 
 def all_sections(stage, source, shot="sections"):
     """With a captured clip: every section open, the mouse wheel turned through all of them."""
-    panels = _opened_by_default()
+    panels = opened_by_default()
     try:
         yield from capture(stage, source)
         (armature, *_) = hands()
@@ -31,7 +31,7 @@ def all_sections(stage, source, shot="sections"):
             yield 0.3
         drawn = [name for name in stage.meter.calls if name.endswith(".draw")]
     finally:
-        _closed_again(panels)
+        closed_again(panels)
     return sorted(drawn)
 
 
@@ -42,7 +42,8 @@ def preferences(stage):
     listed.bl_info = {"name": "Manient Hand Capture", "category": "Animation", "blender": (4, 2, 0)}
     listed.bl_info |= {"author": "", "version": (0, 1, 0), "location": "", "description": "", "warning": ""}
     listed.bl_info |= {"doc_url": "", "tracker_url": "", "support": "COMMUNITY", "show_expanded": True}
-    listed.__file__ = sys.modules[ADDON].__file__
+    listed.__file__ = str(Path(bpy.utils.script_path_user()) / "addons" / ADDON / "__init__.py")
+    listed.__time__ = Path(listed.__file__).stat().st_mtime
     addon_utils.modules_refresh()
     addon_utils.addons_fake_modules[ADDON] = listed
     bpy.context.preferences.active_section = "ADDONS"
@@ -63,14 +64,14 @@ def _sections() -> list[type]:
     return list(panels._CLASSES)
 
 
-def _opened_by_default() -> dict[type, set[str]]:
+def opened_by_default() -> dict[type, set[str]]:
     """A section's state comes from its class when it is first drawn in a new file."""
     before = {cls: set(getattr(cls, "bl_options", ())) for cls in _sections()}
     _register_with({cls: options - {"DEFAULT_CLOSED"} for cls, options in before.items()})
     return before
 
 
-def _closed_again(before: dict[type, set[str]]) -> None:
+def closed_again(before: dict[type, set[str]]) -> None:
     _register_with(before)
 
 

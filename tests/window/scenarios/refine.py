@@ -29,14 +29,14 @@ def keypoint_dragged(stage, source, steps=20):
     yield 0.3
     yield from stage.screenshot("keypoints")
 
-    start = _places()[INDEX_TIP]
+    start = places()[INDEX_TIP]
     path = [(start[0] + 70 * i / steps, start[1] - 25 * i / steps) for i in range(steps + 1)]
-    waits = yield from _dragged(stage, path)
-    yield from stage.until(lambda: _state()["dragged"] is None, 10.0, "the last fit")
+    waits = yield from dragged(stage, path)
+    yield from stage.until(lambda: state()["dragged"] is None, 10.0, "the last fit")
     yield 0.3
     yield from stage.move_to(stage.region())
     yield from stage.screenshot("keypoints-dragged")
-    pins = _state()["pins"]
+    pins = state()["pins"]
     after = {frame: _pose_at(armature, frame) for frame in before}
     bpy.context.scene.frame_set(30)
     yield 0.3
@@ -51,7 +51,7 @@ def keypoint_dragged(stage, source, steps=20):
     redone = _pose_at(armature, 30)
 
     yield from stage.key("RET")
-    yield from stage.until(lambda: not _operator().running(), 5.0, "the mode to end")
+    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
     path = str(Path(source).with_name("refined.blend"))
     bpy.ops.wm.save_as_mainfile(filepath=path)
     bpy.ops.wm.open_mainfile(filepath=path)
@@ -61,10 +61,10 @@ def keypoint_dragged(stage, source, steps=20):
     bpy.context.scene.frame_set(30)
     yield from stage.open_sidebar()
     yield from stage.invoke("manient.edit_keypoints")
-    yield from stage.until(lambda: _state().get("pins"), WARM, "the pins of the saved file")
-    pins_reloaded = _state()["pins"]
+    yield from stage.until(lambda: state().get("pins"), WARM, "the pins of the saved file")
+    pins_reloaded = state()["pins"]
     yield from stage.key("ESC")
-    yield from stage.until(lambda: not _operator().running(), 5.0, "the mode to end")
+    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
     return {
         "pins": len(pins),
         "pins_reloaded": len(pins_reloaded),
@@ -75,7 +75,7 @@ def keypoint_dragged(stage, source, steps=20):
         "redone": redone == after[30],
         "reloaded": reloaded == after[30],
         "waits_ms": waits,
-        "latencies_ms": [1000 * s for s in _operator().latencies()],
+        "latencies_ms": [1000 * s for s in operator().latencies()],
     }
 
 
@@ -84,15 +84,15 @@ def live_latency(stage, source, steps=60):
     yield from _edited(stage, source)
     bpy.context.scene.frame_set(30)
     yield 0.3
-    start = _places()[INDEX_TIP]
+    start = places()[INDEX_TIP]
     angles = np.linspace(0, 4 * np.pi, steps)
     path = [start, *((start[0] + 40 * np.sin(a), start[1] - 25 + 25 * np.cos(a)) for a in angles)]
-    waits = yield from _dragged(stage, path)
+    waits = yield from dragged(stage, path)
     yield from stage.key("RET")
-    yield from stage.until(lambda: not _operator().running(), 5.0, "the mode to end")
+    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
     return {
         "waits_ms": waits,
-        "latencies_ms": [1000 * s for s in _operator().latencies()],
+        "latencies_ms": [1000 * s for s in operator().latencies()],
         "redraw_ms": (yield from _redraws(stage)),
     }
 
@@ -105,16 +105,16 @@ def worker_killed(stage, source):
     ((worker, _),) = workers()
     os.kill(worker, signal.SIGKILL)
     yield 0.3
-    start = _places()[INDEX_TIP]
+    start = places()[INDEX_TIP]
     yield from stage.drag([start, (start[0] + 20, start[1]), (start[0] + 40, start[1])], pause=0.1)
-    yield from stage.until(lambda: _state().get("message") or _state()["dragged"] is None, WARM, "an answer")
+    yield from stage.until(lambda: state().get("message") or state()["dragged"] is None, WARM, "an answer")
     yield from stage.screenshot("keypoints-worker-killed")
-    message = _state().get("message", "")
+    message = state().get("message", "")
     yield 1.0
     before = _pose_at(hands()[0], 30)
-    start = _places()[INDEX_TIP]
+    start = places()[INDEX_TIP]
     yield from stage.drag([start, (start[0] + 20, start[1]), (start[0] + 50, start[1])], pause=0.1)
-    yield from stage.until(lambda: _state()["dragged"] is None, WARM, "the second drag's fit")
+    yield from stage.until(lambda: state()["dragged"] is None, WARM, "the second drag's fit")
     after = _pose_at(hands()[0], 30)
     yield from stage.key("RET")
     return {"message": message, "followed": before != after}
@@ -127,18 +127,18 @@ def _edited(stage, source):
     bpy.context.view_layer.objects.active = armature
     yield from stage.look_through_camera()
     yield from stage.invoke("manient.edit_keypoints")
-    yield from stage.until(_operator().running, 5.0, "the mode to begin")
-    yield from stage.until(lambda: _places() and not _state()["warming"], WARM, "a warm worker")
+    yield from stage.until(operator().running, 5.0, "the mode to begin")
+    yield from stage.until(lambda: places() and not state()["warming"], WARM, "a warm worker")
 
 
-def _dragged(stage, path):
+def dragged(stage, path):
     """Drag along a path; milliseconds from each movement until the hand had followed."""
     (armature,) = hands()
     yield from stage.move_to(path[0])
     yield 0.1
     x, y = stage.mouse
     stage.window.event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=y)
-    yield from stage.until(lambda: _state()["dragged"] == INDEX_TIP, 3.0, "the point to be taken")
+    yield from stage.until(lambda: state()["dragged"] == INDEX_TIP, 3.0, "the point to be taken")
     waits = []
     for point in path[1:]:
         pose, sent = _pose_now(armature), time.perf_counter()
@@ -164,18 +164,18 @@ def _redraws(stage):
     return times
 
 
-def _operator():
+def operator():
     import blender_manient.operators.edit_keypoints
 
     return blender_manient.operators.edit_keypoints
 
 
-def _places():
-    return _operator().handle_places()
+def places():
+    return operator().handle_places()
 
 
-def _state():
-    return _operator().describe()
+def state():
+    return operator().describe()
 
 
 def _pose_at(armature, frame) -> str:
