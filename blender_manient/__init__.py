@@ -1,5 +1,9 @@
 """Manient Hand Capture: photos and videos of hands become rigged, animated hands in Blender."""
 
+import atexit
+
+import bpy
+
 from . import cache, jobs, panels, preferences, properties, source_info
 from .operators import (
     apply_take,
@@ -70,9 +74,13 @@ def register() -> None:
     """Register every part of the add-on, in order."""
     for part in _PARTS:
         part.register()
+    if not bpy.app.binary_path:
+        # Blender disables its add-ons when it quits; as a Python module it does not, and can then hang.
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Undo `register`, in reverse."""
+    atexit.unregister(unregister)
     for part in reversed(_PARTS):
         part.unregister()

@@ -121,7 +121,7 @@ def shown_size() -> int | None:
     global _measuring, _measured_so_far
     if _measuring is None and time.monotonic() - _measured_at > _STALE:
         _measuring, _measured_so_far = _sizes(folder_path()), 0
-        bpy.app.timers.register(measure_on, first_interval=0.05)
+        bpy.app.timers.register(measure_on, first_interval=0.05, persistent=True)
     return _measured
 
 

@@ -96,25 +96,31 @@ class Job:
         spent, frames = time.monotonic() - self._stage_began, self.done - self._stage_first
         return frames / spent if self._stage_began and frames > 0 and spent > 0.2 else 0.0
 
-    def status(self) -> str:
-        """A line for the panel and the status bar."""
+    def doing(self) -> str:
+        """What happens to it now, short enough for a progress bar; of a finished one, what came of it."""
         if self.state == "waiting":
             return "Waiting"
         if self.state == "building":
             return self.message or "Building hands"
-        if self.state == "capturing":
-            if self._stopping:
-                return "Stopping, keeping what is finished"
-            if not self.stage:
-                return "Starting"
-            text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
-            if self.total > 1:
-                text += f"  {self.done}/{self.total}"
-                if self.rate:
-                    left = (self.total - self.done) / self.rate
-                    text += f"  {self.rate:.0f} fps  {_duration(left)} left"
-            return text
-        return self.message
+        if self.state != "capturing":
+            return self.message
+        if self._stopping:
+            return "Stopping, keeping frames"
+        if not self.stage:
+            return "Starting"
+        text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
+        return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
+
+    def pace(self) -> str:
+        """How fast it goes and how long it will take; empty while nobody knows."""
+        if self.state != "capturing" or self._stopping or self.total <= 1 or not self.rate:
+            return ""
+        left = (self.total - self.done) / self.rate
+        return f"{self.rate:.0f} fps  {_duration(left)} left"
+
+    def status(self) -> str:
+        """Both in a line."""
+        return "  ".join(filter(None, (self.doing(), self.pace())))
 
 
 _queue: list[Job] = []

@@ -109,7 +109,7 @@ def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -
     layout.prop(self, "cache_folder")
     size = cache.shown_size()
     row = layout.row()
-    row.label(text="..." if size is None else f"{size / 1e6:.1f} MB in it", icon="BLANK1", translate=False)
+    row.label(text="..." if size is None else f"{size / 1e6:.1f} MB in use", icon="BLANK1", translate=False)
     row.operator("manient.clear_cache", icon="TRASH")
 
 

@@ -166,7 +166,7 @@ class Refiner:
     ) -> Callable[[], dict[str, Any]]:
         """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
 
-        The call asks nothing of Blender any more, so that for many frames a thread can do it.
+        The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
         """
         shaped, frames, betas = self.shaped(), self._frames(), self.betas()
         locked = np.array(self.armature.manient.locked, dtype=bool)

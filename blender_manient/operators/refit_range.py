@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -86,7 +85,6 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self._asking = _Thread(self._work.fields)
         self._request = 0
         self._writing: Iterator[float] | None = None
         self._undone = False
@@ -133,9 +131,7 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
                     return False
             return True
         if not self._request:
-            if self._asking.is_alive():
-                return False
-            self._request = shared.worker().request("refit", **self._asking.result())
+            self._request = shared.worker().request("refit", **self._work.fields())
         for event in shared.worker().poll(self._request):
             if event["event"] == "error":
                 self._request = 0
@@ -234,30 +230,6 @@ class _Work:
     def writing(self) -> Iterator[float]:
         """Write the keys; yields how much is done."""
         return self.refiner.replacing(self._asked.tolist(), self._poses)
-
-
-class _Thread(threading.Thread):
-    """Runs something that needs no Blender beside the main thread."""
-
-    def __init__(self, work: Callable[[], dict[str, Any]]) -> None:
-        super().__init__(daemon=True)
-        self._work = work
-        self._result: dict[str, Any] | None = None
-        self._error: Exception | None = None
-        self.start()
-
-    def run(self) -> None:
-        try:
-            self._result = self._work()
-        except Exception as error:
-            self._error = error
-
-    def result(self) -> dict[str, Any]:
-        """What came of it. Raises what went wrong."""
-        if self._error is not None:
-            raise self._error
-        assert self._result is not None
-        return self._result
 
 
 def register() -> None:

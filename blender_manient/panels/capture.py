@@ -49,10 +49,11 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         for index, job in enumerate(queue):
             box = layout.column(align=True)
             if job.running:
-                box.label(text=job.name, translate=False)
                 row = box.row(align=True)
-                row.progress(factor=job.fraction, text=job.status())
+                row.progress(factor=job.fraction, text=job.doing())
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
+                below = "  ".join(filter(None, (job.name, job.pace())))
+                box.label(text=below, translate=False)
             elif job.state == "waiting":
                 row = box.row(align=True)
                 row.label(text=f"{job.name}: Waiting", icon=_ICONS["waiting"], translate=False)

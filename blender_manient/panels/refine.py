@@ -39,7 +39,8 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
             shown = ", ".join(str(f) for f in corrected[:8]) + (" ..." if len(corrected) > 8 else "")
             sentence(layout, context, f"Corrected frames: {shown}", "KEYFRAME_HLT")
             row = layout.row(align=True)
-            for scope, text in (("FRAME", "This Frame"), ("RANGE", "Range"), ("ALL", "All")):
+            row.label(text="Clear")
+            for scope, text in (("FRAME", "Frame"), ("RANGE", "Range"), ("ALL", "All")):
                 row.operator("manient.clear_corrections", text=text).scope = scope
         locked = sum(hand.armature.manient.locked)
         row = layout.row(align=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 from dataclasses import dataclass
 
 import bpy
@@ -66,11 +65,9 @@ def _settings() -> _Settings:
 
 
 def register() -> None:
-    """End the worker with Blender; where Blender is a Python module, nothing else would."""
-    atexit.register(stop)
+    """Nothing to do: the worker starts with the first request."""
 
 
 def unregister() -> None:
     """End the worker now."""
-    atexit.unregister(stop)
     stop()

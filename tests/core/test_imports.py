@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("torch", "scipy", "cv2", "mediapipe")
+THREADED = ("threading", "_thread", "concurrent", "asyncio", "multiprocessing")
 
 
 def imported_modules(path: Path) -> set[str]:
@@ -31,6 +32,13 @@ def test_core_knows_nothing_of_blender(path: Path) -> None:
 def test_addon_imports_nothing_heavy(path: Path) -> None:
     for module in imported_modules(path):
         assert module.split(".")[0] not in HEAVY
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "blender_manient").rglob("*.py")), ids=lambda p: p.stem)
+def test_addon_has_no_threads(path: Path) -> None:
+    """Blender up to 5.0 can crash when a thread runs Python while an operator runs."""
+    for module in imported_modules(path):
+        assert module.split(".")[0] not in THREADED
 
 
 def test_light_half_is_light() -> None:

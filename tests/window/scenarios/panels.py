@@ -64,14 +64,17 @@ def _sections() -> list[type]:
     return list(panels._CLASSES)
 
 
-def opened_by_default() -> dict[type, set[str]]:
-    """A section's state comes from its class when it is first drawn in a new file."""
+def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
+    """Open all sections of new files, `but` for some: a section's state comes from its class when it is
+    first drawn. Returns what `closed_again` wants."""
     before = {cls: set(getattr(cls, "bl_options", ())) for cls in _sections()}
-    _register_with({cls: options - {"DEFAULT_CLOSED"} for cls, options in before.items()})
+    opened = {c: o if c.__name__ in but else o - {"DEFAULT_CLOSED"} for c, o in before.items()}
+    _register_with(opened)
     return before
 
 
 def closed_again(before: dict[type, set[str]]) -> None:
+    """Undo `opened_by_default`."""
     _register_with(before)
 
 
