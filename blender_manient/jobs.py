@@ -17,11 +17,12 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
-from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError, OptionError
+from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
 from handfit_core.take import Take
 
 from . import details
-from .cache import temporary_take
+from .cache import folder_path, temporary_take
+from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import building
 from .scene.store import hand_of
@@ -40,15 +41,15 @@ _KEPT = 6
 class Building:
     """What to do with the take."""
 
-    scene: str
+    scene: Remembered
     target: Literal["NEW", "ANIMATION", "POSE"] = "NEW"
-    hand: str = ""
+    hand: Remembered | None = None
     """The armature that ANIMATION and POSE are for"""
     frame: float = 1.0
     """The scene frame of POSE"""
     pose_correctives: bool = True
     match_scene: bool = True
-    camera: str = ""
+    camera: Remembered | None = None
     """An existing camera to look through instead of a new one"""
 
 
@@ -208,13 +209,13 @@ def tick() -> bool:
     return True
 
 
-def run(job: Job) -> Job:
-    """Submit and wait, without a window. Progress is not shown."""
-    submit(job)
-    while not job.finished:
+def run() -> list[Job]:
+    """Wait for everything that is queued, without a window; returns the jobs that this finished."""
+    waited = [job for job in _queue if not job.finished]
+    while busy():
         if not tick():
             time.sleep(0.005)
-    return job
+    return waited
 
 
 def _start(job: Job) -> None:
@@ -294,28 +295,46 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
             take: Take = stop.value
             break
         yield 0.0
-    plan = job.building
+    plan, warnings = job.building, []
     if plan.target != "NEW":
-        target = bpy.data.objects.get(plan.hand)
-        if target is None or hand_of(target) is None:
-            raise OptionError(f"the hand '{plan.hand}' is gone: choose another output, or New Hands")
-        yield 0.5
-        apply_track(target, take, track_for(take, target.manient.side), plan.target, plan.frame)
-        return (target.name,), [], _summary(job, take)
-    scene = bpy.data.scenes.get(plan.scene)
+        assert plan.hand is not None
+        target = plan.hand.find()
+        if target is not None and hand_of(target) is not None:
+            yield 0.5
+            apply_track(target, take, track_for(take, target.manient.side), plan.target, plan.frame)
+            return (target.name,), [], _summary(job, take)
+        warnings.append(f"the hand {plan.hand.name} is gone, so new hands were built")
+    scene = plan.scene.find()
     while scene is not None and bpy.context.scene != scene:
-        job.message = f"Open the scene {plan.scene} to get the captured hands"
+        job.message = f"Open the scene {scene.name} to get the captured hands"
         yield 0.0
-        scene = bpy.data.scenes.get(plan.scene)
+        scene = plan.scene.find()
+    if scene is None:
+        warnings.append(f"the scene {plan.scene.name} is gone, so the hands were built in the open one")
     job.message = ""
     built = yield from building(
         take,
         data=data,
         pose_correctives=plan.pose_correctives,
-        match_scene=plan.match_scene,
-        camera=bpy.data.objects.get(plan.camera) if plan.camera else None,
+        match_scene=plan.match_scene and not warnings,
+        camera=plan.camera.find() if plan.camera else None,
     )
-    return tuple(hand.armature.name for hand in built.hands), list(built.warnings), _summary(job, take)
+    _pack_cached_pictures(take)
+    return (
+        tuple(hand.armature.name for hand in built.hands),
+        [*warnings, *built.warnings],
+        _summary(job, take),
+    )
+
+
+def _pack_cached_pictures(take: Take) -> None:
+    """Keep pictures in the .blend that lie in the cache folder, from where they will vanish."""
+    path = Path(take.source.files[0])
+    if not path.is_relative_to(folder_path()):
+        return
+    for image in bpy.data.images:
+        if image.filepath and not image.packed_file and Path(bpy.path.abspath(image.filepath)) == path:
+            image.pack()
 
 
 def _make_active(hands: tuple[str, ...]) -> None:

@@ -10,6 +10,7 @@ from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.hand_model import OPEN_HAND
 
 from .. import jobs, preferences, screen, sources
+from ..remembered import Remembered
 from ..scene.lens import lens_of_camera
 from ..selection import active_hand
 from ..worker.client import CaptureOptions
@@ -34,6 +35,12 @@ class MANIENT_OT_capture(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
+    queued: bpy.props.BoolProperty(  # type: ignore
+        description="Start nothing new, only follow what is queued",
+        default=False,
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     _ticking = False
     """Whether an instance of this operator ticks the queue already"""
 
@@ -55,14 +62,10 @@ class MANIENT_OT_capture(bpy.types.Operator):
 
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
-        try:
-            job = new_job(context, only_frame=self.only_frame)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
+        if not self.queued and not self._submit(context):
             return {"CANCELLED"}
-        jobs.submit(job)
         if MANIENT_OT_capture._ticking:
-            self.report({"INFO"}, f"{job.name} is captured after the one before")
+            self.report({"INFO"}, "It is captured after the one before")
             return {"FINISHED"}
         MANIENT_OT_capture._ticking = True
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
@@ -91,13 +94,20 @@ class MANIENT_OT_capture(bpy.types.Operator):
 
     def execute(self, context):
         """Capture and wait for it: for scripts, and without a window."""
+        if not self.queued and not self._submit(context):
+            return {"CANCELLED"}
+        waited = jobs.run()
+        for job in waited:
+            self._report(job)
+        return {"FINISHED"} if all(job.state == "done" for job in waited) else {"CANCELLED"}
+
+    def _submit(self, context) -> bool:
         try:
-            job = jobs.run(new_job(context, only_frame=self.only_frame))
+            jobs.submit(new_job(context, only_frame=self.only_frame))
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._report(job)
-        return {"FINISHED"} if job.state == "done" else {"CANCELLED"}
+            return False
+        return True
 
     def _tell(self, context) -> None:
         job = jobs.current()
@@ -188,13 +198,13 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
             lens=_lens(settings, scene),
         ),
         building=jobs.Building(
-            scene=scene.name,
+            scene=Remembered.of("scenes", scene),
             target=settings.target,
-            hand=hand.armature.name if hand else "",
+            hand=Remembered.of("objects", hand.armature) if hand else None,
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
             match_scene=settings.match_scene,
-            camera=camera.name if camera else "",
+            camera=Remembered.of("objects", camera) if camera else None,
         ),
     )
 

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import bpy
 
+from handfit_core.errors import HandfitError
 from handfit_core.media import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 
-from .. import preferences
+from .. import jobs, preferences, sources
 from . import import_take
+from .capture import new_job
 
 
 class MANIENT_OT_drop_media(bpy.types.Operator):
@@ -47,16 +49,29 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
 
     def execute(self, context):
         """Start a capture for the clip, or one for each picture."""
-        settings = context.scene.manient
         paths = self._paths()
-        chosen = paths[:1] if self.as_sequence else paths
-        result = {"CANCELLED"}
-        settings.use_frames = False  # the range was another source's
-        for path in chosen:
-            settings.source = str(path)
-            settings.as_sequence = self.as_sequence
-            result = bpy.ops.manient.capture("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
-        return {"FINISHED"} if result != {"CANCELLED"} else result
+        started = 0
+        for path in paths[:1] if self.as_sequence else paths:
+            self._choose(context.scene.manient, path, paths)
+            try:
+                jobs.submit(new_job(context, only_frame=False))
+                started += 1
+            except HandfitError as error:
+                self.report({"ERROR"}, str(error))
+        if not started:
+            return {"CANCELLED"}
+        return bpy.ops.manient.capture(
+            "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", queued=True
+        )
+
+    def _choose(self, settings, path: Path, dropped: list[Path]) -> None:
+        """Put a file into the panel; of a sequence of which only some pictures were dropped, their range."""
+        settings.source = str(path)
+        settings.as_sequence = self.as_sequence
+        numbers = sequence_numbers(dropped) if self.as_sequence else None
+        settings.use_frames = numbers is not None and len(sources.numbered_siblings(path)) > len(dropped)
+        if numbers is not None and settings.use_frames:
+            settings.first_frame, settings.last_frame, settings.frame_step = min(numbers), max(numbers), 1
 
     def _paths(self) -> list[Path]:
         return [Path(self.directory) / file.name for file in self.files if file.name]

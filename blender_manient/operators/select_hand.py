@@ -21,13 +21,13 @@ class MANIENT_OT_select_hand(bpy.types.Operator):
         if armature is None or hand_of(armature) is None:
             self.report({"ERROR"}, f"The hand {self.hand} is not in this scene any more")
             return {"CANCELLED"}
+        if not armature.visible_get():
+            self.report({"ERROR"}, f"The hand {self.hand} is hidden: show it first")
+            return {"CANCELLED"}
         if context.mode != "OBJECT" and context.active_object is not armature:
             bpy.ops.object.mode_set(mode="OBJECT")
         for other in context.selected_objects:
             other.select_set(False)
-        if not armature.visible_get():
-            self.report({"ERROR"}, f"The hand {self.hand} is hidden: show it first")
-            return {"CANCELLED"}
         armature.select_set(True)
         context.view_layer.objects.active = armature
         return {"FINISHED"}

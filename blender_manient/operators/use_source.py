@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,10 +83,11 @@ def _image_path(name: str) -> tuple[str, bool]:
     path = Path(bpy.path.abspath(image.filepath, library=image.library)) if image.filepath else None
     if path is not None and path.is_file() and not image.is_dirty:
         return str(path), image.source == "SEQUENCE"
-    if not image.has_data and not image.packed_file:
+    if not image.has_data and not image.packed_file and image.source != "GENERATED":
         raise InputError(f"the file of the image {name} is not there any more: find it again, or pack it")
     # Painted, generated or packed: a copy that the worker can read.
-    copy = cache_folder() / f"{bpy.path.clean_name(image.name)}.png"
+    # A name of its own each time: a capture that waits may still want the one before.
+    copy = cache_folder() / f"{bpy.path.clean_name(image.name)}-{uuid.uuid4().hex[:6]}.png"
     before = image.file_format
     try:
         image.file_format = "PNG"

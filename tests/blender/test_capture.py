@@ -123,6 +123,69 @@ def test_through_the_scenes_own_camera(settings, photo):
 
 
 @needs_worker
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_hand_that_is_renamed_meanwhile_is_found_and_one_that_is_gone_is_built_anew(settings, photo, gone):
+    settings.source = str(photo)
+    bpy.ops.manient.capture()
+    settings.target = "POSE"
+    job = new_job(bpy.context, only_frame=False)
+    jobs.submit(job)
+    _tick_until(lambda: job.state == "capturing")
+    armature = _hands()[0].armature
+    armature.name = "another name"
+    if gone:
+        bpy.data.objects.remove(armature)
+    _tick_until(lambda: job.finished)
+    assert job.state == "done", job.message
+    assert (len(_hands()), bool(job.warnings)) == (1, gone)
+
+
+@needs_worker
+def test_a_scene_that_is_deleted_meanwhile_costs_neither_the_hands_nor_the_open_scene(settings, photo):
+    settings.source = str(photo)
+    first, other = bpy.context.scene, bpy.data.scenes.new("Other")
+    job = new_job(bpy.context, only_frame=False)
+    jobs.submit(job)
+    jobs.tick()
+    bpy.context.window.scene = other
+    bpy.data.scenes.remove(first)
+    size = (other.render.resolution_x, other.render.resolution_y, other.camera)
+    _tick_until(lambda: job.finished)
+    assert job.state == "done", job.message
+    assert len(captured_hands(other)) == 1
+    assert (other.render.resolution_x, other.render.resolution_y, other.camera) == size
+    assert any("gone" in warning for warning in job.warnings)
+
+
+@needs_worker
+def test_dropped_pictures(settings):
+    def dropped(*names, **options):
+        files = [{"name": name} for name in names]
+        result = bpy.ops.manient.drop_media(directory=str(SAMPLE), files=files, **options)
+        takes = [list(hand.take.frame_numbers) for hand in _hands()]
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        return result, takes
+
+    assert dropped("hand.0001.jpg", "hand.0004.jpg") == ({"FINISHED"}, [[1], [1]])
+    some = [f"hand.{n:04}.jpg" for n in (3, 4, 5)]
+    assert dropped(*some, as_sequence=True) == ({"FINISHED"}, [[3, 4, 5]])
+
+
+@needs_worker
+def test_a_painted_picture_stays_in_the_file(settings, photo, tmp_path):
+    picture = bpy.data.images.load(str(photo))
+    picture.pack()
+    picture.filepath = ""
+    bpy.ops.manient.use_source(kind="IMAGE", name=picture.name)
+    copy = Path(settings.source)
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    plate = _hands()[0].camera.data.background_images[0].image
+    copy.unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert plate.packed_file
+
+
+@needs_worker
 def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
     settings.source = str(SAMPLE)
     job = new_job(bpy.context, only_frame=False)
@@ -225,6 +288,9 @@ def test_pictures_of_the_open_file_as_sources(settings, tmp_path):
     clip = bpy.data.movieclips.load(str(SAMPLE / "hand.0002.jpg"))
     assert bpy.ops.manient.use_source(kind="CLIP", name=clip.name) == {"FINISHED"}
     assert settings.source == str(SAMPLE / "hand.0002.jpg")
+    generated = bpy.data.images.new("Generated", 32, 32)
+    assert bpy.ops.manient.use_source(kind="IMAGE", name=generated.name) == {"FINISHED"}
+    assert Path(settings.source).is_file()
     with pytest.raises(RuntimeError, match="no image"):
         bpy.ops.manient.use_source(kind="IMAGE", name="nothing")
 

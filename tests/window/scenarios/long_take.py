@@ -17,11 +17,12 @@ def built_in_slices(stage, take, source):
     from pathlib import Path
 
     from blender_manient import jobs
+    from blender_manient.remembered import Remembered
     from blender_manient.worker.client import CaptureOptions
 
     yield from stage.open_sidebar()
     scene = bpy.context.scene
-    job = jobs.Job("long.mp4", (source,), CaptureOptions(), jobs.Building(scene=scene.name))
+    job = jobs.Job("long.mp4", (source,), CaptureOptions(), jobs.Building(Remembered.of("scenes", scene)))
     job.state = "building"
     job._take_path = Path(take)
     jobs.submit(job)
