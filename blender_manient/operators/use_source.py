@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from handfit_core.errors import HandfitError, InputError, OutputError
 
@@ -88,15 +89,28 @@ def _image_path(name: str) -> tuple[str, bool]:
     # Painted, generated or packed: a copy that the worker can read.
     # A name of its own each time: a capture that waits may still want the one before.
     copy = cache_folder() / f"{bpy.path.clean_name(image.name)}-{uuid.uuid4().hex[:6]}.png"
-    before = image.file_format
-    try:
-        image.file_format = "PNG"
-        image.save(filepath=str(copy), save_copy=True)
-    except RuntimeError as error:
-        raise OutputError(f"{copy}: Blender could not write the picture ({error})") from error
-    finally:
-        image.file_format = before
+    _write_png(image, copy)
     return str(copy), False
+
+
+def _write_png(image: bpy.types.Image, path: Path) -> None:
+    """Write what the image shows now, painted or not, and leave it as it is."""
+    # Its pixels go through another image: before Blender 4.3 saving changes an image's own path.
+    width, height = image.size
+    pixels = np.empty(width * height * 4, dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    if image.is_float:  # linear
+        pixels = np.clip(pixels, 0.0, 1.0) ** np.float32(1 / 2.2)
+    twin = bpy.data.images.new(image.name, width, height)
+    try:
+        twin.pixels.foreach_set(pixels)
+        twin.file_format = "PNG"
+        twin.filepath_raw = str(path)
+        twin.save()
+    except RuntimeError as error:
+        raise OutputError(f"{path}: Blender could not write the picture ({error})") from error
+    finally:
+        bpy.data.images.remove(twin)
 
 
 def _clip_path(name: str) -> tuple[str, bool]:

@@ -288,9 +288,13 @@ def test_pictures_of_the_open_file_as_sources(settings, tmp_path):
     clip = bpy.data.movieclips.load(str(SAMPLE / "hand.0002.jpg"))
     assert bpy.ops.manient.use_source(kind="CLIP", name=clip.name) == {"FINISHED"}
     assert settings.source == str(SAMPLE / "hand.0002.jpg")
-    generated = bpy.data.images.new("Generated", 32, 32)
-    assert bpy.ops.manient.use_source(kind="IMAGE", name=generated.name) == {"FINISHED"}
-    assert Path(settings.source).is_file()
+    painted = bpy.data.images.new("Painted", 32, 16)
+    painted.pixels.foreach_set(np.tile([1.0, 0.5, 0.0, 1.0], 32 * 16).astype(np.float32))
+    assert bpy.ops.manient.use_source(kind="IMAGE", name=painted.name) == {"FINISHED"}
+    written = bpy.data.images.load(settings.source)
+    assert tuple(written.size) == (32, 16)
+    assert list(written.pixels[:4]) == pytest.approx([1.0, 0.5, 0.0, 1.0], abs=0.01)
+    assert painted.filepath == ""
     with pytest.raises(RuntimeError, match="no image"):
         bpy.ops.manient.use_source(kind="IMAGE", name="nothing")
 
