@@ -12,13 +12,16 @@ between them: their weights add up to 1.
 Keys hold the pose after the field, q = q_base exp(c). A field that changes therefore only multiplies:
 q exp(-c_old) exp(c_new). What an artist did to the key by hand stays on it, and a field that is taken
 away leaves the key as it was. NumPy only, so that it can be tested without Blender.
+
+Frames that are keyed anew hold a pose of their own, whatever corrections there are: the field is zero there
+and corrections around end there. Anchors, corrections without pins, see to that.
 """
 
 from __future__ import annotations
 
 import bisect
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
@@ -32,11 +35,16 @@ FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
 """of a correction: what is written into the .blend is what was applied, to the last digit"""
 
+_TELLING: Final = 0.01
+"""radians; a tenth of it for metres. What is turned less does not tell whether a key is the corrected one"""
+
 _ARRAYS: Final[dict[str, tuple[int, ...]]] = {
     "rotation": (NUM_JOINTS, 3),
     "location": (3,),
     "start_rotation": (NUM_JOINTS, 3),
     "start_location": (3,),
+    "pose": (NUM_JOINTS, 4),
+    "place": (3,),
 }
 
 Pins = Mapping[int, tuple[float, float]]
@@ -62,6 +70,34 @@ class Correction:
     are not answerable for, and that stays when they change"""
     start_location: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) the same of `location`"""
+    pose: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 4)))
+    """(16, 4) the key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) metres: the same of the wrist's location"""
+    keyed: bool = False
+    """Whether the frame was keyed anew, so that without this correction the field is zero there"""
+
+    @property
+    def is_anchor(self) -> bool:
+        """Whether it is none of the artist's, and only ends those around it."""
+        return self.keyed and not self.pins
+
+    def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
+        """Whether the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
+        where it was put. Else keys were moved in time, or another pose was keyed."""
+        if not np.any(self.pose):
+            return True
+        turned = np.linalg.norm(self.rotation, axis=-1) > _TELLING
+        same = np.linalg.norm(correction_between(self.pose, pose), axis=-1) < _TELLING
+        found = same[turned].tolist()
+        if np.linalg.norm(self.location) > _TELLING / 10 and np.any(self.place):
+            found.append(bool(np.linalg.norm(place - self.place) < _TELLING / 10))
+        return not found or 2 * sum(found) >= len(found)
+
+    @property
+    def changes(self) -> bool:
+        """Whether it does anything to keys."""
+        return bool(np.any(self.rotation) or np.any(self.location))
 
     def __post_init__(self) -> None:
         pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in self.pins.items()}
@@ -83,18 +119,24 @@ class Correction:
 class CorrectionField:
     """All corrections of a hand, by source frame."""
 
-    corrections: Mapping[int, Correction] = field(default_factory=dict)
+    corrections: Mapping[float, Correction] = field(default_factory=dict)
+    """Those of the artist are on whole frames; anchors may lie between them"""
 
     @cached_property
     def frames(self) -> np.ndarray:
-        """(K,) corrected source frames, increasing."""
+        """(K,) corrected source frames and anchors, increasing."""
         return np.array(sorted(self.corrections), dtype=np.float64)
+
+    @property
+    def corrected(self) -> list[int]:
+        """The source frames that the artist corrected, increasing."""
+        return [int(g) for g in sorted(self.corrections) if not self.corrections[g].is_anchor]
 
     def weights(self, frames: np.ndarray) -> np.ndarray:
         """(N,) source frames, whole or not -> (N, K) weight of each correction there, 0..1."""
         frames = np.asarray(frames, dtype=np.float64)
         own = self.frames
-        spread = np.array([self.corrections[int(g)].spread for g in own])
+        spread = np.array([self.corrections[g].spread for g in own.tolist()])
         gap = np.diff(own)
         before = np.minimum(spread, np.concatenate([[np.inf], gap]))[: len(own)]
         after = np.minimum(spread, np.concatenate([gap, [np.inf]]))[: len(own)]
@@ -112,7 +154,7 @@ class CorrectionField:
     def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N,) source frames -> rotations (N, 16, 3) in radians and wrist movements (N, 3) in metres."""
         weights = self.weights(frames)
-        chosen = [self.corrections[int(g)] for g in self.frames]
+        chosen = [self.corrections[g] for g in self.frames.tolist()]
         rotation = np.array([c.rotation for c in chosen]).reshape(-1, NUM_JOINTS, 3)
         location = np.array([c.location for c in chosen]).reshape(-1, 3)
         return np.einsum("nk,kja->nja", weights, rotation), weights @ location
@@ -126,21 +168,80 @@ class CorrectionField:
         """The same with this correction of one source frame."""
         return CorrectionField({**self.corrections, int(frame): correction})
 
-    def without(self, frames: Iterable[int]) -> CorrectionField:
+    def without(self, frames: Iterable[float]) -> CorrectionField:
         """The same without the corrections of these source frames."""
-        gone = {int(f) for f in frames}
+        gone = {float(f) for f in frames}
         return CorrectionField({g: c for g, c in self.corrections.items() if g not in gone})
 
-    def absorbed(self, frames: Iterable[int]) -> CorrectionField:
-        """The same after these source frames were fitted anew: their keys hold the correction now, so only
-        the pins are left."""
-        wanted = {int(f) for f in frames}
-        return CorrectionField(
-            {
-                g: Correction(pins=c.pins, spread=c.spread) if g in wanted else c
-                for g, c in self.corrections.items()
-            }
-        )
+    def cleared(self, frames: Iterable[float]) -> CorrectionField:
+        """The same after these source frames' corrections were taken back. Where a frame had been keyed anew
+        an anchor stays, as long as it ends anything."""
+        gone = {float(f) for f in frames}
+        kept = {g: c for g, c in self.corrections.items() if g not in gone}
+        kept |= {g: Correction({}, keyed=True) for g, c in self.corrections.items() if g in gone and c.keyed}
+        return CorrectionField(kept)._pruned()
+
+    def keyed_anew(
+        self,
+        frames: Iterable[float],
+        *,
+        whole: bool = False,
+        joints: Sequence[int] = range(NUM_JOINTS),
+        location: bool = True,
+        keep_pins: bool = False,
+    ) -> CorrectionField:
+        """The same where these source frames get keys with poses of their own: the field is zero on them.
+
+        `whole` means everything from the first to the last of them, else corrections on other frames stay.
+        `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
+        frames' pins, for poses that were fitted to them.
+        """
+        own = np.array(sorted({_frame(f) for f in frames}), dtype=np.float64)
+        if len(own) == 0:
+            return self
+        first, last = float(own[0]), float(own[-1])
+        inside = {
+            g for g in self.corrections if (first <= g <= last if whole else bool(np.any(own == float(g))))
+        }
+        new = {g: c for g, c in self.corrections.items() if g not in inside}
+        ends = {first, last}
+        for g in [g for g in new if first < g < last]:
+            at = int(np.searchsorted(own, g))
+            ends |= {float(own[at - 1]), float(own[at])}
+
+        keyed = list(joints)
+
+        def left(pins: Pins, rotation: np.ndarray, place: np.ndarray, spread: float) -> Correction:
+            rotation = rotation.copy()
+            rotation[keyed] = 0.0
+            return Correction(pins, rotation, np.zeros(3) if location else place, spread, keyed=True)
+
+        for g in sorted(inside):
+            one = self.corrections[g]
+            rest = left(one.pins, one.rotation, one.location, one.spread)
+            if keep_pins or rest.changes:
+                new[g] = rest
+        rotations, places = self.at(np.array(sorted(ends)))
+        for g, rotation, place in zip(sorted(ends), rotations, places, strict=True):
+            if g not in new:
+                new[_frame(g)] = left({}, rotation, place, self._reach(g))
+        return CorrectionField(new)._pruned()
+
+    def _reach(self, frame: float) -> float:
+        """How many frames the corrections around reach beyond this one."""
+        return max([0.0, *(c.spread - abs(g - frame) for g, c in self.corrections.items())])
+
+    def _pruned(self) -> CorrectionField:
+        """Without the anchors that end nothing: no correction reaches them."""
+        needed = set()
+        for sign in (1.0, -1.0):
+            reach = -np.inf
+            for g in sorted(self.corrections, key=lambda g: sign * g):
+                one = self.corrections[g]
+                if not one.is_anchor or sign * g < reach:
+                    needed.add(g)
+                    reach = sign * g + one.spread if one.changes else -np.inf
+        return CorrectionField({g: c for g, c in self.corrections.items() if g in needed})
 
     def to_json(self) -> str:
         """As text for the .blend; empty where there is nothing to keep."""
@@ -151,6 +252,7 @@ class CorrectionField:
                 "pins": {str(k): list(place) for k, place in c.pins.items()},
                 "spread": c.spread,
                 "added_key": c.added_key,
+                **({"keyed": True} if c.keyed else {}),
                 **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
             }
             for frame, c in sorted(self.corrections.items())
@@ -166,7 +268,7 @@ class CorrectionField:
             content = json.loads(text)
             version = int(content["version"])
             if version <= FORMAT_VERSION:
-                return cls({int(frame): _correction(c) for frame, c in content["frames"].items()})
+                return cls({_frame(frame): _correction(c) for frame, c in content["frames"].items()})
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise TakeError(
                 "the hand's corrections cannot be read; undo what changed them, or clear all corrections"
@@ -218,11 +320,20 @@ def _equal(one: Correction, other: Correction) -> bool:
     )
 
 
+def _frame(frame: Any) -> float:
+    """A source frame as corrections are kept under: whole, or between two frames to four digits."""
+    place = round(float(frame), 4)
+    if not np.isfinite(place):
+        raise ValueError(f"a frame is a finite number; got {frame}")
+    return int(place) if place == int(place) else place
+
+
 def _correction(content: Mapping[str, Any]) -> Correction:
     return Correction(
         pins={int(k): (place[0], place[1]) for k, place in content["pins"].items()},
         spread=float(content["spread"]),
         added_key=bool(content.get("added_key", False)),
+        keyed=bool(content.get("keyed", False)),
         **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
     )
 

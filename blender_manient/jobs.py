@@ -26,6 +26,7 @@ from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import building
 from .scene.store import hand_of
+from .slices import retold
 from .worker import shared
 from .worker.client import CaptureOptions
 
@@ -287,14 +288,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         data = job._take_path.read_bytes()
     except OSError as error:
         raise InputError(f"{job._take_path}: the captured take is gone ({error.strerror})") from error
-    reading = Take.reading(data)
-    while True:
-        try:
-            next(reading)
-        except StopIteration as stop:
-            take: Take = stop.value
-            break
-        yield 0.0
+    take = yield from retold(Take.reading(data), lambda: 0.0)
     plan, warnings = job.building, []
     if plan.target != "NEW":
         assert plan.hand is not None

@@ -225,6 +225,9 @@ class ManientHand(bpy.types.PropertyGroup):
     capture: PointerProperty(  # type: ignore
         type=bpy.types.Collection, description="The collection that keeps the take"
     )
+    mesh: PointerProperty(  # type: ignore
+        type=bpy.types.Object, description="The hand's own mesh, among all that hangs on the armature"
+    )
     track: IntProperty(default=0)  # type: ignore
     betas: FloatVectorProperty(  # type: ignore
         name="Shape",
@@ -249,6 +252,9 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Color bones by how well they meet the picture in this frame",
         default=False,
         update=_confidence_changed,
+    )
+    own_colors: StringProperty(  # type: ignore
+        description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"
     )
 
 

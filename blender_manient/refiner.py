@@ -22,8 +22,10 @@ from handfit_core.solvers import DEFAULT_SMOOTHING
 
 from . import axes
 from .correction_field import Pins, changed_quats
+from .remembered import Remembered
 from .scene import corrections
 from .scene.armature import bone_names, rest_frames
+from .scene.editable import why_not_keyable
 from .scene.keys import pose_at
 from .scene.store import CapturedHand, hand_of
 
@@ -66,6 +68,7 @@ class Refiner:
                 f"the take of {armature.name!r} has no detections to refine: capture it again, as older "
                 "takes did not keep them"
             )
+        self._remembered = Remembered.of("objects", armature)
         self.name = armature.name
         self.take, self.track = hand.take, hand.track
         self.side: Side = hand.side
@@ -75,11 +78,16 @@ class Refiner:
     @property
     def hand(self) -> CapturedHand:
         """The hand as it is now. Raises OptionError where it is gone."""
-        armature = bpy.data.objects.get(self.name)
+        armature = self.found
         hand = hand_of(armature) if armature is not None else None
         if hand is None:
             raise OptionError(f"the hand {self.name!r} is gone: select another captured hand")
         return hand
+
+    @property
+    def found(self) -> bpy.types.Object | None:
+        """The hand's armature, under whatever name it has now; None where it is gone."""
+        return self._remembered.find()
 
     @property
     def armature(self) -> bpy.types.Object:
@@ -117,7 +125,7 @@ class Refiner:
 
     def is_corrected(self, row: int) -> bool:
         """Whether the row was re-fitted with pins."""
-        return self.source_frame(row) in corrections.corrections_of(self.armature).corrections
+        return self.source_frame(row) in corrections.corrections_of(self.armature).corrected
 
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
         """What the keys say on these rows, corrections included."""
@@ -135,7 +143,7 @@ class Refiner:
         field = corrections.corrections_of(self.armature)
         for at, row in enumerate(rows):
             own = field.corrections.get(self.source_frame(row))
-            if own is not None:
+            if own is not None and not own.is_anchor and own.is_in(quats[at], locations[at]):
                 quats[at] = changed_quats(quats[at], own.rotation, own.start_rotation)
                 locations[at] += own.start_location - own.location
         return BonePoses(quats, locations, self.landmarks(quats, locations))
@@ -224,7 +232,7 @@ class Refiner:
         there = poses.present
         chosen = np.asarray(self.take.frame_numbers)[list(rows)][there]
         return corrections.replacing_poses(
-            self.name, [int(f) for f in chosen], poses.quats[there], poses.locations[there]
+            self.armature, [int(f) for f in chosen], poses.quats[there], poses.locations[there]
         )
 
     def _frames(self) -> np.ndarray:
@@ -243,8 +251,9 @@ def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None
 
     if hand is None:
         return "Select a captured hand: its armature or its mesh"
-    if not hand.armature.is_editable or hand.armature.library is not None:
-        return "This hand is linked from another file: make it local to refine it"
+    why = why_not_keyable(hand.armature) or corrections.why_elsewhere(hand.armature)
+    if why is not None:
+        return why
     if not hand.track.refinable:
         return "This take has no detections to refine: capture it again"
     if jobs.busy():

@@ -299,7 +299,8 @@ class _TextOutput(_Output):
             f"{h['side']} hand in {h['frames']} of {summary['frames']} frames, "
             + (f"{h['filled']} more filled, " if h["filled"] else "")
             + (f"{h['doubtful']} doubtful, " if h["doubtful"] else "")
-            + f"{h['mean_reprojection_error_px']:.1f} px mean error"
+            + ("no" if (error := h["mean_reprojection_error_px"]) is None else f"{error:.1f} px")
+            + " mean error"
             for h in summary["hands"]
         )
         self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")

@@ -8,10 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from handfit_core.errors import OptionError
+
+SMALLEST_FOCAL: Final = 1e-3
+LARGEST_FOCAL: Final = 1e9
+"""Pixels: what is beyond these is no camera, and has no numbers left to compute with"""
 
 
 @dataclass(frozen=True)
@@ -25,10 +30,12 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         values = (self.fx, self.fy, self.cx, self.cy)
-        if not all(math.isfinite(v) for v in values) or self.fx <= 0 or self.fy <= 0:
+        if not all(math.isfinite(v) and abs(v) <= LARGEST_FOCAL for v in values) or not all(
+            v >= SMALLEST_FOCAL for v in values[:2]
+        ):
             raise OptionError(
-                f"camera intrinsics need positive, finite focal lengths in pixels; got fx={self.fx}, "
-                f"fy={self.fy}, cx={self.cx}, cy={self.cy}"
+                f"camera intrinsics need positive, finite focal lengths in pixels, {SMALLEST_FOCAL:g} to "
+                f"{LARGEST_FOCAL:g}; got fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}"
             )
 
     @classmethod

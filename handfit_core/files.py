@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -14,8 +15,14 @@ from handfit_core.errors import OutputError
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise OutputError if `written_whole(path)` could not work; leaves nothing behind."""
     path = Path(path)
+    try:
+        os.lstat(path)  # tells of names that no file can have, which Path.is_dir hides
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        raise OutputError(_cannot_write(path, error)) from error
     if path.is_dir():
-        raise OutputError(f"{path}: this is a folder; give the name of a file in it")
+        raise OutputError(f"{shown(path)}: this is a folder; give the name of a file in it")
     folder = path.absolute().parent
     while not folder.exists():
         folder = folder.parent
@@ -26,8 +33,30 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise OutputError(_cannot_write(path, error)) from error
 
 
-def _cannot_write(path: Path, error: OSError) -> str:
-    return f"{path}: cannot write here ({error.strerror}); choose a folder that you may write to"
+_NO_NAME = (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
+
+
+def _cannot_write(path: Path, error: OSError | ValueError) -> str:
+    if isinstance(error, ValueError) or error.errno in _NO_NAME:
+        return f"{shown(path)}: cannot write to a file of this name ({why(error)}); choose another name"
+    return f"{shown(path)}: cannot write here ({why(error)}); choose a folder that you may write to"
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """A path as messages show it: quoted where it could not be seen otherwise, and of bounded length."""
+    text = os.fspath(path)
+    text = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+    return text if text.isprintable() and text == text.strip() and text else repr(text)
+
+
+_LONGEST_SHOWN = 300
+
+
+def why(error: OSError | ValueError) -> str:
+    """What the system says is wrong with a path."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return "it holds a character that no name can" if isinstance(error, UnicodeError) else str(error)
 
 
 @contextlib.contextmanager
@@ -41,9 +70,10 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # The suffix stays last: some exporters append it themselves when they miss it.
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+        # Of the name only a part: with what mkstemp adds it may be too long where the name itself is not.
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
         os.close(handle)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise OutputError(_cannot_write(path, error)) from error
     beside = Path(name)
     try:
@@ -54,7 +84,9 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         beside.chmod(0o666 & ~mask)
         beside.replace(path)
     except OSError as error:
-        raise OutputError(f"{path}: could not be written ({error.strerror or error})") from error
+        if error.errno in _NO_NAME:
+            raise OutputError(_cannot_write(path, error)) from error
+        raise OutputError(f"{shown(path)}: could not be written ({why(error)})") from error
     finally:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)

@@ -20,6 +20,7 @@ import numpy as np
 
 from handfit_core.errors import InputError
 from handfit_core.exif import is_tiff, read_orientation, upright
+from handfit_core.files import shown, why
 from handfit_core.frame_range import FrameRange
 from handfit_core.take import Source
 
@@ -85,11 +86,26 @@ def open_media(source: MediaInput, frames: FrameRange | None = None) -> Media:
     `frames` picks source frame numbers of sequences and videos. Raises InputError.
     """
     frames = frames or FrameRange()
-    if not isinstance(source, str | os.PathLike):
-        return _open_pictures([Path(p).expanduser() for p in source], frames, "the list of pictures")
-    if not str(source):
-        raise InputError("no input was given; name a photo, a folder of photos or a video")
-    path = Path(source).expanduser()
+    try:
+        if not isinstance(source, str | os.PathLike):
+            return _open_pictures([_path_of(p) for p in source], frames, "the list of pictures")
+        if not str(source):
+            raise InputError("no input was given; name a photo, a folder of photos or a video")
+        return _open_path(_path_of(source), frames)
+    except OSError as error:  # a folder that may not be read, a name that is too long
+        what = shown(error.filename) if isinstance(error.filename, str) else "the input"
+        raise InputError(f"{what}: cannot be opened ({why(error)}); choose another file") from error
+
+
+def _path_of(name: str | os.PathLike[str]) -> Path:
+    """Its path, with ~ as the user's folder; ~nobody, where there is no such user, is a name like others."""
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:
+        return Path(name)
+
+
+def _open_path(path: Path, frames: FrameRange) -> Media:
     if path.is_dir():
         return _open_pictures(pictures_in(path), frames, str(path))
     if path.is_file():
@@ -100,12 +116,12 @@ def open_media(source: MediaInput, frames: FrameRange | None = None) -> Media:
         if path.suffix.lower() in PHOTO_SUFFIXES:
             return _Pictures([path], [1], FrameRange(), kind="photo")
         return _open_unknown(path, frames)
-    if is_pattern(str(source)):
+    if is_pattern(str(path)):
         found, numbers = _matching(path)
         if not found:
-            raise InputError(f"{source}: no file matches this pattern")
-        return _open_pictures(found, frames, str(source), numbers)
-    raise InputError(f"{path}: there is no such file or folder")
+            raise InputError(f"{shown(path)}: no file matches this pattern")
+        return _open_pictures(found, frames, str(path), numbers)
+    raise InputError(f"{shown(path)}: there is no such file or folder")
 
 
 def is_pattern(text: str) -> bool:
@@ -172,7 +188,7 @@ def _open_pictures(
         raise InputError(f"{what}: no pictures in it; give photos ({_suffixes(PHOTO_SUFFIXES)}) or a video")
     for file in files:
         if not file.is_file():
-            raise InputError(f"{file}: there is no such file")
+            raise InputError(f"{shown(file)}: there is no such file")
     if len(files) == 1 and numbers is None:
         return open_media(files[0], frames)
     if numbers is None or not _can_be_frames(numbers):

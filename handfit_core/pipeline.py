@@ -46,6 +46,11 @@ ProgressCallback = Callable[[Progress], None]
 
 log = logging.getLogger("handfit")
 
+NEAREST_FOCAL = 0.05
+FARTHEST_FOCAL = 1000.0
+"""Times the picture's longer side: a view of 169 degrees, and one of three minutes of arc, as a crop of a
+telescope's picture may have"""
+
 LAST_FITS_SECONDS = 0.3
 """What solvers that fit frame by frame get for what was found when detection was stopped. The fast solver
 gets the time that it needs, since that is a small part of what detecting took."""
@@ -123,6 +128,8 @@ def capture(
     if lens is not None:
         focal = lens[0] * media.width
         intrinsics = Intrinsics(focal, focal, lens[1] * media.width, lens[2] * media.height)
+    if intrinsics is not None:
+        _check_camera(intrinsics, media)
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
@@ -155,6 +162,11 @@ def capture(
         report(Progress("fit", done, total))
 
     models = {track.side: load_model(model, track.side) for track in tracks}
+    if hand_length is not None and solver in FAST_SOLVERS:
+        # Torch loads here and not with the pipeline. Both hands' models have one length.
+        from handfit_core.solvers.fast.fit import tell_of_odd_shapes
+
+        tell_of_odd_shapes(next(iter(models.values())), hand_length)
     fitted: list[HandTrack] = []
     for track in tracks:
         if fitted and stop():
@@ -288,17 +300,36 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
 
 
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
-    """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels."""
+    """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels (None
+    where it has no value)."""
     return [
         {
             "side": track.side,
             "frames": int(track.detected.sum()),
             "filled": 0 if track.filled is None else int(track.filled.sum()),
             "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
-            "mean_reprojection_error_px": float(track.reprojection_error[track.detected].mean()),
+            "mean_reprojection_error_px": _mean(track.reprojection_error[track.detected]),
         }
         for track in take.hands
     ]
+
+
+def _mean(values: np.ndarray) -> float | None:
+    """What JSON can hold, too."""
+    with np.errstate(over="ignore"):
+        mean = float(values.mean()) if len(values) else np.nan
+    return mean if np.isfinite(mean) else None
+
+
+def _check_camera(intrinsics: Intrinsics, media: Media) -> None:
+    """Raise OptionError for a camera that cannot have taken those pictures."""
+    longer = max(media.width, media.height)
+    low, high = NEAREST_FOCAL * longer, FARTHEST_FOCAL * longer
+    if not all(low <= focal <= high for focal in (intrinsics.fx, intrinsics.fy)):
+        raise OptionError(
+            f"the camera's focal length must lie between {low:g} and {high:g} pixels for a picture of "
+            f"{media.width}x{media.height}; got fx={intrinsics.fx:g}, fy={intrinsics.fy:g}"
+        )
 
 
 def _check_some_side(model: str | os.PathLike[str]) -> None:

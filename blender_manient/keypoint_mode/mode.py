@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import bpy
@@ -70,7 +70,11 @@ class _Drag:
     sent: np.ndarray | None = None
     sent_at: float = 0.0
     is_sent: bool = False
+    asked: Pins = field(default_factory=dict)
+    """The pins of the request"""
     answer: BonePoses | None = None
+    answered: Pins = field(default_factory=dict)
+    """The pins that `answer` was fitted to"""
     drawn: bool = True
     """Whether the view was asked to show the newest place"""
 
@@ -142,7 +146,7 @@ class KeypointMode:
             return "Keypoints: a capture has begun"
         if view.viewport_at(context, self.view.address) is None:
             return "Keypoints: the viewport is gone"
-        armature = bpy.data.objects.get(self.refiner.name)
+        armature = self.refiner.found
         if armature is None or armature.name not in context.view_layer.objects:
             return "Keypoints: the hand is gone"
         try:
@@ -266,9 +270,11 @@ class KeypointMode:
         if drag.request:
             shared.worker().cancel(drag.request)
             abandon(drag.request)
-        armature = bpy.data.objects.get(self.refiner.name)
+        armature = self.refiner.found
         if armature is not None and armature.manient.is_hand:
             set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
+            if context.scene.frame_current_final != drag.frame:
+                refresh(context.scene)  # that was another frame's pose
         screen.redraw_viewports(context)
 
     def tick(self, context: bpy.types.Context) -> None:
@@ -335,14 +341,15 @@ class KeypointMode:
 
     def _send(self, drag: _Drag) -> None:
         drag.sent, drag.sent_at, drag.is_sent = drag.place, drag.moved_at, True
-        fields = self.refiner.request([drag.row], [drag.pins], drag.start)()
+        drag.asked = drag.pins
+        fields = self.refiner.request([drag.row], [drag.asked], drag.start)()
         drag.request = shared.worker().request("refit", **fields)
 
     def _show(self, context: bpy.types.Context, drag: _Drag, poses: BonePoses) -> None:
         if not poses.present[0]:
             self.message = "No hand can be fitted to these points"
             return
-        drag.answer = poses
+        drag.answer, drag.answered = poses, drag.asked
         armature = self.refiner.armature
         set_pose(armature, self.refiner.side, poses.quats[0], poses.locations[0])
         context.view_layer.update()
@@ -360,7 +367,7 @@ class KeypointMode:
             set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
             return
         else:
-            self.refiner.correct(drag.row, drag.pins, drag.answer, context.scene.manient.spread)
+            self.refiner.correct(drag.row, drag.answered, drag.answer, context.scene.manient.spread)
         refresh(context.scene)
         self.done, self.undone = self.done + 1, 0
         bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
@@ -370,6 +377,7 @@ class KeypointMode:
         self.message = str(error)
         details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
         self.cancel_drag(context)
+        refresh(context.scene)
 
     def _follow_warming(self) -> None:
         for event in shared.worker().poll(self._warming):

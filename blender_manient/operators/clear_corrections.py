@@ -8,6 +8,7 @@ import numpy as np
 from handfit_core.errors import HandfitError, TakeError
 
 from ..scene import corrections
+from ..scene.editable import why_not_editable
 from ..scene.frame_span import span_of
 from ..selection import active_hand
 
@@ -41,8 +42,9 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
         if hand is None:
             cls.poll_message_set("Select a captured hand: its armature or its mesh")
             return False
-        if not hand.armature.is_editable or hand.armature.library is not None:
-            cls.poll_message_set("This hand is linked from another file: make it local to change it")
+        why = why_not_editable(hand.armature)
+        if why is not None:
+            cls.poll_message_set(why)
             return False
         if not hand.armature.manient.corrections:
             cls.poll_message_set("This hand has no corrections")
@@ -54,9 +56,15 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
         hand = active_hand(context)
         assert hand is not None
         armature, scene = hand.armature, context.scene
+        elsewhere = corrections.why_elsewhere(armature)
+        if elsewhere is not None and self.scope == "ALL":
+            corrections.forget_corrections(armature)
+            self.report({"WARNING"}, "The corrections were in another action: they are gone, its keys stay")
+            return {"FINISHED"}
         try:
             field = corrections.corrections_of(armature)
-            places = corrections.timing_of(armature).scene_frames(field.frames)
+            frames = np.array(field.corrected, dtype=np.float64)
+            places = corrections.timing_of(armature).scene_frames(frames)
             if self.scope == "FRAME":
                 chosen = np.abs(places - scene.frame_current_final) < 0.5
             elif self.scope == "RANGE":
@@ -64,23 +72,34 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
                 chosen = (places > first - 0.5) & (places < last + 0.5)
             else:
                 chosen = np.ones(len(places), dtype=bool)
-            count = corrections.clear_corrections(armature, [int(f) for f in field.frames[chosen]])
+            lost = {int(f) for f in frames[chosen]} & set(corrections.displaced(armature))
+            count = corrections.clear_corrections(
+                armature, None if self.scope == "ALL" else [int(f) for f in frames[chosen]]
+            )
         except TakeError as error:
             if self.scope != "ALL":
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
             # What cannot be read cannot be taken out of the keys: they stay as they are.
-            armature.manient.corrections = ""
+            corrections.forget_corrections(armature)
             self.report({"WARNING"}, "The corrections could not be read: they are gone, the keys stay")
             return {"FINISHED"}
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        if count == 0:
+        if count == 0 and self.scope != "ALL":
             where = "in this frame" if self.scope == "FRAME" else "in this range"
             self.report({"ERROR"}, f"There is no correction {where}")
             return {"CANCELLED"}
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+        if lost:
+            which = ", ".join(str(f) for f in sorted(lost))
+            self.report(
+                {"WARNING"},
+                f"The keys of the corrected source frames {which} were moved or replaced: these keys stay as "
+                "they are",
+            )
+            return {"FINISHED"}
         self.report({"INFO"}, "1 correction cleared" if count == 1 else f"{count} corrections cleared")
         return {"FINISHED"}
 

@@ -14,7 +14,7 @@ from ..scene.clean_rig import Rig
 from ..scene.export import FORMATS, Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.retake import retaken
-from ..scene.store import CapturedHand, captured_hands, hand_of
+from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from .needs_hand import hand_in, hand_is_there
 
 _TAKE = "npz"
@@ -101,7 +101,11 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"Wrote {', '.join(f.name for f in files)} to {path.parent}")
+        wrote = f"Wrote {', '.join(f.name for f in files)} to {path.parent}"
+        others = [o.name for hand in hands for o in hung_on(hand)] if self.file_format != _TAKE else []
+        if others:
+            wrote += f" without {', '.join(others)}: only hands are exported, not what hangs on them"
+        self.report({"INFO"}, wrote)
         return {"FINISHED"}
 
     def _fill_in(self, context) -> None:
@@ -128,8 +132,11 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         if self.active_only:
             return [active]
         found = [hand_of(armature) for armature in captured_hands(context.scene)]
-        own = [h for h in found if h is not None and h.collection == active.collection]
-        return sorted(own, key=lambda hand: hand.index)
+        own = {active.index: active}
+        for hand in found:
+            if hand is not None and hand.collection == active.collection:
+                own.setdefault(hand.index, hand)  # copies of a hand are left out
+        return [own[index] for index in sorted(own)]
 
     def _stage(self, scene, hands: list[CapturedHand]) -> Stage:
         if self.frame_range == "SCENE":

@@ -7,6 +7,7 @@ import bpy
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
 from ..scene.armature import bone_names
+from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand
 from ..selection import active_hand
 
@@ -48,10 +49,10 @@ class MANIENT_OT_lock_joints(bpy.types.Operator):
         if hand is None:
             cls.poll_message_set("Select a captured hand: its armature or its mesh")
             return False
-        if not hand.armature.is_editable or hand.armature.library is not None:
-            cls.poll_message_set("This hand is linked from another file: make it local to change it")
-            return False
-        return True
+        why = why_not_editable(hand.armature)
+        if why is not None:
+            cls.poll_message_set(why)
+        return why is None
 
     def execute(self, context):
         """Lock or unlock."""

@@ -6,14 +6,18 @@ from typing import Any
 
 import bpy
 
+from ..scene.editable import why_not_editable, why_not_keyable, why_not_readable
 from ..scene.store import CapturedHand
 from ..selection import active_hand
 
 
-def hand_is_there(cls: type[Any], context: bpy.types.Context, *, change: bool = True) -> bool:
+def hand_is_there(
+    cls: type[Any], context: bpy.types.Context, *, change: bool = True, keys: bool = False
+) -> bool:
     """Whether there is a captured hand to work on, in a mode to do so; the operator says what is missing.
 
-    `change` also asks that the hand may be changed: not linked from another file.
+    `change` also asks that the hand may be changed: not linked from another file. `keys` asks that single
+    keys of it may be changed: its motion is in an action, not in the NLA.
     """
     hand = active_hand(context)
     if hand is None:
@@ -22,10 +26,11 @@ def hand_is_there(cls: type[Any], context: bpy.types.Context, *, change: bool = 
     if change and context.mode not in {"OBJECT", "POSE"}:
         cls.poll_message_set("Go to Object or Pose Mode first")
         return False
-    if change and not hand.armature.is_editable:
-        cls.poll_message_set("The hand is linked from another file; make it local to change it")
-        return False
-    return True
+    why_not = why_not_keyable if keys else why_not_editable if change else why_not_readable
+    why = why_not(hand.armature)
+    if why is not None:
+        cls.poll_message_set(why)
+    return why is None
 
 
 def hand_in(context: bpy.types.Context) -> CapturedHand:

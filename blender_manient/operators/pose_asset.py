@@ -29,7 +29,7 @@ class MANIENT_OT_save_pose_asset(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return hand_is_there(cls, context)
+        return hand_is_there(cls, context, change=False)  # the hand stays as it is
 
     def invoke(self, context, event):
         """Ask for the name."""

@@ -115,6 +115,10 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             self._end(context)
             return {"CANCELLED"}
+        except Exception:
+            # An operator that Blender ends after an error cannot clean up later.
+            self._end(context)
+            raise
         return {"PASS_THROUGH"}
 
     def cancel(self, context):

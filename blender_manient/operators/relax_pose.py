@@ -11,7 +11,8 @@ from handfit_core.skeleton import NUM_JOINTS
 
 from .. import axes
 from ..scene.armature import rest_frames
-from ..scene.keys import PoseKeys, keyed_bones, set_pose, write_pose_keys
+from ..scene.corrections import end_corrections, source_frames, timing_of
+from ..scene.keys import PoseKeys, check_unlocked, keyed_bones, set_pose, write_pose_keys
 from ..scene.models import kept_model
 from .needs_hand import hand_in, hand_is_there
 
@@ -27,7 +28,7 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return hand_is_there(cls, context)
+        return hand_is_there(cls, context, keys=True)
 
     def execute(self, context):
         """Set or key the fifteen finger bones."""
@@ -39,19 +40,26 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         still = np.zeros((1, 3))
-        frames = rest_frames(armature, side)
-        quats, _ = axes.bone_pose(model.shaped(), frames, still, relaxed_pose(model)[None], still)
-        quats[:, 0] = np.nan  # not the wrist
+        try:
+            frames = rest_frames(armature, side)
+            quats, _ = axes.bone_pose(model.shaped(), frames, still, relaxed_pose(model)[None], still)
+            quats[:, 0] = np.nan  # not the wrist
+            chosen = keyed_bones(armature, side)
+            if context.scene.tool_settings.use_keyframe_insert_auto:
+                chosen = np.ones(NUM_JOINTS, dtype=bool)
+            chosen[0] = False
+            if chosen.any():
+                joints = np.flatnonzero(chosen).tolist()
+                check_unlocked(armature, side, joints=joints, location=False)
+                frame = np.array([context.scene.frame_current_final])
+                place = source_frames(timing_of(armature), frame)
+                end_corrections(armature, place.tolist(), joints=joints, location=False, keep_pins=True)
+                keys = PoseKeys(frame, quats, np.zeros((1, 3)), chosen[None], np.zeros(1, dtype=bool))
+                write_pose_keys(armature, side, keys)
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         set_pose(armature, side, quats[0])
-
-        chosen = keyed_bones(armature, side)
-        if context.scene.tool_settings.use_keyframe_insert_auto:
-            chosen = np.ones(NUM_JOINTS, dtype=bool)
-        chosen[0] = False
-        if chosen.any():
-            frame = np.array([context.scene.frame_current_final])
-            keys = PoseKeys(frame, quats, np.zeros((1, 3)), chosen[None], np.zeros(1, dtype=bool))
-            write_pose_keys(armature, side, keys)
         return {"FINISHED"}
 
 

@@ -14,7 +14,9 @@ from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
 from .. import axes
+from ..slices import result_of
 from .armature import bone_names, rest_frames
+from .keys import assign, channels
 from .timing import Timing
 
 ERROR_PROPERTY = "reprojection_error_px"
@@ -78,12 +80,7 @@ def hand_keys(
     take: Take, track: HandTrack, shaped: ShapedHand, frames: np.ndarray, timing: Timing
 ) -> HandKeys:
     """`computing_keys` at once."""
-    steps = computing_keys(take, track, shaped, frames, timing)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
+    return result_of(computing_keys(take, track, shaped, frames, timing))
 
 
 def animating(armature: bpy.types.Object, track: HandTrack, keys: HandKeys) -> Iterator[bpy.types.Action]:
@@ -93,19 +90,19 @@ def animating(armature: bpy.types.Object, track: HandTrack, keys: HandKeys) -> I
     the gaps, as Bezier curves through noisy per-frame data would.
     """
     action = bpy.data.actions.new(armature.name)
-    _give(action, armature)
+    assign(armature, action)
     yield action
     names = bone_names(track.side)
     for joint, name in enumerate(names):
         path = f'pose.bones["{name}"].rotation_quaternion'
         for component in range(4):
-            _write(action, path, component, name, keys.frames, keys.quats[joint, component])
+            new_curve(action, path, component, keys.frames, keys.quats[joint, component], name)
             yield action
     path = f'pose.bones["{names[0]}"].location'
     for component in range(3):
-        _write(action, path, component, names[0], keys.frames, keys.locations[component])
+        new_curve(action, path, component, keys.frames, keys.locations[component], names[0])
         yield action
-    _write(action, f'["{ERROR_PROPERTY}"]', 0, "Capture", keys.error_frames, keys.errors)
+    new_curve(action, f'["{ERROR_PROPERTY}"]', 0, keys.error_frames, keys.errors, "Capture")
     yield action
 
 
@@ -149,34 +146,16 @@ def action_curves(action: bpy.types.Action) -> Iterable[bpy.types.FCurve]:
     ]
 
 
-def _give(action: bpy.types.Action, owner: bpy.types.Object) -> None:
-    """Give the action to its owner, with what holds its curves.
-
-    Up to Blender 4.3 that is the action itself. From 4.4 on an action holds one channel bag per
-    slot, and from 5.0 on that is the only way.
-    """
-    data = owner.animation_data_create()
-    data.action = action
-    if hasattr(action, "slots"):
-        slot = action.slots.new(id_type="OBJECT", name=owner.name)
-        data.action_slot = slot
-        action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
-
-
-def _channels_of(action: bpy.types.Action):
-    """What holds the curves of an action of ours. Asked for each curve: an undo may have moved it."""
-    if not hasattr(action, "slots"):
-        return action
-    return action.layers[0].strips[0].channelbag(action.slots[0])
-
-
-def _write(
-    action: bpy.types.Action, path: str, index: int, group: str, frames: np.ndarray, values: np.ndarray
+def new_curve(
+    action: bpy.types.Action, path: str, index: int, frames: np.ndarray, values: np.ndarray, group: str = ""
 ) -> None:
-    """One curve with a key (scene frame, value) per measured frame."""
-    channels = _channels_of(action)
-    curve = channels.fcurves.new(path, index=index)
-    curve.group = channels.groups.get(group) or channels.groups.new(group)
+    """A new curve in an action of ours, which `keys.assign` has given to its armature, with a key (scene
+    frame, value) per frame and straight lines between."""
+    # Asked for each curve: an undo may have moved what holds them.
+    holder = channels(action, action.slots[0] if hasattr(action, "slots") else None)
+    curve = holder.fcurves.new(path, index=index)
+    if group:
+        curve.group = holder.groups.get(group) or holder.groups.new(group)
     count = len(frames)
     points = curve.keyframe_points
     points.add(count)

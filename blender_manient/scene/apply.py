@@ -20,11 +20,12 @@ from handfit_core.take import HandTrack, Take
 
 from .. import axes
 from .armature import bone_names, rest_frames
-from .corrections import corrections_of, keep_field
+from .corrections import end_corrections, source_frames
+from .editable import check_bones, check_editable, check_keyable
 from .keys import (
-    SAME_FRAME,
     PoseKeys,
     align_signs,
+    check_unlocked,
     pose_at,
     read_pose_keys,
     remove_pose_keys,
@@ -69,7 +70,7 @@ def apply_track(
 
     Raises OptionError and HandModelError.
     """
-    hand = _checked(obj)
+    hand = _checked(obj, mode)
     own = tuple(take.source.files) == tuple(hand.take.source.files)
     rows = np.flatnonzero(track.present)
     if len(rows) == 0:
@@ -95,7 +96,7 @@ def apply_hand(
 ) -> int:
     """The same from another captured hand of the scene, as the artist left it: its keys, on its frames
     (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as `apply_track`."""
-    hand, other = _checked(obj), _checked(source)
+    hand, other = _checked(obj, mode), _captured(source)
     if hand.armature == other.armature:
         raise OptionError(
             f"{hand.armature.name!r} is the hand that gets the motion; choose another one to take it from"
@@ -120,12 +121,21 @@ def track_for(take: Take, side: str) -> HandTrack:
     return next((t for t in take.hands if t.side == side), take.hands[0])
 
 
-def _checked(obj: bpy.types.Object) -> CapturedHand:
+def _captured(obj: bpy.types.Object) -> CapturedHand:
     hand = hand_of(obj)
     if hand is None:
         raise OptionError(f"{obj.name!r} is no captured hand; choose one that a capture or an import made")
-    if not hand.armature.is_editable:
-        raise OptionError(f"{obj.name!r} is linked from another file; make it local to change its motion")
+    check_bones(hand.armature, hand.side)
+    return hand
+
+
+def _checked(obj: bpy.types.Object, mode: Mode) -> CapturedHand:
+    hand = _captured(obj)
+    data = hand.armature.animation_data
+    if mode == "POSE" or (data is not None and (data.action is not None or data.use_tweak_mode)):
+        check_keyable(hand.armature)
+    else:
+        check_editable(hand.armature)  # a whole motion may well lie over strips in the NLA
     return hand
 
 
@@ -212,22 +222,16 @@ def _apply(
         )
     armature, side = hand.armature, hand.side
     first, last = float(frames[0]), float(frames[-1])
+    check_unlocked(armature, side, joints=list(joints), location=wrist)
+    end_corrections(
+        armature,
+        source_frames(timing_of(hand.collection), np.array([first, last])).tolist(),
+        whole=True,
+        joints=joints,
+        location=wrist,
+    )
     if mode == "ANIMATION":
         remove_pose_keys(armature, side, first, last, joints=list(joints), location=wrist)
     write_pose_keys(armature, side, keys)
     align_signs(armature, side)
-    _drop_corrections(hand, first, last)
     return len(frames)
-
-
-def _drop_corrections(hand: CapturedHand, first: float, last: float) -> None:
-    """What was corrected there has been replaced: the keys no longer hold it."""
-    field = corrections_of(hand.armature)
-    timing = timing_of(hand.collection)
-    gone = [
-        g
-        for g in field.corrections
-        if first - SAME_FRAME <= float(timing.scene_frames(np.array([g]))[0]) <= last + SAME_FRAME
-    ]
-    if gone:
-        keep_field(hand.armature, field.without(gone))

@@ -23,6 +23,7 @@ from handfit_core.skeleton import NUM_JOINTS, Side
 from handfit_core.take import HandTrack, Take
 
 from .. import axes
+from ..slices import result_of, retold
 from .animation import CURVES, animating, computing_keys, describe
 from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
@@ -90,11 +91,7 @@ def build_take(
         camera=camera,
         data=data,
     )
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
+    return result_of(steps)
 
 
 def building(
@@ -265,12 +262,7 @@ class _Work:
 
     def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
         """Go through steps that are not counted, as numbers are fast; returns what they return."""
-        while True:
-            try:
-                next(steps)
-            except StopIteration as stop:
-                return stop.value
-            yield self.done(0)
+        return retold(steps, lambda: self.done(0))
 
     def done(self, more: float) -> float:
         """Count a step; returns how much is done, 0..1."""

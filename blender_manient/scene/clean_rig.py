@@ -18,6 +18,7 @@ from mathutils import Matrix
 from handfit_core.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.skeleton import Side
 
+from .animation import new_curve
 from .keys import assign
 from .sampling import Sampled, rotations_of, sample
 
@@ -148,7 +149,7 @@ def _bake(
         placed = world @ sampled.pose[:, bone] @ np.diag([1 / size, 1 / size, 1 / size, 1.0])
         basis[:, bone] = np.linalg.inv(rest) @ placed
     action = bpy.data.actions.new(armature.name)
-    holder = assign(armature, action)
+    assign(armature, action)
     turns = unflip_quats(rotmat_to_quat(rotations_of(basis)))
     scales = np.linalg.norm(basis[..., :3, :3], axis=-2)
     for bone, name in enumerate(sampled.names):
@@ -159,10 +160,6 @@ def _bake(
             channels.append(("scale", scales[:, bone]))
         for attribute, values in channels:
             for index in range(values.shape[1]):
-                curve = holder.fcurves.new(f'pose.bones["{name}"].{attribute}', index=index)
-                points = curve.keyframe_points
-                points.add(len(frames))
-                places = np.stack([np.asarray(frames, dtype=np.float64), values[:, index]], axis=-1)
-                points.foreach_set("co", places.astype(np.float32).ravel())
-                curve.update()
+                path = f'pose.bones["{name}"].{attribute}'
+                new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
     return action

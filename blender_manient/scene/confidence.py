@@ -17,7 +17,7 @@ from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, P
 from handfit_core.take import HandTrack, Take
 
 from .armature import bone_names
-from .store import CapturedHand, captured_hands, hand_of, timing_of
+from .store import CapturedHand, captured_hands, hand_of, rows_at
 
 GOOD: Final = 0.02
 """Distance over the hand's length that is green; half of all keypoints of a good capture are nearer"""
@@ -29,9 +29,6 @@ POOR: Final = 0.10
 UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
 _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
 """sRGB of GOOD, FAIR and POOR"""
-
-_BEFORE: Final = "manient_bone_colors"
-"""The armature data's custom property with the colours that the bones had before, as JSON"""
 
 _MIDDLE_FINGER: Final = (0, 9, 10, 11, 12)
 """Keypoints from the wrist to the middle fingertip"""
@@ -99,20 +96,13 @@ def _color(hand: CapturedHand, frame: float) -> None:
 
 def _row_at(hand: CapturedHand, frame: float) -> int | None:
     """The take's row that is shown at a scene frame; None between rows."""
-    timing = timing_of(hand.collection)
-    numbers = hand.take.frame_numbers
-    number = (frame - timing.offset) / timing.scale
-    row = int(np.clip(np.searchsorted(numbers, number), 0, len(numbers) - 1))
-    if row > 0 and abs(numbers[row - 1] - number) < abs(numbers[row] - number):
-        row -= 1
-    # Retimed, a scene frame may lie between two rows that both are near.
-    near = 0.5 * max(1.0, 1.0 / timing.scale) + 1e-3
-    return row if abs(float(numbers[row]) - number) <= near else None
+    row = int(rows_at(hand.collection, hand.take, np.array([frame]))[0])
+    return row if row >= 0 else None
 
 
 def _keep_colors(hand: CapturedHand) -> None:
-    data = hand.armature.data
-    if _BEFORE in data:
+    # On the object, as bones have their colours there: linked duplicates share the data.
+    if hand.armature.manient.own_colors:
         return
     before = {}
     for name in bone_names(hand.side):
@@ -121,24 +111,24 @@ def _keep_colors(hand: CapturedHand) -> None:
             custom = bone.color.custom
             colors = [list(c) for c in (custom.normal, custom.select, custom.active)]
             before[name] = [bone.color.palette, *colors]
-    data[_BEFORE] = json.dumps(before)
+    hand.armature.manient.own_colors = json.dumps(before)
 
 
 def _give_colors_back(obj: bpy.types.Object) -> None:
     armature = obj if obj.type == "ARMATURE" else obj.parent
-    if armature is None or armature.type != "ARMATURE" or _BEFORE not in armature.data:
+    if armature is None or armature.type != "ARMATURE" or not armature.manient.own_colors:
         return
-    for name, (palette, normal, select, active) in json.loads(armature.data[_BEFORE]).items():
+    for name, (palette, normal, select, active) in json.loads(armature.manient.own_colors).items():
         bone = armature.pose.bones.get(name)
         if bone is not None:
             custom = bone.color.custom
             custom.normal, custom.select, custom.active = normal, select, active
             bone.color.palette = palette
-    del armature.data[_BEFORE]
+    armature.manient.own_colors = ""
 
 
 def _shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    return [o for o in captured_hands(scene) if o.manient.show_confidence and _BEFORE in o.data]
+    return [o for o in captured_hands(scene) if o.manient.show_confidence and o.manient.own_colors]
 
 
 def _refresh(scene: bpy.types.Scene) -> None:

@@ -2,18 +2,23 @@
 
 `correction_field.py` has the mathematics. Only keys within reach of a changed correction are ever
 touched; what they hold besides the correction, by capture or by hand, stays on them.
+
+Actions can be exchanged, so each notes the fingerprint of the corrections that its keys hold. In another
+action than that, corrections are neither changed nor cleared; they can only be forgotten.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import bpy
 import numpy as np
 
-from handfit_core.errors import TakeError
+from handfit_core.errors import OptionError, TakeError
 from handfit_core.skeleton import NUM_JOINTS
 
 from ..correction_field import (
@@ -24,12 +29,27 @@ from ..correction_field import (
     changed_stretches,
     correction_between,
 )
+from ..remembered import Remembered
 from . import store
-from .keys import PoseKeys, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
+from .editable import check_keyable
+from .keys import (
+    PoseKeys,
+    check_unlocked,
+    own_action,
+    pose_at,
+    read_pose_keys,
+    remove_pose_keys,
+    write_pose_keys,
+)
 from .timing import Timing
 
+MARK = "manient_corrections"
+"""An action's custom property: slot handle (0 before Blender 4.4) -> fingerprint of the corrections its keys
+hold"""
 _IDLE = 2e-3
 """radians and metres. A key that is no further from the line between its neighbours says nothing"""
+_SNAP = 2e-3
+"""source frames. Keys' frames are not exact to the last digit"""
 
 
 def timing_of(armature: bpy.types.Object) -> Timing:
@@ -46,10 +66,10 @@ def source_frames(timing: Timing, frames: np.ndarray) -> np.ndarray:
 def corrected_frames(armature: bpy.types.Object) -> list[int]:
     """The scene frames with a correction, increasing; none where corrections cannot be read. For drawing."""
     try:
-        frames = corrections_of(armature).frames
+        frames = corrections_of(armature).corrected
     except TakeError:
         return []
-    return [round(f) for f in timing_of(armature).scene_frames(frames).tolist()]
+    return [round(f) for f in timing_of(armature).scene_frames(np.array(frames, dtype=float)).tolist()]
 
 
 def corrections_of(armature: bpy.types.Object) -> CorrectionField:
@@ -63,6 +83,59 @@ def _read(text: str) -> CorrectionField:
     return CorrectionField.from_json(text)
 
 
+def why_elsewhere(armature: bpy.types.Object) -> str | None:
+    """Why the hand's corrections are not in its keys: a sentence for a tooltip; None where they are."""
+    wanted = fingerprint(armature)
+    if not wanted:
+        return None
+    action, slot = _present(armature)
+    if action is not None and _marks(action).get(_slot_key(slot)) == wanted:
+        return None
+    there = next((a.name for a in bpy.data.actions if wanted in _marks(a).values()), None)
+    where = "are in another action" if there is None else f"are in the action {there}"
+    return f"The corrections {where}: assign it again, or clear all, which leaves the keys as they are"
+
+
+def fingerprint(armature: bpy.types.Object) -> str:
+    """What tells the hand's corrections from all others; empty where there are none."""
+    text = armature.manient.corrections
+    return hashlib.sha256(text.encode()).hexdigest()[:16] if text else ""
+
+
+def _present(armature: bpy.types.Object) -> tuple[Any, Any]:
+    data = armature.animation_data
+    return (None, None) if data is None else (data.action, getattr(data, "action_slot", None))
+
+
+def _slot_key(slot: Any) -> str:
+    return str(slot.handle) if slot is not None else "0"
+
+
+def _marks(action: bpy.types.Action) -> dict[str, str]:
+    marks = action.get(MARK)
+    return marks.to_dict() if hasattr(marks, "to_dict") else {}
+
+
+def _mark(action: bpy.types.Action, slot: Any, wanted: str) -> None:
+    marks = {key: value for key, value in _marks(action).items() if key != _slot_key(slot)}
+    if wanted:
+        marks[_slot_key(slot)] = wanted
+    if marks:
+        action[MARK] = marks
+    elif MARK in action:
+        del action[MARK]
+
+
+def check_writable(armature: bpy.types.Object) -> None:
+    """Raises OptionError where corrections cannot be put into the hand's keys, HandModelError where it
+    lacks bones."""
+    check_keyable(armature)
+    why = why_elsewhere(armature)
+    if why is not None:
+        raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
+    check_unlocked(armature, armature.manient.side)
+
+
 def correct_frame(
     armature: bpy.types.Object,
     frame: int,
@@ -74,10 +147,18 @@ def correct_frame(
     """Give a source frame a pose, and its neighbours what is left of the change over `spread` frames.
 
     quats (16, 4) as (w, x, y, z) relative to the bones' rest; location (3,) metres along the wrist
-    bone's axes. A frame without keys gets them. The correction replaces the frame's earlier one.
+    bone's axes. A frame without keys gets them. The correction replaces the frame's earlier one. Corrections
+    that are `displaced` are forgotten.
+    Raises TakeError and what `check_writable` does, and then changes nothing.
     """
     side = armature.manient.side
     old = corrections_of(armature)
+    check_writable(armature)
+    lost = displaced(armature)
+    if lost:
+        # They are in other keys by now, out of which nobody can take them.
+        old = old.without(lost)
+        keep_field(armature, old)
     here = timing_of(armature).scene_frames(np.array([frame]))
     now_quats, now_location = pose_at(armature, side, here)
     present = read_pose_keys(armature, side, here[0], here[0])
@@ -87,7 +168,8 @@ def correct_frame(
 
     turned, moved = old.at(np.array([frame]))
     base = changed_quats(now_quats[0], turned[0], np.zeros((NUM_JOINTS, 3)))
-    before = old.corrections.get(frame)
+    here_now = old.corrections.get(frame)
+    before = None if here_now is None or here_now.is_anchor else here_now
     new = Correction(
         pins=pins,
         rotation=correction_between(base, quats),
@@ -97,6 +179,9 @@ def correct_frame(
         # What the neighbours' corrections do here now is where the pins began.
         start_rotation=turned[0] if before is None else before.start_rotation,
         start_location=moved[0] if before is None else before.start_location,
+        pose=quats,
+        place=location,
+        keyed=here_now is not None and here_now.keyed,
     )
     change_field(armature, old.with_correction(frame, new))
 
@@ -105,16 +190,43 @@ def clear_corrections(armature: bpy.types.Object, frames: Iterable[int] | None =
     """Take the corrections of these source frames (None: all) away again. Returns how many there were.
 
     Keys become what they would be without them. Keys that only a correction had put there go, unless
-    something else has been done to them since.
+    something else has been done to them since. Corrections that are `displaced` are only forgotten. Raises
+    TakeError and what `check_writable` does, and then changes nothing.
     """
     old = corrections_of(armature)
-    wanted = set(old.corrections) if frames is None else {int(f) for f in frames}
-    gone = sorted(wanted & set(old.corrections))
-    change_field(armature, old.without(gone))
+    check_writable(armature)
+    wanted = set(old.corrected) if frames is None else {int(f) for f in frames}
+    gone = sorted(wanted & set(old.corrected))
+    lost = [g for g in gone if g in displaced(armature)]
+    if lost:
+        keep_field(armature, old.without(lost))
+        for g in lost:
+            gone.remove(g)
+        old = corrections_of(armature)
+    change_field(armature, CorrectionField() if frames is None else old.cleared(gone))
     added = [g for g in gone if old.corrections[g].added_key]
     for place in timing_of(armature).scene_frames(np.array(added)).tolist():
         _remove_idle_keys(armature, place)
-    return len(gone)
+    return len(gone) + len(lost)
+
+
+def displaced(armature: bpy.types.Object) -> list[int]:
+    """The corrected source frames whose keys are not the corrected ones any more: keys were moved to other
+    frames, or another pose was keyed over them. Raises TakeError."""
+    field = corrections_of(armature)
+    frames = field.corrected
+    places = timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
+    quats, locations = pose_at(armature, armature.manient.side, places)
+    return [
+        g
+        for g, pose, location in zip(frames, quats, locations, strict=True)
+        if not field.corrections[g].is_in(pose, location)
+    ]
+
+
+def forget_corrections(armature: bpy.types.Object) -> None:
+    """Keep no corrections any more, and leave all keys as they are."""
+    armature.manient.corrections = ""
 
 
 def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
@@ -125,7 +237,7 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
     for stretch in changed_stretches(old, new):
         first, last = sorted(timing.scene_frames(np.array(stretch)).tolist())
         keys = read_pose_keys(armature, side, first, last)
-        places = source_frames(timing, keys.frames)
+        places = _snapped(source_frames(timing, keys.frames), np.concatenate([old.frames, new.frames]))
         (turned_old, moved_old), (turned_new, moved_new) = old.at(places), new.at(places)
         # Keys at the end of the stretch, where nothing changes, are not even written.
         turns = np.any(turned_old != turned_new, axis=-1)
@@ -142,29 +254,89 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
 
 
 def keep_field(armature: bpy.types.Object, new: CorrectionField) -> None:
-    """Keep the field on the hand without touching keys: they hold what changed already."""
+    """Keep the field on the hand, and its fingerprint on its action, without touching keys: they hold what
+    changed already."""
+    own_action(armature)
     armature.manient.corrections = new.to_json()
+    action, slot = _present(armature)
+    if action is not None:
+        _mark(action, slot, fingerprint(armature))
+
+
+def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable[tuple[Any, Any]]) -> None:
+    """`keep_field` for the same corrections about other axes, with all (action, slot) that were turned."""
+    before = fingerprint(armature)
+    holding = [(action, slot) for action, slot in used if _marks(action).get(_slot_key(slot)) == before]
+    armature.manient.corrections = new.to_json()
+    for action, slot in holding:
+        _mark(action, slot, fingerprint(armature))
+
+
+def end_corrections(
+    armature: bpy.types.Object,
+    frames: Sequence[float],
+    *,
+    whole: bool = False,
+    joints: Sequence[int] = range(NUM_JOINTS),
+    location: bool = True,
+    keep_pins: bool = False,
+) -> None:
+    """Call this before source frames are keyed anew: corrections end there, and their frames' own go.
+
+    The arguments are those of `CorrectionField.keyed_anew`. Keys around that hold a part of a correction
+    which ends sooner now are changed. Corrections that cannot be read, or are in another action than the
+    present one, stay as they are.
+    """
+    if not armature.manient.corrections or why_elsewhere(armature) is not None:
+        return
+    try:
+        field = corrections_of(armature)
+    except TakeError:
+        return
+    change_field(
+        armature,
+        field.keyed_anew(frames, whole=whole, joints=joints, location=location, keep_pins=keep_pins),
+    )
 
 
 def replacing_poses(
-    armature_name: str, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
+    armature: bpy.types.Object, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
 ) -> Iterator[float]:
     """Key new poses: (N,) source frames, increasing, quats (N, 16, 4), wrist locations (N, 3) in metres.
 
-    They contain the corrections of these frames, of which only the pins are left. All other keys stay.
-    One bone per step, for a window that stays free; yields how much is done, 0..1.
+    They contain the corrections of these frames, of which only the pins are left. Other corrections end
+    where the range begins; all other keys stay. One bone per step, for a window that stays free; yields how
+    much is done, 0..1. Raises OptionError where the hand goes away meanwhile, and what `check_writable` does.
     """
+    # Here, not at the first step: until then the hand may have got another name.
+    return _replacing(Remembered.of("objects", armature), frames, quats, locations)
+
+
+def _replacing(
+    remembered: Remembered, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
+) -> Iterator[float]:
     count = len(frames)
     for joint in range(NUM_JOINTS):
-        armature = bpy.data.objects[armature_name]
+        armature = remembered.find()
+        if armature is None:
+            raise OptionError("the hand is gone, so its keys cannot be written: undo what removed it")
+        if joint == 0:
+            check_writable(armature)
+            end_corrections(armature, frames, keep_pins=True)
         places = timing_of(armature).scene_frames(np.asarray(frames))
         keyed = np.zeros((count, NUM_JOINTS), dtype=bool)
         keyed[:, joint] = True
         keys = PoseKeys(places, quats, locations, keyed, np.full(count, joint == 0))
         write_pose_keys(armature, armature.manient.side, keys)
         yield (joint + 1) / NUM_JOINTS
-    armature = bpy.data.objects[armature_name]
-    keep_field(armature, corrections_of(armature).absorbed(frames))
+
+
+def _snapped(places: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Places (N,) of keys, on those frames that are as good as the same."""
+    if len(places) == 0 or len(frames) == 0:
+        return places
+    nearest = frames[np.argmin(np.abs(places[:, None] - frames), axis=1)]
+    return np.where(np.abs(places - nearest) <= _SNAP, nearest, places)
 
 
 def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:

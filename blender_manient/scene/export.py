@@ -1,5 +1,8 @@
 """Writing hands to files of other programs: only their armatures and meshes, over a range of frames.
 
+What else hangs on a hand (rings, gloves, other objects) is never written: it is no part of the hand, and
+programs that take the skeleton over would deform it wrongly.
+
 Presets say what a program expects of a format beyond Blender's habits:
 
 * PLAIN: Blender's objects as they are.
@@ -32,7 +35,8 @@ from handfit_core.take import Take
 from .build import BuiltTake
 from .camera import frame_scene
 from .clean_rig import Rig, clean_rig
-from .own_scene import own_scene
+from .object_mode import object_mode
+from .own_scene import own_scene, shown_in_pose
 from .timing import set_timing
 
 
@@ -150,6 +154,24 @@ def export_hands(
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(PRESETS)}")
     # Only hands of scenes in metres are as they should be in the file without more ado.
     wanted = chosen.presets.get(preset, Preset(clean=not np.isclose(stage.metres_per_unit, 1.0)))
+    objects = [o for hand in hands for o in (hand.armature, hand.mesh)]
+    with contextlib.ExitStack() as stack:
+        if whole is None:  # a .blend keeps what is hidden
+            stack.enter_context(object_mode())
+            stack.enter_context(shown_in_pose(objects))
+        return _write_all(chosen, wanted, hands, stage, folder, name, whole)
+
+
+def _write_all(
+    chosen: Format,
+    wanted: Preset,
+    hands: tuple[Rig, ...],
+    stage: Stage,
+    folder: Path,
+    name: str,
+    whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
+) -> list[Path]:
+    """One file, or one for each hand."""
     if not chosen.per_hand:
         return [_write_one(chosen, wanted, hands, stage, folder / (name + chosen.suffix), whole)]
     files = []
@@ -268,7 +290,10 @@ def _own_settings_left_out() -> Iterator[None]:
             names.remove("manient")
 
 
-def _gltf(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
+def _gltf(path: Path, hands: tuple[Rig, ...], preset: Preset) -> None:
+    # The exporter takes all children of what is in the scene, wherever they are, unless they are unselected.
+    for obj in (o for hand in hands for o in (hand.armature, hand.mesh) if o is not None):
+        obj.select_set(True, view_layer=bpy.context.view_layer)
     # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
     render = _open_scene().render
     render.fps_base = 1.0 / render.fps_base
@@ -277,6 +302,7 @@ def _gltf(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
         "check_existing": False,
         "export_format": "GLB",
         "use_active_scene": True,
+        "use_selection": True,
         "export_cameras": False,
         "export_lights": False,
         "export_extras": True,

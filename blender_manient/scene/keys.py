@@ -4,6 +4,10 @@ Rotations are quaternions (w, x, y, z) relative to the bone's rest, locations me
 bone's own axes, just as `axes.bone_pose` makes them. Frames are scene frames. Bones that the artist
 switched to Euler angles or axis-angle are read and written in their own mode. Only the action (and slot)
 that the armature uses now is touched, or another one's channels where they are named as `holder`.
+
+An action that another object uses too is copied before anything is written to it. Where a bone is missing
+all of these raise HandModelError, and writers raise OptionError where a channel is locked; nothing has
+been changed then.
 """
 
 from __future__ import annotations
@@ -15,10 +19,12 @@ import bpy
 import numpy as np
 from mathutils import Euler, Quaternion
 
+from handfit_core.errors import OptionError
 from handfit_core.rotations import unflip_quats
 from handfit_core.skeleton import NUM_JOINTS, Side
 
 from .armature import bone_names
+from .editable import check_bones, is_tweaked
 
 SAME_FRAME = 0.01
 """Keys nearer than this are one key, as for Blender itself"""
@@ -65,7 +71,7 @@ def read_pose_keys(
 ) -> PoseKeys:
     """All keys of the hand's 16 bones from frame `first` to `last`, both included."""
     curves = _Curves(armature, holder)
-    names = bone_names(side)
+    names = _names(armature, side)
     own = [_frames_of(curves.rotation(name)) for name in names]
     placed = _frames_of(curves.location(names[0]))
     frames = _union([*own, placed])
@@ -85,7 +91,7 @@ def pose_at(
     curves = _Curves(armature, holder)
     frames = np.asarray(frames, dtype=np.float64)
     quats = np.empty((len(frames), NUM_JOINTS, 4))
-    names = bone_names(side)
+    names = _names(armature, side)
     for joint, name in enumerate(names):
         bone = armature.pose.bones[name]
         values = _values_at(curves.rotation(name), _present_rotation(bone), frames)
@@ -101,8 +107,12 @@ def write_pose_keys(armature: bpy.types.Object, side: Side, keys: PoseKeys, *, h
     it; a new one takes the interpolation of the key before it (the first: straight lines). An action and
     curves are made where they are missing. Quaternions get the sign that is nearest to the key before.
     """
+    names = _names(armature, side)
+    if holder is None:
+        own_action(armature)
+        chosen = [bool(keys.rotation_keyed[:, joint].any()) for joint in range(NUM_JOINTS)]
+        _check_unlocked(armature, names, chosen, bool(keys.location_keyed.any()))
     curves = _Curves(armature, holder, make=True)
-    names = bone_names(side)
     for joint, name in enumerate(names):
         chosen = keys.rotation_keyed[:, joint]
         if not chosen.any():
@@ -132,8 +142,10 @@ def remove_pose_keys(
 ) -> None:
     """Take away the rotation keys of `joints` (None: all 16), and the wrist's location keys, from frame
     `first` to `last`, both included."""
+    check_unlocked(armature, side, joints=joints, location=location)
+    own_action(armature)
     curves = _Curves(armature)
-    names = bone_names(side)
+    names = _names(armature, side)
     found = [c for j in (range(NUM_JOINTS) if joints is None else joints) for c in curves.rotation(names[j])]
     if location:
         found += curves.location(names[0])
@@ -152,8 +164,9 @@ def align_signs(armature: bpy.types.Object, side: Side) -> None:
 
     q and -q are the same rotation, so no pose changes.
     """
+    own_action(armature)
     curves = _Curves(armature)
-    for name in bone_names(side):
+    for name in _names(armature, side):
         parts = curves.rotation(name)
         if armature.pose.bones[name].rotation_mode != "QUATERNION" or any(c is None for c in parts):
             continue
@@ -182,7 +195,7 @@ def set_pose(
 
     Bones whose quaternion is NaN stay as they are.
     """
-    for name, quat in zip(bone_names(side), quats, strict=True):
+    for name, quat in zip(_names(armature, side), quats, strict=True):
         if np.isnan(quat).any():
             continue
         bone = armature.pose.bones[name]
@@ -194,7 +207,7 @@ def set_pose(
         else:
             bone.rotation_euler = Quaternion(quat).to_euler(bone.rotation_mode, bone.rotation_euler)
     if location is not None:
-        armature.pose.bones[bone_names(side)[0]].location = location
+        armature.pose.bones[_names(armature, side)[0]].location = location
 
 
 def keyed_bones(armature: bpy.types.Object, side: Side) -> np.ndarray:
@@ -203,15 +216,86 @@ def keyed_bones(armature: bpy.types.Object, side: Side) -> np.ndarray:
     return np.array(
         [
             any(c is not None and len(c.keyframe_points) for c in curves.rotation(name))
-            for name in bone_names(side)
+            for name in _names(armature, side)
         ]
     )
 
 
 def displayed_pose(armature: bpy.types.Object, side: Side) -> np.ndarray:
     """(16, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
-    bones = [armature.pose.bones[name] for name in bone_names(side)]
+    bones = [armature.pose.bones[name] for name in _names(armature, side)]
     return np.array([bone.matrix_basis.to_quaternion() for bone in bones])
+
+
+def check_unlocked(
+    armature: bpy.types.Object, side: Side, *, joints: list[int] | None = None, location: bool = True
+) -> None:
+    """Raises OptionError where a channel of these joints (None: all 16), or of the wrist's location, is
+    locked."""
+    chosen = [joints is None or j in joints for j in range(NUM_JOINTS)]
+    _check_unlocked(armature, _names(armature, side), chosen, location)
+
+
+def _check_unlocked(armature: bpy.types.Object, names: list[str], chosen: list[bool], location: bool) -> None:
+    curves = _Curves(armature)
+    asked = [(name, curves.rotation(name)) for name, on in zip(names, chosen, strict=True) if on]
+    if location:
+        asked.append((names[0], curves.location(names[0])))
+    for name, parts in asked:
+        for curve in parts:
+            if curve is not None and (curve.lock or (curve.group is not None and curve.group.lock)):
+                raise OptionError(
+                    f"the animation channels of the bone {name} of {armature.name!r} are locked: unlock "
+                    "them in the Dope Sheet or the Graph Editor"
+                )
+
+
+def own_action(armature: bpy.types.Object, *, nla: bool = False) -> None:
+    """Copy the armature's action where other objects use it too, or where it is linked from another file.
+
+    `nla` does the same with the actions of its NLA strips. Raises OptionError in the NLA's tweak mode, in
+    which Blender lets nobody exchange actions.
+    """
+    data = armature.animation_data
+    if data is None:
+        return
+    users: list[Any] = [data]
+    if nla:
+        users += [strip for track in data.nla_tracks for strip in track.strips]
+    copies: dict[bpy.types.Action, bpy.types.Action] = {}
+    for user in users:
+        action, slot = user.action, getattr(user, "action_slot", None)
+        if action is None or not (action.library is not None or _used_by_others(armature, action, slot)):
+            continue
+        if is_tweaked(armature):
+            raise OptionError(
+                f"the action {action.name!r} of {armature.name!r} is used by another object too: leave the "
+                "NLA's tweak mode first, so that this hand can get one of its own"
+            )
+        if action not in copies:
+            copies[action] = action.copy()
+        user.action = copies[action]
+        if slot is not None:
+            user.action_slot = next(s for s in user.action.slots if s.identifier == slot.identifier)
+
+
+def _used_by_others(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> bool:
+    if action.users - action.use_fake_user <= 1:
+        return False
+    for obj in bpy.data.objects:
+        data = obj.animation_data
+        if obj == armature or data is None:
+            continue
+        strips = [strip for track in data.nla_tracks for strip in track.strips]
+        if any(u.action == action and getattr(u, "action_slot", None) == slot for u in (data, *strips)):
+            return True
+    return False
+
+
+def _names(armature: bpy.types.Object, side: Side) -> list[str]:
+    """The names of the 16 bones. Raises HandModelError where one of them is missing."""
+    check_bones(armature, side)
+    return bone_names(side)
 
 
 def channels(action: bpy.types.Action, slot: Any = None, *, make: bool = False) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import bpy
 
@@ -26,3 +26,29 @@ def own_scene(name: str) -> Iterator[bpy.types.Scene]:
         window.scene = before
         bpy.data.scenes.remove(scene)
         before.frame_set(frame, subframe=subframe)
+
+
+@contextlib.contextmanager
+def shown_in_pose(objects: Iterable[bpy.types.Object | None]) -> Iterator[None]:
+    """Objects that the artist hid, and armatures left in Rest Position, are shown as they move meanwhile.
+
+    Blender evaluates nothing that is hidden: it would be read as it stood when it was hidden.
+    """
+    wanted: list[tuple[bpy.types.ID, str, object]] = []
+    for obj in objects:
+        if obj is None:
+            continue
+        wanted += [(obj, "hide_viewport", False), (obj, "hide_render", False)]
+        if obj.type == "ARMATURE":
+            wanted.append((obj.data, "pose_position", "POSE"))
+    changed = []
+    try:
+        for block, name, value in wanted:
+            before = getattr(block, name)
+            if before != value:
+                setattr(block, name, value)
+                changed.append((block, name, before))
+        yield
+    finally:
+        for block, name, before in changed:
+            setattr(block, name, before)

@@ -12,10 +12,8 @@ moved by the difference of the two shapes.
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -33,9 +31,11 @@ from .. import axes
 from ..correction_field import CorrectionField
 from . import correctives
 from .armature import bone_names, edit_mode, rest_frames
-from .corrections import corrections_of, keep_field
-from .keys import channels, pose_at, read_pose_keys, set_pose, write_pose_keys
+from .corrections import corrections_of, keep_turned
+from .editable import check_editable
+from .keys import channels, own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
 from .models import kept_model
+from .object_mode import object_mode
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
@@ -80,15 +80,12 @@ def reshape(armature: bpy.types.Object) -> None:
     """Give mesh and rig the shape of `armature.manient.betas`, now.
 
     Data shared with other objects (linked duplicates) is made this hand's own first. Mode, active object and
-    selection stay as they are. Raises HandModelError and OptionError, and then changes nothing.
+    selection stay as they are. Raises HandModelError, OptionError and TakeError, and then changes nothing.
     """
     hand = hand_of(armature)
     if hand is None:
         raise OptionError(f"{armature.name!r} is no captured hand, so it has no shape to change")
-    if armature.library is not None or not armature.is_editable:
-        raise OptionError(
-            f"{armature.name!r} is linked from another file and cannot be changed here; make it local first"
-        )
+    check_editable(armature)
     if armature.data.library is not None:
         raise OptionError(
             f"the bones of {armature.name!r} are linked from another file; make them local first"
@@ -100,21 +97,17 @@ def reshape(armature: bpy.types.Object) -> None:
             f"the mesh {mesh.name!r} has {len(mesh.data.vertices)} vertices, its hand model "
             f"{len(model.v_template)}; undo what changed them, or move the modifiers that you applied back"
         )
-    missing = [name for name in bone_names(hand.side) if name not in armature.data.bones]
-    if missing:
-        raise HandModelError(
-            f"the armature {armature.name!r} lacks the bone {missing[0]}; give its bones their names back"
-        )
+    field = corrections_of(armature)  # before anything is changed: they may not be readable
     before = model.shaped(np.array(armature[APPLIED]))
     betas = np.array(armature.manient.betas, dtype=np.float64)
     after = model.shaped(betas)
-    with _object_mode():
+    with object_mode():
         _own_data(armature, mesh)
         old_frames = rest_frames(armature, hand.side)
         _reshape_rig(armature, hand.side, after)
         if mesh is not None:
             _reshape_mesh(mesh, model, before, after, old_frames, rest_frames(armature, hand.side))
-    _turn_corrections(armature, old_frames, rest_frames(armature, hand.side))
+    _turn_corrections(armature, field, old_frames, rest_frames(armature, hand.side))
     armature[APPLIED] = [float(b) for b in betas]
     armature.update_tag()
     _troubles.pop(armature.session_uid, None)
@@ -209,8 +202,8 @@ class _Nothing:
 _NOTHING = _Nothing()
 
 
-def _holders(armature: bpy.types.Object) -> list[Any]:
-    """The channels of every action that moves this armature: the present one and those in its NLA."""
+def _used(armature: bpy.types.Object) -> list[tuple[Any, Any]]:
+    """Every (action, slot) that moves this armature: the present one and those in its NLA."""
     data = armature.animation_data
     if data is None:
         return []
@@ -220,27 +213,37 @@ def _holders(armature: bpy.types.Object) -> list[Any]:
         for track in data.nla_tracks
         for strip in track.strips
     ]
-    found, holders = set(), []
+    found: dict[Any, tuple[Any, Any]] = {}
     for action, slot in used:
-        key = (action, slot.handle if slot is not None else 0)
-        if action is None or key in found:
-            continue
-        found.add(key)
-        holder = channels(action, slot)
-        if holder is not None and action.is_editable:
-            holders.append(holder)
-    return holders
+        if action is not None and action.is_editable:
+            found[action, slot.handle if slot is not None else 0] = (action, slot)
+    return list(found.values())
 
 
-def _turn_corrections(armature: bpy.types.Object, old_frames: np.ndarray, frames: np.ndarray) -> None:
+def _holders(armature: bpy.types.Object) -> list[Any]:
+    """The channels of all these actions."""
+    holders = [channels(action, slot) for action, slot in _used(armature)]
+    return [holder for holder in holders if holder is not None]
+
+
+def _turn_corrections(
+    armature: bpy.types.Object, field: CorrectionField, old_frames: np.ndarray, frames: np.ndarray
+) -> None:
     """Corrections are kept about the bones' axes too; else they could not be taken out of the keys again."""
-    field = corrections_of(armature)
     turn = np.swapaxes(frames, -1, -2) @ old_frames
     turned = {
-        frame: replace(c, rotation=(turn @ c.rotation[..., None])[..., 0], location=turn[0] @ c.location)
+        frame: replace(
+            c,
+            rotation=(turn @ c.rotation[..., None])[..., 0],
+            location=turn[0] @ c.location,
+            start_rotation=(turn @ c.start_rotation[..., None])[..., 0],
+            start_location=turn[0] @ c.start_location,
+            pose=axes.turned_bones(old_frames, frames, c.pose) if np.any(c.pose) else c.pose,
+            place=np.zeros(3),  # measured from another wrist; the rotations tell enough
+        )
         for frame, c in field.corrections.items()
     }
-    keep_field(armature, CorrectionField(turned))
+    keep_turned(armature, CorrectionField(turned), _used(armature))
 
 
 def _place_bones(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> None:
@@ -264,44 +267,13 @@ def _place_bones(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> 
     bpy.data.objects.remove(editor)
 
 
-@contextlib.contextmanager
-def _object_mode() -> Iterator[None]:
-    """Leave edit, sculpt and paint modes, whose data would be written over ours; go back there afterwards."""
-    active = bpy.context.view_layer.objects.active
-    mode = active.mode if active is not None else "OBJECT"
-    if mode in ("OBJECT", "POSE"):
-        yield
-        return
-    bpy.ops.object.mode_set(mode="OBJECT")
-    try:
-        yield
-    finally:
-        bpy.ops.object.mode_set(mode=mode)
-
-
 def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:
     """Copies of what other objects use too, so that only this hand changes."""
+    own_action(armature, nla=True)
     if armature.data.users - armature.data.use_fake_user > 1:
         armature.data = armature.data.copy()
     if mesh is not None and (mesh.data.users - mesh.data.use_fake_user > 1 or mesh.data.library is not None):
         mesh.data = mesh.data.copy()
-    data = armature.animation_data
-    action = data.action if data else None
-    if action is None:
-        return
-    slot = getattr(data, "action_slot", None)
-    others = [
-        o
-        for o in bpy.data.objects
-        if o != armature
-        and o.animation_data is not None
-        and o.animation_data.action == action
-        and getattr(o.animation_data, "action_slot", None) == slot
-    ]
-    if others or action.library is not None:
-        data.action = action.copy()
-        if slot is not None:
-            data.action_slot = next(s for s in data.action.slots if s.identifier == slot.identifier)
 
 
 def _reshape_mesh(

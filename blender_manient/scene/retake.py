@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,16 +11,20 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from handfit_core.errors import TakeError
 from handfit_core.rotations import rotmat_to_quat
 from handfit_core.skeleton import NUM_JOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
 from .. import axes
 from .armature import bone_names, rest_frames
+from .corrections import corrections_of
+from .keys import read_pose_keys
 from .models import kept_model
-from .own_scene import own_scene
+from .object_mode import object_mode
+from .own_scene import own_scene, shown_in_pose
 from .sampling import rotations_of, sample
-from .store import CapturedHand, scene_frames
+from .store import CapturedHand, rows_at, scene_frames
 
 _CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
 """matrix_world of a capture camera that nobody moved"""
@@ -29,18 +34,20 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
     """The take of captured hands of one collection, with their present shape and motion.
 
     global_orient, hand_pose, transl, joints_3d and the errors are computed anew in the take's frames, from
-    what the rigs show there relative to the capture camera; detections stay. Hands that the artist deleted
-    are left out. Raises HandModelError and TakeError.
+    what the rigs show there relative to the capture camera; detections stay. Frames in which nothing was
+    detected but that have keys or a correction now count as filled. Hands that the artist deleted are left
+    out. Raises HandModelError.
     """
     take, collection = hands[0].take, hands[0].collection
     scene = bpy.context.scene
     assert scene is not None
     metres = scene.unit_settings.scale_length
     frames = scene_frames(collection, take)
-    with own_scene("take") as open_scene:
+    camera = hands[0].camera
+    shown = shown_in_pose([*(hand.armature for hand in hands), camera])
+    with object_mode(), own_scene("take") as open_scene, shown:
         for hand in hands:
             open_scene.collection.objects.link(hand.armature)
-        camera = hands[0].camera
         if camera is not None:
             open_scene.collection.objects.link(camera)
         tracks = tuple(_track(hand, frames, metres) for hand in sorted(hands, key=lambda h: h.index))
@@ -52,7 +59,8 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
     model = kept_model(hand.take.model, hand.side)
     betas = np.array(hand.armature.manient.betas, dtype=np.float64)
     shaped = model.shaped(betas)
-    present = np.asarray(hand.track.present, dtype=bool)
+    posed = _posed_rows(hand)
+    present = hand.track.present | posed
     quats, locations = _bones(hand, frames[present], metres)
     bones = rest_frames(hand.armature, hand.side)
     orient, pose, transl = axes.pose_from_bones(shaped, bones, quats, locations)
@@ -70,7 +78,19 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
         transl=_spread(transl, present),
         joints_3d=joints_3d,
         reprojection_error=np.where(detected, errors.mean(axis=-1), np.nan),
+        filled=present & ~detected if (posed & ~track.present).any() else track.filled,
     )
+
+
+def _posed_rows(hand: CapturedHand) -> np.ndarray:
+    """(T,) bool: the take's rows that have keys or a correction."""
+    keyed = read_pose_keys(hand.armature, hand.side).frames
+    rows = rows_at(hand.collection, hand.take, keyed)
+    posed = np.zeros(len(hand.take.frame_numbers), dtype=bool)
+    posed[rows[rows >= 0]] = True
+    with contextlib.suppress(TakeError):  # corrections that cannot be read
+        posed |= np.isin(hand.take.frame_numbers, list(corrections_of(hand.armature).corrections))
+    return posed
 
 
 def _bones(hand: CapturedHand, frames: np.ndarray, metres: float) -> tuple[np.ndarray, np.ndarray]:

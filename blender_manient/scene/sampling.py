@@ -39,7 +39,8 @@ class Sampled:
 def sample(armature: bpy.types.Object, frames: Iterable[float]) -> Sampled:
     """Step the open scene, which must contain the armature, through the frames and read all bones.
 
-    Leaves the scene on the last of them.
+    Leaves the scene on the last of them. What is hidden or in Rest Position is read as such: see
+    `own_scene.shown_in_pose`.
     """
     scene = bpy.context.scene
     assert scene is not None

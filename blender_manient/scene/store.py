@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import hashlib
 from collections import OrderedDict
 from collections.abc import Generator
@@ -17,10 +18,12 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from handfit_core.errors import TakeError
+from handfit_core.errors import HandModelError, TakeError
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 
+from ..slices import result_of
+from .models import kept_model
 from .timing import Timing
 
 _CACHED = 8
@@ -75,12 +78,7 @@ def packing_take(take: Take, data: bytes | None = None) -> Generator[None, None,
 
 def pack_take(take: Take, data: bytes | None = None) -> PackedTake:
     """`packing_take` at once."""
-    steps = packing_take(take, data)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
+    return result_of(packing_take(take, data))
 
 
 def keep_take(collection: bpy.types.Collection, take: Take, data: bytes | None = None) -> None:
@@ -143,16 +141,37 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
     index, side = armature.manient.track, armature.manient.side
     if not 0 <= index < len(take.hands) or take.hands[index].side != side:
         return None
+    camera = collection.manient.camera
     return CapturedHand(
         armature,
-        next((o for o in armature.children if o.type == "MESH"), None),
-        collection.manient.camera,
+        _mesh_of(armature, take, side),
+        camera if camera is not None and camera.users_collection else None,  # deleted ones live on
         collection,
         take,
         take.hands[index],
         index,
         take.hands[index].side,
     )
+
+
+def hung_on(hand: CapturedHand) -> list[bpy.types.Object]:
+    """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own."""
+    armature = hand.armature
+    others = [o for o in bpy.data.objects if o.parent == armature or _moved_by(o, armature)]
+    return sorted((o for o in others if o != hand.mesh and o.users_collection), key=lambda o: o.name)
+
+
+def rows_at(collection: bpy.types.Collection, take: Take, frames: np.ndarray) -> np.ndarray:
+    """(N,) the take's rows that scene frames (N,) show; -1 for those that lie between rows."""
+    timing = timing_of(collection)
+    numbers = np.asarray(take.frame_numbers, dtype=np.float64)
+    wanted = timing.source_frames(frames)
+    after = np.clip(np.searchsorted(numbers, wanted), 0, len(numbers) - 1)
+    before = np.maximum(after - 1, 0)
+    rows = np.where(np.abs(numbers[before] - wanted) < np.abs(numbers[after] - wanted), before, after)
+    # Retimed, a scene frame may lie between two rows that both are near.
+    near = 0.5 * max(1.0, 1.0 / (abs(timing.scale) or 1.0)) + 1e-3
+    return np.where(np.abs(numbers[rows] - wanted) <= near, rows, -1)
 
 
 def timing_of(collection: bpy.types.Collection) -> Timing:
@@ -183,13 +202,14 @@ def describe_capture(
 def describe_hand(
     armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int
 ) -> None:
-    """Note on an armature which hand of which take it is."""
+    """Note on an armature, whose mesh is there already, which hand of which take it is."""
     if kept_here():
         hand = armature.manient
         # The shape first: as long as this is no captured hand, its change rebuilds nothing.
         hand.betas = [float(b) for b in take.hands[index].betas]
         hand.side = take.hands[index].side
         hand.capture = collection
+        hand.mesh = next(iter(_deformed_by(armature)), None)
         hand.track = index
         hand.is_hand = True
 
@@ -201,6 +221,32 @@ def _armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
         if candidate is not None and candidate.type == "ARMATURE" and candidate.manient.is_hand:
             return candidate
     return None
+
+
+def _mesh_of(armature: bpy.types.Object, take: Take, side: Side) -> bpy.types.Object | None:
+    """The hand's own mesh, which the artist may have deleted, among all that may hang on the armature."""
+    marked = armature.manient.mesh
+    # A copy of the armature alone still names the original's mesh, and a mesh that was deleted in the
+    # viewport lives on as long as something names it.
+    own = marked is not None and (marked.parent == armature or _moved_by(marked, armature))
+    if marked is not None and own and marked.users_collection:
+        return marked
+    found = [o for o in _deformed_by(armature) if o.users_collection]
+    if marked is None and len(found) == 1:  # built before meshes were marked
+        return found[0]
+    if found:  # a copy of the hand's mesh, or only a glove over it
+        with contextlib.suppress(HandModelError):
+            count = len(kept_model(take.model, side).v_template)
+            return next((o for o in found if len(o.data.vertices) == count), None)
+    return None
+
+
+def _deformed_by(armature: bpy.types.Object) -> list[bpy.types.Object]:
+    return [o for o in armature.children if o.type == "MESH" and _moved_by(o, armature)]
+
+
+def _moved_by(obj: bpy.types.Object, armature: bpy.types.Object) -> bool:
+    return any(m.type == "ARMATURE" and m.object == armature for m in obj.modifiers)
 
 
 def _decoded(collection: bpy.types.Collection, digest: str) -> Take | TakeError:

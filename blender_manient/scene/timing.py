@@ -22,6 +22,10 @@ class Timing:
         """(T,) source frame numbers -> (T,) scene frames, which may lie between whole ones."""
         return self.offset + self.scale * np.asarray(frame_numbers, dtype=np.float64)
 
+    def source_frames(self, frames: np.ndarray) -> np.ndarray:
+        """(N,) scene frames -> (N,) source frame numbers, whole or not: the inverse of `scene_frames`."""
+        return (np.asarray(frames, dtype=np.float64) - self.offset) / (self.scale or 1.0)
+
 
 def frame_rate(scene: bpy.types.Scene) -> float:
     """The scene's frames per second."""

@@ -239,7 +239,10 @@ class Worker:
                 raise ValueError(f"request {job} does not exist, or was answered before")
             if deadline is not None and time.monotonic() > deadline:
                 assert timeout is not None
-                self._give_up(f"the {kind} took longer than {timeout:g} seconds and was stopped")
+                self._give_up(
+                    f"the {kind} took longer than {timeout:g} seconds and was stopped; allow it more time, "
+                    "or give it fewer frames"
+                )
             elif self._child is not None:
                 self._child.wait_for_news(0.05)
 

@@ -20,7 +20,8 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
-_LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
+LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
+"""The calibration: landmark offsets, and the pose prior that belongs to them"""
 
 
 def anatomical_axes(model: HandModel) -> np.ndarray:
@@ -80,7 +81,7 @@ def relaxed_pose(model: HandModel) -> np.ndarray:
     The numbers come with the landmarks' calibration (data/landmarks.npz, pose_mean: five fingers in
     the order of `FINGERS`, three joints each of twist, spread, bend, for the right hand).
     """
-    with np.load(_LANDMARKS_FILE, allow_pickle=False) as arrays:
+    with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
         by_finger = np.asarray(arrays["pose_mean"], dtype=np.float64).reshape(len(FINGERS), 3, 3)
     angles = np.empty((15, 3))
     for finger, rows in zip(FINGERS, by_finger, strict=True):

@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from handfit_core.hand_model.anatomy import anatomical_axes
+from handfit_core.hand_model.anatomy import LANDMARKS_FILE, anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_KEYPOINTS
 
-FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
+FILE: Final = LANDMARKS_FILE
 """Landmark offsets and the pose prior that belongs to them"""
 
 LANDMARK_BONES: Final = (0, *(FINGER_JOINTS[f][min(k, 2)] for f in FINGERS for k in range(4)))

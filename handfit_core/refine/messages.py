@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import fields
@@ -15,9 +16,10 @@ from handfit_core.hand_model import OPEN_HAND
 from handfit_core.keypoints import HandDetection
 from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.recent import Recent
-from handfit_core.refine.refit import ShouldStop, refit_each, refit_range
+from handfit_core.refine.refit import refit_each, refit_range
 from handfit_core.skeleton import NUM_KEYPOINTS, other_side
 from handfit_core.solvers import DEFAULT_SMOOTHING
+from handfit_core.solvers.result import ShouldStop
 from handfit_core.worker.protocol import pack, unpack
 
 MODES = ("each", "range")
@@ -100,7 +102,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
         model=_text(message, "model", OPEN_HAND),
         fps=_number(message, "fps", 25.0),
         smoothing=_number(message, "smoothing", DEFAULT_SMOOTHING),
-        holes=tuple(int(row) for row in _numbers(message, "holes")) if "holes" in message else (),
+        holes=_rows(message, "holes"),
     )
 
 
@@ -124,6 +126,8 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
         _RECENT.keep(hand, result)
     else:
         result = refit_range(hand, should_stop)
+    if should_stop():
+        raise Cancelled("re-fitting was stopped; nothing was changed")
     packed = {f.name: pack(getattr(result, f.name).astype(np.float32)) for f in fields(RefineResult)}
     return {"result": packed, "seconds": time.perf_counter() - begin}
 
@@ -149,23 +153,43 @@ def _numbers(message: Mapping[str, Any], name: str, count: int | None = None) ->
     values = message.get(name)
     numbers = isinstance(values, list) and all(_is_number(v) for v in values)
     if not isinstance(values, list) or not numbers or (count is not None and len(values) != count):
-        raise ProtocolError(f"refit: {name} must be a list of {count or ''} numbers, not {values!r}")
+        expected = "numbers" if count is None else f"{count} numbers"
+        raise ProtocolError(f"refit: {name} must be a list of {expected}, not {_shortly(values)}")
     return values
+
+
+def _rows(message: Mapping[str, Any], name: str) -> tuple[int, ...]:
+    """Optional whole numbers."""
+    values = _numbers(message, name) if name in message else []
+    if any(v != int(v) for v in values):
+        raise ProtocolError(f"refit: {name} must be whole numbers, not {_shortly(values)}")
+    return tuple(int(v) for v in values)
 
 
 def _number(message: Mapping[str, Any], name: str, default: float) -> float:
     value = message.get(name, default)
     if not _is_number(value):
-        raise ProtocolError(f"refit: {name} must be a number, not {value!r}")
+        raise ProtocolError(f"refit: {name} must be a number, not {_shortly(value)}")
     return float(value)
 
 
 def _text(message: Mapping[str, Any], name: str, default: str) -> str:
     value = message.get(name)
     if value is not None and not isinstance(value, str):
-        raise ProtocolError(f"refit: {name} must be a text, not {value!r}")
+        raise ProtocolError(f"refit: {name} must be a text, not {_shortly(value)}")
     return value or default
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    """Whether it is one that a float can hold; JSON's whole numbers have no limit."""
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def _shortly(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}..."

@@ -5,6 +5,9 @@ pin lies from where the point was: so a dragged fingertip takes its finger along
 does, while the other fingers stay. A knuckle turns the palm about the wrist and takes all fingers along,
 the wrist takes the palm along. A pin that lies where the point is already changes nothing.
 
+A picture hardly tells how far away a hand is: a pin that a finger cannot reach would draw the whole hand
+nearer. So the wrist's distance is kept, the less firmly the farther a pin moves the palm itself.
+
 Pins come after the landmark network (`observe.landmarked`), which knows detectors and not artists.
 """
 
@@ -33,16 +36,24 @@ WRIST_SHARE: Final = 0.5
 """of the wrist's displacement: how much all other points doubt theirs"""
 FORGET: Final = 0.05
 """of the hand's size: displaced by so much, a finger's points are half the pose's and half the detector's"""
+DISTANCE_SIGMA: Final = 0.002
+"""of the wrist's distance: how firmly it is kept"""
+PALM_DISTANCE: Final = 0.5
+"""of a palm pin's displacement, in parts of the hand's size: what it adds to that"""
+ANGLE_SIGMA: Final = 8.0
+"""radians: how firmly angles of a finger in doubt are kept, per hand's size of its doubt"""
+LEAST_ANGLE_SIGMA: Final = 0.002
 REACH: Final = 0.25
 """seconds: frames up to so far from a pin doubt their own landmarks too, the farther the less"""
 
 _FINGERS: Final = np.arange(1, NUM_KEYPOINTS).reshape(5, 4)
+_PALM: Final = [0, *_FINGERS[:, 0]]
 
 
 def kept(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
     """A pose's landmarks (N, 21, 3), metres, camera frame, as if a detector had seen them."""
     pixels = intrinsics.project(points)
-    size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)[:, None]
+    size = sizes(pixels)[:, None]
     ray = points.mean(axis=1)
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
     along = np.einsum("nkc,nc->nk", points, ray / distance)
@@ -69,6 +80,28 @@ def followed(displaced: np.ndarray) -> np.ndarray:
     knuckles = displaced[:, _FINGERS[:, 0]].max(axis=1, keepdims=True)
     doubt[:, 1:] = np.maximum(doubt[:, 1:], knuckles)
     return np.maximum(doubt, WRIST_SHARE * displaced[:, :1])
+
+
+def sizes(pixels: np.ndarray) -> np.ndarray:
+    """(N, 21, 2) -> (N,) a hand's size in the picture, pixels."""
+    return np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)
+
+
+def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(N, 21) displacements of pinned points, (N,) pixels -> (N,) how firmly the wrist's distance is
+    kept, as a part of it."""
+    return np.hypot(DISTANCE_SIGMA, PALM_DISTANCE * displaced[:, _PALM].max(axis=1) / size)
+
+
+def angle_sigma(doubt: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(N, 21) `followed`, (N,) pixels -> (N, 5) radians, how firmly the fingers' angles are kept."""
+    of_finger = doubt[:, _FINGERS].max(axis=2)
+    return np.maximum(ANGLE_SIGMA * of_finger / size[:, None], LEAST_ANGLE_SIGMA)
+
+
+def untouched(doubt: np.ndarray) -> np.ndarray:
+    """(N, 21) `followed` -> (N, 5) bool: fingers that no pin moves."""
+    return np.asarray(doubt[:, _FINGERS].max(axis=2) == 0.0)
 
 
 def over_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
@@ -103,7 +136,7 @@ def pinned(
 
 
 def _forgetting(seen: Landmarked, detected: Landmarked, doubt: np.ndarray) -> Landmarked:
-    size = np.maximum(np.ptp(seen.pixels, axis=1).max(axis=1), 1.0)[:, None]
+    size = sizes(seen.pixels)[:, None]
     share = np.square(doubt) / (np.square(doubt) + np.square(FORGET * size))
 
     def between(name: str) -> np.ndarray:

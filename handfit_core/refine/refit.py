@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from handfit_core.camera import Intrinsics
@@ -14,23 +12,17 @@ from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points
 from handfit_core.refine.models import hand_model
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
-
-ShouldStop = Callable[[], bool]
-"""Asked now and then; True ends the work"""
-
-
-def never() -> bool:
-    """Nobody stops."""
-    return False
+from handfit_core.solvers.result import ShouldStop, never
 
 
 def refit_each(hand: RefineHand, guess: RefineResult | None = None) -> RefineResult:
     """Every frame by itself, with the shape as it is.
 
     A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
-    as it is. A frame without one is fitted to its detection and pins; without a detection too it stays
-    empty. `guess`, an earlier result for the same hand, is where the solver begins: it saves time and changes
-    nothing that can be seen.
+    as it is, and with pins the joints of fingers that none of them moves do. A frame without a pose is
+    fitted to its detection and pins; without a detection too it stays empty. `guess`, an earlier result for
+    the same hand, is where the solver begins too, beside the frame's own pose: it counts where it leads
+    to a clearly better place.
 
     Raises HandModelError.
     """

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from typing import Final
 
 import numpy as np
 import torch
@@ -13,18 +14,29 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.refine import pins as pinning
 from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points
-from handfit_core.refine.refit import ShouldStop
 from handfit_core.residuals.reprojection import NEAREST
-from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, NUM_KEYPOINTS
+from handfit_core.solvers.fast.angles import angles_of
 from handfit_core.solvers.fast.chain import State, joined
 from handfit_core.solvers.fast.fit import CHUNK, TRUST, FastFitter, fitter_of, over_time
 from handfit_core.solvers.fast.gaps import jumps, missing_between
 from handfit_core.solvers.fast.holding import Held
+from handfit_core.solvers.fast.keeping import Kept
+from handfit_core.solvers.fast.observation import Observation
 from handfit_core.solvers.fast.observe import Landmarked, landmarked
+from handfit_core.solvers.result import ShouldStop
 from handfit_core.torch_threads import one_thread
 
-LOOSE: float = 4.0
+LOOSE: Final = 4.0
 """times the expected errors of a pose's points, where they stand in for a detection among others"""
+MAX_ITERATIONS: Final = 30
+"""More than captures take. Where they are too few, a drag's result does still not depend on the way there:
+from the frame's own pose the steps are the same every time."""
+CHEAPER: Final = 0.9
+"""of the cost from the frame's own pose: where the guess leads to less, its result counts"""
+
+_JOINTS: Final = np.array([FINGER_JOINTS[f] for f in FINGERS])
+"""(5, 3) MANO's joints, finger by finger"""
 
 
 def load() -> None:
@@ -36,29 +48,45 @@ def each(hand: RefineHand, model: HandModel, guess: RefineResult | None) -> dict
     """Poses (T rows) of all frames, each by itself."""
     pose = {name: np.array(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
-    for rows in pose.values():
-        rows[~posed] = np.nan
+    for values in pose.values():
+        values[~posed] = np.nan
     rows = np.flatnonzero(np.where(posed, hand.pinned.any(axis=1), hand.detected))
     if not len(rows):
         return pose
     detected = _detected(hand, rows)
     keep = pinning.kept(points[rows], hand.intrinsics)
     seen = _first_or_second(posed[rows], keep, detected)
-    pins = hand.pins[rows]
-    doubt = pinning.followed(pinning.displacement(pins, seen.pixels))
+    pins, size = hand.pins[rows], pinning.sizes(seen.pixels)
+    displaced = pinning.displacement(pins, seen.pixels)
+    doubt = pinning.followed(displaced)
     seen = pinning.pinned(seen, pins, doubt, detected)
+    held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
+    held[rows, 1:] |= posed[rows, None] & _of_joints(pinning.untouched(doubt))
+    # A frame without a pose has nothing to keep.
+    far = np.where(posed[rows], pinning.distance_sigma(displaced, size), np.inf)
+    turned = np.where(posed[rows, None], pinning.angle_sigma(doubt, size), np.inf)
     fitter = fitter_of(model, torch.float32)
-    begin = _Begin.of(hand, model, posed, points, guess)
     with one_thread(), torch.inference_mode():
         for at, part in _chunks(rows):
-            state = _solved(fitter, hand, _rows(seen, part), begin, posed, at)
+            observed = _rows(seen, part).observation(hand.intrinsics, fitter.dtype)
+            own = _start(fitter, hand, hand, posed[at], observed, at)
+            kept = Kept(own.wrist, own.wrist.new_tensor(far[part]), angles_of(own.local).flatten(2),
+                        own.wrist.new_tensor(turned[part]))  # fmt: skip
+            starts = [own]
+            if guess is not None:
+                there = guess.present[at]
+                near = _start(fitter, hand, guess, there, observed, at)
+                starts.append(near.where(torch.tensor(there), own))
+            observed = replace(observed, kept=kept)
+            state = _cheapest(fitter, observed, starts, _held(held[at], own), MAX_ITERATIONS)
             for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
                 pose[name][at] = values
-    return _with_locked(hand, posed, pose)
+    return _with_held(hand, held, pose)
 
 
 def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, over time."""
+    """Poses (T rows) of all frames, over time. Those with pins are found twice: without them, which tells how
+    far away the wrist is, and with them."""
     pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
     posed, points = _posed(hand, model)
     rows = np.flatnonzero(hand.detected | (posed & hand.pinned.any(axis=1)))
@@ -68,36 +96,76 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     seen = _first_or_second(hand.detected[rows], _detected(hand, rows), _loosely(keep))
     # Before the pins, of which one may lie far away.
     cuts = jumps(seen.pixels) | missing_between(rows, hand.holes)
-    pins = hand.pins[rows]
-    displaced = pinning.over_time(pinning.displacement(pins, seen.pixels), rows, hand.fps)
-    seen = pinning.pinned(seen, pins, pinning.followed(displaced))
+    locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model, torch.float64)
-    begin = _Begin.of(hand, model, posed, points)
     with one_thread(), torch.inference_mode():
+        everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
+
+        def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
+            return over_time(
+                fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
+                lambda: _check(should_stop),
+            )  # fmt: skip
+
+        observed = seen.observation(hand.intrinsics, fitter.dtype)
         states = []
         for at, part in _chunks(rows):
             _check(should_stop)
-            states.append(_solved(fitter, hand, _rows(seen, part), begin, posed, at))
-        observed = seen.observation(hand.intrinsics, fitter.dtype)
-        held = _held(fitter, hand, posed, np.arange(len(hand)))
-        frames, state = over_time(
-            fitter, observed, joined(states), rows, cuts, hand.smoothing, hand.fps, held,
-            lambda: _check(should_stop),
-        )  # fmt: skip
+            here = observed.select(torch.tensor(part))
+            own = _start(fitter, hand, hand, posed[at], here, at)
+            states.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
+        alone = joined(states)
+        frames, state = smoothly(observed, alone)
+        if hand.pinned[rows].any():
+            plain = state.select(torch.tensor(np.searchsorted(frames, rows)))
+            observed, touched = _corrected(hand, seen, rows, plain)
+            corrected = [alone]
+            for part, _ in _chunks(touched):
+                _check(should_stop)
+                at = torch.tensor(part)
+                held = None if everywhere is None else everywhere.select(torch.tensor(rows[part]))
+                start = [plain.select(at)]
+                corrected.append(_cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS))
+            latest = np.arange(len(rows))
+            latest[touched] = len(rows) + np.arange(len(touched))
+            frames, state = smoothly(observed, joined(corrected).select(torch.tensor(latest)))
     for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
         pose[name][frames] = values
-    return _with_locked(hand, posed, pose)
+    return _with_held(hand, locked, pose)
 
 
-def _with_locked(hand: RefineHand, posed: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The solver's poses with the locked joints as they came, to the last bit."""
-    wrist = np.repeat(np.asarray(hand.locked[:1], dtype=bool), 3)
-    fingers = np.repeat(np.asarray(hand.locked[1:], dtype=bool), 3)
-    held = {"global_orient": wrist, "hand_pose": fingers, "transl": wrist}
+def _corrected(
+    hand: RefineHand, seen: Landmarked, rows: np.ndarray, plain: State
+) -> tuple[Observation, np.ndarray]:
+    """What is seen of those frames with their pins, and which of them that touches. Distances are kept as
+    they are without pins, in `plain`."""
+    pins, size = hand.pins[rows], pinning.sizes(seen.pixels)
+    displaced = pinning.over_time(pinning.displacement(pins, seen.pixels), rows, hand.fps)
+    doubt = pinning.followed(displaced)
+    touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1)
+    far = np.where(touched, pinning.distance_sigma(displaced, size), np.inf)
+    observed = pinning.pinned(seen, pins, doubt).observation(hand.intrinsics, plain.wrist.dtype)
+    angles = angles_of(plain.local).flatten(2)
+    anywhere = torch.full_like(angles[..., 0], torch.inf)
+    kept = Kept(plain.wrist, plain.wrist.new_tensor(far), angles, anywhere)
+    return replace(observed, kept=kept), np.flatnonzero(touched)
+
+
+def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The solver's poses with the joints that are held, (T, 16) bool, as they came, to the last bit."""
+    wrist, fingers = held[:, :1].repeat(3, axis=1), held[:, 1:].repeat(3, axis=1)
+    parts = {"global_orient": wrist, "hand_pose": fingers, "transl": wrist}
     return {
-        name: np.where(posed[:, None] & np.isfinite(rows) & held[name], getattr(hand, name), rows)
+        name: np.where(np.isfinite(rows) & parts[name], getattr(hand, name), rows)
         for name, rows in pose.items()
     }
+
+
+def _of_joints(fingers: np.ndarray) -> np.ndarray:
+    """(N, 5) of fingers -> (N, 15) of their joints, in MANO's order."""
+    joints = np.zeros((len(fingers), NUM_JOINTS), dtype=fingers.dtype)
+    joints[:, _JOINTS] = fingers[..., None]
+    return joints[:, 1:]
 
 
 def _check(should_stop: ShouldStop) -> None:
@@ -156,78 +224,67 @@ def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield rows[part], part
 
 
-@dataclass(frozen=True, eq=False)
-class _Begin:
-    """Where the solver begins in T frames."""
-
-    known: np.ndarray
-    """(T,) bool"""
-    pose: dict[str, np.ndarray]
-    """START_ARRAYS, of T rows"""
-    points: np.ndarray
-    """(T, 21, 3) landmarks of those poses, metres"""
-
-    @classmethod
-    def of(
-        cls,
-        hand: RefineHand,
-        model: HandModel,
-        posed: np.ndarray,
-        points: np.ndarray,
-        guess: RefineResult | None = None,
-    ) -> _Begin:
-        """From the frames' poses, or from a guess where there is one."""
-        pose = {name: np.asarray(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
-        if guess is None:
-            return cls(posed, pose, points)
-        near = guess.present
-        pose = {name: np.where(near[:, None], getattr(guess, name), pose[name]) for name in START_ARRAYS}
-        points = points.copy()
-        points[near] = landmark_points(model, hand.betas, *(pose[name][near] for name in START_ARRAYS))
-        return cls(posed | near, pose, points)
-
-
-def _solved(
+def _poses(
     fitter: FastFitter,
     hand: RefineHand,
-    seen: Landmarked,
-    begin: _Begin,
-    posed: np.ndarray,
-    rows: np.ndarray,
-) -> State:
-    """Those frames, each by itself; locked joints are held where `posed` (T,) says so."""
-    observed = seen.observation(hand.intrinsics, fitter.dtype)
-    ray = observed.ray.double().numpy()
-    along = np.einsum("nkc,nc->nk", begin.points[rows], ray).mean(axis=1, keepdims=True)
-    known = begin.known[rows]
-    start = _pose_state(fitter, hand, begin.pose, known, along, rows)
-    if not known.all():
-        betas = torch.tensor(hand.betas, dtype=fitter.dtype)
-        start = start.where(torch.tensor(known), fitter.start(observed, betas))
-    held = _held(fitter, hand, posed[rows], rows)
-    start = start if held is None else held.put(start)
-    return fitter.solve_each(observed, start, shape=False, held=held).state
-
-
-def _pose_state(
-    fitter: FastFitter,
-    hand: RefineHand,
-    pose: dict[str, np.ndarray],
+    source: RefineHand | RefineResult,
     known: np.ndarray,
-    offsets: np.ndarray,
     rows: np.ndarray,
 ) -> State:
-    """Those frames' poses, of the others a flat hand; `known` and `offsets` are theirs."""
-    orient, fingers, place = (np.where(known[:, None], pose[name][rows], 0.0) for name in START_ARRAYS)
+    """Those frames' poses as `source` has them; where they are not `known`, a flat hand at the camera."""
+    orient, fingers, place = (
+        np.where(known[:, None], np.asarray(getattr(source, name), dtype=np.float64)[rows], 0.0)
+        for name in START_ARRAYS
+    )
     betas = np.broadcast_to(np.asarray(hand.betas, dtype=np.float64), (len(rows), len(hand.betas)))
-    return fitter.chain.state(betas, orient, fingers, place, offsets)
+    return fitter.chain.state(betas, orient, fingers, place, np.zeros((len(rows), 1)))
 
 
-def _held(fitter: FastFitter, hand: RefineHand, posed: np.ndarray, rows: np.ndarray) -> Held | None:
-    """Locked joints of those frames; `posed` is theirs."""
-    locked = np.asarray(hand.locked, dtype=bool)
-    if not locked.any():
-        return None
-    joints = posed[:, None] & locked
-    pose = {name: np.asarray(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
-    return Held(joints, _pose_state(fitter, hand, pose, posed, np.zeros((len(rows), 1)), rows))
+def _start(
+    fitter: FastFitter,
+    hand: RefineHand,
+    source: RefineHand | RefineResult,
+    known: np.ndarray,
+    observed: Observation,
+    rows: np.ndarray,
+) -> State:
+    """Where the solver begins: those poses with the depth's zero, and a relaxed hand where none is known."""
+    state = _poses(fitter, hand, source, known, rows)
+    along = (fitter.chain.pose(state).points * observed.ray[:, None]).sum(dim=2).mean(dim=1, keepdim=True)
+    state = replace(state, offsets=along)
+    if known.all():
+        return state
+    betas = torch.tensor(hand.betas, dtype=fitter.dtype)
+    return state.where(torch.tensor(known), fitter.start(observed, betas))
+
+
+def _cheapest(
+    fitter: FastFitter,
+    observed: Observation,
+    starts: Sequence[State],
+    held: Held | None,
+    max_iterations: int | None = None,
+) -> State:
+    """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
+    difference, from the first. `max_iterations`: None for those of captures."""
+    count = len(observed)
+    index = torch.arange(count).repeat(len(starts))
+    held = held if held is None or len(starts) == 1 else held.select(index)
+    start = joined(starts)
+    solution = fitter.solve_each(
+        observed if len(starts) == 1 else observed.select(index),
+        start if held is None else held.put(start),
+        shape=False,
+        held=held,
+        max_iterations=max_iterations,
+    )
+    if len(starts) == 1:
+        return solution.state
+    cost = torch.nan_to_num(solution.cost, nan=torch.inf).view(len(starts), count)
+    cost[0] *= CHEAPER
+    return solution.state.select(cost.argmin(dim=0) * count + torch.arange(count))
+
+
+def _held(joints: np.ndarray, state: State) -> Held | None:
+    """Joints (B, 16) of B hands that stay as they are in `state`."""
+    return Held(joints, state) if joints.any() else None

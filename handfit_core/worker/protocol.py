@@ -43,12 +43,17 @@ def encode(message: Mapping[str, Any]) -> bytes:
 def decode(line: bytes) -> dict[str, Any]:
     """One line -> its message. Raises ProtocolError for anything but one JSON object."""
     try:
-        message = json.loads(line.decode("utf-8"))
+        message = json.loads(line.decode("utf-8"), parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         raise ProtocolError(f"a line that is not JSON came: {_beginning(line)}") from error
     if not isinstance(message, dict):
         raise ProtocolError(f"a message must be one JSON object a line; got {_beginning(line)}")
     return message
+
+
+def _no_number(name: str) -> None:
+    """Python reads NaN and Infinity where JSON has none."""
+    raise ValueError(name)
 
 
 def _beginning(line: bytes) -> str:

@@ -30,6 +30,9 @@ PROGRESS_EVERY: Final = 0.05
 GRACE: Final = 1.0
 """seconds that the work gets, once nobody listens any more, to take its temporary files away"""
 
+LONGEST_LINE: Final = 1 << 28
+"""bytes of a request; a range of an hour needs about half of it"""
+
 THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -38,7 +41,6 @@ THREAD_VARIABLES: Final = (
 )
 """What torch, SciPy and OpenCV look at when they load"""
 
-ShouldStop = Callable[[], bool]
 OnProgress = Callable[[str, int, int], None]
 
 
@@ -102,15 +104,29 @@ class Server:
 
     def _read(self, leave: Callable[[], None] | None) -> None:
         try:
-            for line in self._requests:
-                if line.strip() and not self._receive(line):
+            while line := self._requests.readline(LONGEST_LINE):
+                if len(line) == LONGEST_LINE and not line.endswith(b"\n"):
+                    del line
+                    self._skip_line()
+                elif line.strip() and not self._receive(line):
                     break
         except (OSError, ValueError, _Ended):  # the pipe broke
             pass
-        self._ending.set()
-        self._waiting.put(None)
-        if not self._finished.wait(GRACE) and leave is not None:
-            leave()
+        except Exception:  # a defect, or no memory: the client finds what it was in our last words
+            traceback.print_exc()
+        finally:
+            # Nobody reads any more: whatever it was, the worker must not stay.
+            self._ending.set()
+            self._waiting.put(None)
+            if not self._finished.wait(GRACE) and leave is not None:
+                leave()
+
+    def _skip_line(self) -> None:
+        """Read on to the end of a line that is too long, and say so."""
+        while (rest := self._requests.readline(1 << 20)) and not rest.endswith(b"\n"):
+            pass
+        message = f"a line of more than {LONGEST_LINE} bytes came; send fewer frames at a time"
+        self._send(event="error", id=None, type=ProtocolError.__name__, message=message, details="")
 
     def _receive(self, line: bytes) -> bool:
         """Take one request in; False for the last one."""

@@ -118,7 +118,30 @@ def test_own_colors_come_back(armature):
     assert is_close(bones["thumb_distal.R"].color.custom.normal, (0.2, 0.4, 0.6))
     bpy.context.scene.frame_set(3)
     assert shown(armature).keys() == {"thumb_distal.R"}
-    assert "manient_bone_colors" not in armature.data
+    assert armature.manient.own_colors == ""
+
+
+def test_linked_duplicates_have_colors_of_their_own(armature):
+    """They share the bones' data, but colours are the object's."""
+    armature.pose.bones["wrist.R"].color.palette = "THEME03"
+    bpy.context.view_layer.objects.active = armature
+    armature.select_set(True)
+    bpy.ops.object.duplicate(linked=True)
+    copy = bpy.context.view_layer.objects.active
+    assert copy.data == armature.data
+    copy.pose.bones["wrist.R"].color.palette = "THEME05"
+    for hand in (armature, copy):
+        hand.manient.show_confidence = True
+    bpy.context.scene.frame_set(BAD_FRAME)
+    assert len(shown(armature)) == len(shown(copy)) == 16
+    armature.manient.show_confidence = False
+    assert shown(armature, evaluated=False) == {}
+    assert len(shown(copy)) == 16
+    assert handlers() == 1
+    copy.manient.show_confidence = False
+    assert shown(copy, evaluated=False) == {}
+    assert armature.pose.bones["wrist.R"].color.palette == "THEME03"
+    assert copy.pose.bones["wrist.R"].color.palette == "THEME05"
 
 
 def handlers() -> int:

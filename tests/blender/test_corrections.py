@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
 
@@ -22,8 +23,9 @@ from blender_manient.correction_field import (
 )
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
-from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from handfit_core.errors import TakeError
+from blender_manient.scene.keys import PoseKeys, channels, pose_at, read_pose_keys, write_pose_keys
+from blender_manient.scene.store import hand_of
+from handfit_core.errors import OptionError, TakeError
 from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
 
 from .conftest import FRAMES, UNSEEN
@@ -291,20 +293,28 @@ def test_a_key_that_says_something_else_too_stays(armature):
     assert 10 in all_keys(armature).frames
 
 
-def test_fitting_a_range_again_contains_its_corrections(armature):
-    quats, location = moved_pose(armature, 6)
-    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, quats, location, spread=3)
-    before = all_keys(armature)
-    frames = [5, 6, 8]
-    new = [moved_pose(armature, f, seed=f) for f in frames]
+def refitted(armature, frames, seed: int = 0) -> PoseKeys:
+    """Key other poses on a range, as Re-fit Range does; the keys after it."""
+    new = [moved_pose(armature, f, seed=seed + f) for f in frames]
     for _ in corrections.replacing_poses(
-        armature.name, frames, np.array([q for q, _ in new]), np.array([p for _, p in new])
+        armature, frames, np.array([q for q, _ in new]), np.array([p for _, p in new])
     ):
         pass
-    after = all_keys(armature)
+    return all_keys(armature)
+
+
+def test_fitting_a_range_again_contains_its_corrections(armature):
+    captured = all_keys(armature)
+    quats, location = moved_pose(armature, 6)
+    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, quats, location, spread=3)
+    frames = [5, 6, 8]
+    new = [moved_pose(armature, f, seed=f) for f in frames]
+    after = refitted(armature, frames)
     rows = np.isin(SEEN, frames)
     assert same_rotations(after.quats[rows], np.array([q for q, _ in new])) < 1e-5
-    np.testing.assert_array_equal(after.quats[~rows], before.quats[~rows])
+    # What the correction did to frames outside of the range is gone with it.
+    assert same_rotations(after.quats[~rows], captured.quats[~rows]) < 1e-5
+    np.testing.assert_allclose(after.locations[~rows], captured.locations[~rows], atol=1e-6)
     field = corrections.corrections_of(armature)
     assert field.pins(6) == {8: (10.0, 20.0)}
     assert not field.at(np.array([6.0]))[0].any()
@@ -329,3 +339,224 @@ def test_scene_frames_that_are_not_the_sources(armature):
     moved = np.linalg.norm(after.locations - before.locations, axis=-1) > 1e-6
     np.testing.assert_array_equal(moved, (SEEN > 3) & (SEEN < 9))
     np.testing.assert_array_equal(read_pose_keys(armature, "right", 0.0, 50.0).quats, keys.quats)
+
+
+@pytest.mark.parametrize("spread", [2, 6, 20])
+@pytest.mark.parametrize("corrected", [[4], [14], [4, 6, 14], [6, 8, 13]])
+def test_clearing_after_a_range_was_fitted_again(armature, corrected, spread):
+    """Inside stays what was fitted, outside comes back what was captured, whatever is cleared first."""
+    captured = all_keys(armature)
+    for frame in corrected:
+        quats, location = moved_pose(armature, frame, seed=frame, size=0.5)
+        corrections.correct_frame(armature, frame, {8: (1.0, 2.0)}, quats, location, spread)
+    rows = (SEEN >= 6) & (SEEN <= 12)
+    fitted = refitted(armature, SEEN[rows].tolist())
+    assert set(corrections.corrections_of(armature).corrected) == set(corrected)
+    for frame in corrected:
+        corrections.clear_corrections(armature, [frame])
+        now = all_keys(armature)
+        at = np.isin(now.frames, SEEN[rows])
+        assert same_rotations(now.quats[at], fitted.quats[np.isin(fitted.frames, SEEN[rows])]) < 1e-5
+    now = all_keys(armature)
+    np.testing.assert_array_equal(now.frames, captured.frames)
+    assert same_rotations(now.quats[~rows], captured.quats[~rows]) < 1e-5
+    np.testing.assert_allclose(now.locations[~rows], captured.locations[~rows], atol=1e-6)
+    assert armature.manient.corrections == ""
+
+
+def test_a_frame_keyed_anew_can_be_corrected_and_that_taken_back(armature):
+    for frame in (4, 14):
+        quats, location = moved_pose(armature, frame, seed=frame)
+        corrections.correct_frame(armature, frame, {8: (1.0, 2.0)}, quats, location, spread=8)
+    fitted = refitted(armature, [6, 8, 12])
+    for frame in (6, 8):
+        quats, location = moved_pose(armature, frame, seed=frame + 50)
+        corrections.correct_frame(armature, frame, {4: (1.0, 2.0)}, quats, location, spread=3)
+    found, _ = pose_at(armature, "right", np.array([6.0]))
+    assert same_rotations(found[0], moved_pose(armature, 6, size=0.0)[0]) < 1e-5
+    assert corrections.clear_corrections(armature, [6, 8]) == 2
+    assert same_rotations(all_keys(armature).quats, fitted.quats) < 1e-5
+    assert corrections.corrected_frames(armature) == [4, 14]
+
+
+def test_the_field_is_zero_where_frames_are_keyed_anew():
+    """On any of them, whatever is corrected around, between, or cleared afterwards."""
+    rng = np.random.default_rng(6)
+    for _ in range(200):
+        spread = float(rng.integers(0, 12))
+        old = random_field(int(rng.integers(1000)), rng.choice(30, rng.integers(1, 7), replace=False), spread)
+        frames = np.sort(rng.choice(30, rng.integers(1, 8), replace=False)).astype(float)
+        frames[0] += 0.25 * rng.integers(0, 2)
+        whole = bool(rng.integers(0, 2))
+        new = old.keyed_anew(frames, whole=whole, keep_pins=bool(rng.integers(0, 2)))
+        asked = np.linspace(frames[0], frames[-1], 200) if whole else frames
+        for one in (new, new.cleared(rng.choice(new.frames, 1)) if len(new.frames) else new):
+            rotation, location = CorrectionField.from_json(one.to_json()).at(asked)
+            assert np.abs(rotation).max() < 1e-12
+            assert np.abs(location).max() < 1e-12
+        assert not new.cleared(new.corrected).corrections
+
+
+def test_joints_that_are_not_keyed_keep_their_corrections():
+    old = random_field(3, [10, 20], spread=8.0)
+    for frame in (10.0, 12.0, 17.5):
+        new = old.keyed_anew([frame], joints=range(1, 16), location=False, keep_pins=True)
+        before, after = old.at(np.array([frame])), new.at(np.array([frame]))
+        np.testing.assert_allclose(after[0][:, 0], before[0][:, 0], atol=1e-7)
+        np.testing.assert_allclose(after[1], before[1], atol=1e-7)
+        assert not after[0][:, 1:].any()
+        assert new.corrected == [10, 20]
+        assert not new.cleared([10, 20]).corrections
+
+
+# Whose keys they are
+
+
+def other_action(armature) -> bpy.types.Action:
+    """The hand's action, and another one with other poses in its place."""
+    first = armature.animation_data.action
+    armature.animation_data.action = bpy.data.actions.new("Another")
+    keys = PoseKeys.everywhere(SEEN.astype(float), np.tile([0.8, 0.6, 0.0, 0.0], (len(SEEN), 16, 1)))
+    write_pose_keys(armature, "right", keys)
+    return first
+
+
+def correct(armature, frame: int = 6, spread: float = 6.0) -> None:
+    quats, location = moved_pose(armature, frame, size=0.6)
+    corrections.correct_frame(armature, frame, {8: (1.0, 2.0)}, quats, location, spread)
+
+
+def give(armature, action) -> None:
+    armature.animation_data.action = action
+    if hasattr(action, "slots"):
+        armature.animation_data.action_slot = action.slots[0]
+
+
+def test_another_action_is_left_alone(armature, tmp_path):
+    captured = all_keys(armature)
+    bpy.context.view_layer.objects.active = armature
+    correct(armature)
+    first = other_action(armature)
+    others = all_keys(armature)
+    with pytest.raises(OptionError, match=f"in the action {first.name}"):
+        corrections.clear_corrections(armature)
+    with pytest.raises(OptionError, match="assign it again"):
+        correct(armature, 8)
+    with pytest.raises(OptionError, match="assign it again"):
+        refitted(armature, [6, 8])
+    with pytest.raises(RuntimeError, match="assign it again"):
+        bpy.ops.manient.clear_corrections(scope="RANGE")
+    np.testing.assert_array_equal(all_keys(armature).quats, others.quats)
+    # The right one again, under another name, in a file that was saved.
+    give(armature, first)
+    first.name = "My Motion"
+    path, name = str(tmp_path / "actions.blend"), armature.name
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    armature = bpy.data.objects[name]
+    assert corrections.clear_corrections(armature) == 1
+    assert same_rotations(all_keys(armature).quats, captured.quats) < 1e-5
+    assert corrections.MARK not in armature.animation_data.action
+
+
+def test_clear_all_in_another_action_only_forgets(armature):
+    bpy.context.view_layer.objects.active = armature
+    correct(armature)
+    first = other_action(armature)
+    others = all_keys(armature)
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert armature.manient.corrections == ""
+    np.testing.assert_array_equal(all_keys(armature).quats, others.quats)
+    # From here on it is a hand without corrections.
+    correct(armature, 8)
+    assert corrections.corrected_frames(armature) == [8]
+    give(armature, first)
+    assert corrections.why_elsewhere(armature) is not None
+
+
+def test_an_earlier_copy_of_the_action_does_not_hold_later_corrections(armature):
+    correct(armature)
+    copy = armature.animation_data.action.copy()
+    correct(armature, 14)
+    give(armature, copy)
+    assert corrections.why_elsewhere(armature) is not None
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_duplicates_are_corrected_each_for_itself(armature, linked):
+    captured = all_keys(armature)
+    correct(armature)
+    corrected = all_keys(armature)
+    bpy.ops.object.select_all(action="DESELECT")
+    armature.select_set(True)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.duplicate(linked=linked)
+    twin = bpy.context.view_layer.objects.active
+    assert (twin.animation_data.action == armature.animation_data.action) == linked
+    corrections.clear_corrections(armature)
+    assert same_rotations(all_keys(armature).quats, captured.quats) < 1e-5
+    np.testing.assert_array_equal(all_keys(twin).quats, corrected.quats)
+    assert corrections.clear_corrections(twin) == 1
+    assert same_rotations(all_keys(twin).quats, captured.quats) < 1e-5
+    assert same_rotations(all_keys(armature).quats, captured.quats) < 1e-5
+
+
+def test_another_name_while_keys_are_written(armature):
+    frames = [5, 6, 8]
+    new = [moved_pose(armature, f, seed=f) for f in frames]
+    writing = corrections.replacing_poses(
+        armature, frames, np.array([q for q, _ in new]), np.array([p for _, p in new])
+    )
+    next(writing)
+    armature.name = "My Hand"
+    bpy.data.objects.new("photo of a hand right hand", None)
+    assert list(writing)[-1] == 1.0
+    found, _ = pose_at(armature, "right", np.array(frames, dtype=float))
+    assert same_rotations(found, np.array([q for q, _ in new])) < 1e-5
+    writing = corrections.replacing_poses(armature, frames, found, np.array([p for _, p in new]))
+    next(writing)
+    bpy.data.objects.remove(armature)
+    with pytest.raises(OptionError, match="the hand is gone"):
+        next(writing)
+
+
+@pytest.mark.parametrize("what", ["moved", "replaced"])
+def test_keys_that_were_moved_or_replaced_are_left_alone(armature, what):
+    bpy.context.view_layer.objects.active = armature
+    correct(armature, 6, spread=4.0)
+    correct(armature, 16, spread=0.0)
+    data = armature.animation_data
+    holder = channels(data.action, getattr(data, "action_slot", None))
+    keys = all_keys(armature)
+    if what == "replaced":
+        rows = (keys.frames > 3) & (keys.frames < 9)
+        quats = np.tile([0.6, 0.8, 0.0, 0.0], (rows.sum(), 16, 1))
+        write_pose_keys(armature, "right", PoseKeys.everywhere(keys.frames[rows], quats))
+    else:
+        for curve in holder.fcurves:
+            for point in curve.keyframe_points:
+                if point.co.x < 10:
+                    point.co.x -= 2
+            curve.update()
+    before = all_keys(armature)
+    assert corrections.displaced(armature) == [6]
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    after = all_keys(armature)
+    stay = after.frames != 16
+    np.testing.assert_array_equal(after.quats[stay], before.quats[stay])
+    assert same_rotations(after.quats[~stay], before.quats[~stay]) > 0.1
+    assert armature.manient.corrections == ""
+
+
+def test_a_touched_up_corrected_frame_is_still_known(armature):
+    captured = all_keys(armature)
+    correct(armature)
+    armature.manient.betas = [2.0, -2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    armature.manient.betas = hand_of(armature).track.betas
+    quats, location = moved_pose(armature, 6, size=0.0)
+    quats[4] = [0.6, 0.8, 0.0, 0.0]
+    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([6.0]), quats[None], location[None]))
+    assert corrections.displaced(armature) == []
+    corrections.clear_corrections(armature)
+    others = np.delete(np.arange(16), 4)
+    assert same_rotations(all_keys(armature).quats[:, others], captured.quats[:, others]) < 1e-4

@@ -402,3 +402,162 @@ def test_no_keys_is_one_sentence(hands, tmp_path):
         hand.armature.animation_data_clear()
     with pytest.raises(RuntimeError, match="have no keys"):
         bpy.ops.manient.export_hand(filepath=str(tmp_path / "x"), file_format="fbx", frame_range="KEYS")
+
+
+def test_what_hangs_on_a_hand_stays_behind(hands, tmp_path, capfd):
+    armature = hands[1].hands[1].armature
+    data = bpy.data.meshes.new("A ring")
+    data.from_pydata([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0)], [], [(0, 1, 2)])
+    for name, deformed in (("A ring", False), ("A glove", True)):
+        child = bpy.data.objects.new(name, data.copy())
+        bpy.context.scene.collection.objects.link(child)
+        child.parent = armature
+        if deformed:
+            child.modifiers.new("Armature", "ARMATURE").object = armature
+    for preset in ("PLAIN", "UNITY", "UNREAL"):
+        path = write(tmp_path / f"{preset}.fbx", file_format="fbx", preset=preset, active_only=True)
+        meshes = [name for name, (kind, _) in models_of(path).items() if kind == "Mesh"]
+        assert meshes == [f"{armature.name} mesh"]
+        assert "without A glove, A ring" in capfd.readouterr().out
+    for preset in ("PLAIN", "UNITY", "UNREAL"):
+        content = glb_content(write(tmp_path / f"{preset}.glb", file_format="glb", preset=preset))
+        names = {node["name"] for node in content["nodes"]}
+        assert len(content["meshes"]) == 2
+        assert not names & {"A ring", "A glove"}
+    for fmt in ("usd", "abc"):
+        if export.available(export.FORMATS[fmt]):
+            path = write(tmp_path / "a", file_format=fmt).with_name("a" + export.FORMATS[fmt].suffix)
+            assert b"A ring" not in path.read_bytes()
+            assert b"A_ring" not in path.read_bytes()
+    write(tmp_path / "a.npz", file_format="npz")
+
+
+def hide(built) -> None:
+    """All that an artist may have done to the view of hands and camera."""
+    for hand in built.hands:
+        hand.armature.data.pose_position = "REST"
+    for obj in (built.camera, *(o for hand in built.hands for o in (hand.armature, hand.mesh))):
+        obj.hide_viewport = obj.hide_render = True
+    built.collection.hide_viewport = True
+    bpy.context.scene.frame_set(3)
+
+
+def test_hidden_hands_at_rest_are_written_as_they_move(make_take, tmp_path):
+    made = make_take()
+    built = build_take(made.take)
+    bpy.context.view_layer.objects.active = built.hands[1].armature
+    built.camera.location.x = 0.3
+    built.camera.keyframe_insert("location", frame=3)
+    for hand in built.hands:  # they follow the camera, so the take stays the same
+        hand.armature.constraints.new("COPY_LOCATION").target = built.camera
+    built.camera.location.x = 0.6
+    built.camera.keyframe_insert("location", frame=18)
+    hide(built)
+    take = Take.load(write(tmp_path / "a.take.npz", file_format="npz"))
+    assert_same_take(take, made.take)
+    for hand in built.hands:
+        assert hand.armature.data.pose_position == "REST"
+        assert hand.armature.hide_viewport
+        assert hand.mesh.hide_render
+    assert built.camera.hide_viewport
+
+
+@pytest.mark.parametrize(
+    ("fmt", "preset"),
+    [("fbx", "PLAIN"), ("fbx", "UNREAL"), ("glb", "PLAIN"), ("glb", "UNITY"), ("abc", "PLAIN")],
+)
+def test_hidden_hands_at_rest_in_other_formats(hands, tmp_path, fmt, preset):
+    made, built = hands
+    hide(built)
+    path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
+    assert built.hands[0].armature.data.pose_position == "REST"
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 30
+    if fmt == "fbx":
+        bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    elif fmt == "glb":
+        bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
+    else:
+        bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)
+        assert vertex_error(made) < 1e-3
+        return
+    assert joint_error(made) < 1e-3
+
+
+def test_frames_that_the_artist_posed_count_as_filled(make_take, tmp_path):
+    made = make_take(sides=("right",))
+    built = build_take(made.take)
+    armature = built.hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    frame = float(made.take.frame_numbers[UNSEEN])
+    quats, locations = pose_at(armature, "right", np.array([frame]))
+    quats[:, 4] = (0.8, 0.6, 0.0, 0.0)
+    write_pose_keys(
+        armature, "right", PoseKeys.everywhere(np.array([frame, 10.0]), quats[[0, 0]], locations[[0, 0]])
+    )
+    take = Take.load(write(tmp_path / "a.take.npz", file_format="npz"))
+    (track,) = take.hands
+    assert np.flatnonzero(track.filled).tolist() == [UNSEEN]  # frame 10 is none of the take's
+    assert not track.detected[UNSEEN]
+    assert np.isnan(track.reprojection_error[UNSEEN])
+    bpy.context.scene.frame_set(int(frame))
+    shown = evaluated_vertices(built.hands[0].mesh)
+    model = load_model("open-hand", "right")
+    posed = model.posed(
+        track.betas, track.global_orient[UNSEEN], track.hand_pose[UNSEEN], track.transl[UNSEEN]
+    )
+    np.testing.assert_allclose(shown, world(posed.vertices), atol=1e-4)
+    np.testing.assert_allclose(track.joints_3d[UNSEEN], posed.keypoints, atol=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "mode"), [("mesh", "EDIT"), ("mesh", "WEIGHT_PAINT"), ("armature", "EDIT")])
+def test_other_modes_are_left_and_entered_again(hands, tmp_path, kind, mode):
+    made, built = hands
+    obj = getattr(built.hands[1], kind)
+    bpy.ops.object.select_all(action="DESELECT")
+    obj.select_set(True)
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.object.mode_set(mode=mode)
+    for fmt, preset in (
+        ("glb", "PLAIN"),
+        ("glb", "UNITY"),
+        ("fbx", "PLAIN"),
+        ("fbx", "UNREAL"),
+        ("npz", "PLAIN"),
+    ):
+        write(tmp_path / f"{preset}.{fmt}", file_format=fmt, preset=preset)
+        assert (obj.mode, bpy.context.view_layer.objects.active) == (mode, obj)
+    assert_same_take(Take.load(tmp_path / "PLAIN.npz"), made.take)
+
+
+def test_an_edit_that_is_not_finished_is_written(hands, tmp_path):
+    """The mesh has in Edit mode what the object gets when it is left."""
+    mesh = hands[1].hands[1].mesh
+    bpy.ops.object.select_all(action="DESELECT")
+    mesh.select_set(True)
+    bpy.context.view_layer.objects.active = mesh
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.mesh.delete(type="ONLY_FACE")
+    content = glb_content(write(tmp_path / "a.glb", file_format="glb", active_only=True))
+    assert "meshes" not in content  # nothing is left to draw
+
+
+def test_copies_of_a_hand_are_left_out(hands, tmp_path):
+    made, built = hands
+    left, right = built.hands
+    bpy.ops.object.select_all(action="DESELECT")
+    for obj in (right.armature, right.mesh):
+        obj.select_set(True)
+    bpy.context.view_layer.objects.active = right.armature
+    bpy.ops.object.duplicate()
+    copy = bpy.context.view_layer.objects.active
+    copy.manient.betas = BETAS
+    for active, betas in ((copy, BETAS), (right.armature, made.take.hands[1].betas)):
+        bpy.context.view_layer.objects.active = active
+        take = Take.load(write(tmp_path / "a.npz", file_format="npz"))
+        assert [t.side for t in take.hands] == ["left", "right"]
+        np.testing.assert_allclose(take.hands[1].betas, betas, atol=1e-5)
+    bpy.context.view_layer.objects.active = left.armature
+    take = Take.load(write(tmp_path / "a.npz", file_format="npz"))
+    np.testing.assert_allclose(take.hands[1].betas, made.take.hands[1].betas, atol=1e-5)

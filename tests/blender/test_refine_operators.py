@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -18,12 +19,13 @@ import pytest
 import blender_manient
 from blender_manient import preferences
 from blender_manient.correction_field import correction_between
+from blender_manient.keypoint_mode.mode import KeypointMode
 from blender_manient.operators import edit_keypoints
-from blender_manient.refiner import Refiner
+from blender_manient.refiner import BonePoses, Refiner
 from blender_manient.scene import corrections
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
-from blender_manient.scene.keys import PoseKeys, read_pose_keys, write_pose_keys
+from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
 from blender_manient.worker import shared
 from blender_manient.worker.client import Worker
 from handfit_core.skeleton import FINGER_JOINTS
@@ -316,6 +318,60 @@ def test_in_pose_mode_with_another_rotation_mode(armature):
     assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
     np.testing.assert_allclose(landmarks(armature), before, atol=0.01)
     bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def mode_without_a_window(armature) -> KeypointMode:
+    """The mode's state as it is once it has begun, but for what it draws."""
+    mode = KeypointMode.__new__(KeypointMode)
+    mode.refiner, mode.view = Refiner(armature), SimpleNamespace(address=0)
+    mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
+    mode._warming, mode._solved_in = 0, 0.0
+    return mode
+
+
+def until_answered(mode: KeypointMode) -> None:
+    deadline = time.monotonic() + 120.0
+    while (mode.drag.request or mode.drag.waiting) and time.monotonic() < deadline:
+        mode.tick(bpy.context)
+        time.sleep(0.005)
+    assert mode.drag.answer is not None
+
+
+def test_another_frame_while_dragging_shows_its_own_pose(armature):
+    mode, scene = mode_without_a_window(armature), bpy.context.scene
+    scene.frame_set(FRAME + 4)
+    expected = displayed_pose(armature, armature.manient.side)
+    scene.frame_set(FRAME)
+    before = all_keys(armature)
+    mode.drag = mode._begun(TIP, mode.row(), (0, 0), np.zeros(2))
+    mode.drag.place, mode.drag.moved = landmarks(armature)[TIP] + FARTHER, True
+    until_answered(mode)
+    scene.frame_set(FRAME + 4)
+    mode.tick(bpy.context)
+    assert mode.drag is None
+    np.testing.assert_allclose(displayed_pose(armature, armature.manient.side), expected, atol=1e-6)
+    np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
+
+
+def test_pins_are_those_of_the_pose_that_is_kept(armature):
+    """Where the last place of a drag could not be fitted, the pin stays where it could."""
+    mode = mode_without_a_window(armature)
+    mode.drag = drag = mode._begun(TIP, mode.row(), (0, 0), np.zeros(2))
+    fitted = landmarks(armature)[TIP] + 0.5 * FARTHER
+    drag.place, drag.moved = fitted, True
+    until_answered(mode)
+    drag.place = fitted + [300.0, 300.0]
+    mode._send(drag)
+    worker = shared.worker()
+    worker.wait(drag.request, timeout=120)
+    drag.request = 0
+    nothing = np.full((1, 16, 4), np.nan), np.full((1, 3), np.nan), np.full((1, 21, 2), np.nan)
+    mode._show(bpy.context, drag, BonePoses(*nothing))
+    mode.release()
+    mode.tick(bpy.context)
+    assert mode.drag is None
+    np.testing.assert_allclose(mode.refiner.pins(mode.row())[TIP], fitted, atol=1e-3)
+    assert np.linalg.norm(landmarks(armature)[TIP] - fitted) < 1.0
 
 
 def test_the_mode_needs_a_window(armature):

@@ -9,6 +9,7 @@ import pytest
 import blender_manient
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
+from blender_manient.scene.timing import Timing
 from handfit_core.errors import TakeError
 
 from .conftest import FRAMES
@@ -137,6 +138,93 @@ def test_deleted_mesh_and_camera_are_none(make_take):
     assert hand is not None
     assert hand.mesh is None
     assert hand.camera is None
+
+
+def add_child(armature, name: str, like=None, deformed: bool = False):
+    """A mesh parented to the hand, with a triangle or a copy of another's data."""
+    if like is None:
+        data = bpy.data.meshes.new(name)
+        data.from_pydata([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0)], [], [(0, 1, 2)])
+    else:
+        data = like.data.copy()
+    child = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(child)
+    child.parent = armature
+    if deformed:
+        child.modifiers.new("Armature", "ARMATURE").object = armature
+    return child
+
+
+def mesh_of(armature):
+    hand = store.hand_of(armature)
+    assert hand is not None
+    return hand.mesh
+
+
+@pytest.mark.parametrize("marked", [True, False])
+def test_other_meshes_on_the_hand_are_not_its_mesh(make_take, marked):
+    """Also of hands that were built before meshes were marked."""
+    built = build_take(make_take(sides=("right",)).take)
+    armature, mesh = built.hands[0].armature, built.hands[0].mesh
+    assert armature.manient.mesh == mesh
+    if not marked:
+        armature.manient.mesh = None
+    ring = add_child(armature, "A ring")
+    ring.parent_type, ring.parent_bone = "BONE", "index_distal.R"
+    assert mesh_of(armature) == mesh
+    glove = add_child(armature, "A glove", deformed=True)
+    assert mesh_of(armature) == mesh
+    hand = store.hand_of(armature)
+    assert hand is not None
+    assert store.hung_on(hand) == [glove, ring]
+    # What was deleted in the viewport lives on as long as the armature names it.
+    bpy.context.view_layer.objects.active = mesh
+    mesh.select_set(True)
+    bpy.ops.object.delete()
+    if marked:
+        assert armature.manient.mesh is not None
+        assert mesh_of(armature) is None
+
+
+def test_a_changed_mesh_is_still_the_hands(make_take):
+    built = build_take(make_take(sides=("right",)).take)
+    armature, mesh = built.hands[0].armature, built.hands[0].mesh
+    mesh.data.clear_geometry()
+    assert mesh_of(armature) == mesh
+    armature.manient.mesh = None
+    assert mesh_of(armature) == mesh
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_a_copy_of_a_hand_has_the_copied_mesh(make_take, linked):
+    built = build_take(make_take(sides=("right",)).take)
+    armature, mesh = built.hands[0].armature, built.hands[0].mesh
+    for obj in bpy.context.view_layer.objects:
+        obj.select_set(obj in (armature, mesh))
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.duplicate(linked=linked)
+    copy = bpy.context.view_layer.objects.active
+    assert mesh_of(copy) not in (None, mesh)
+    assert mesh_of(copy).parent == copy
+    for obj in bpy.context.view_layer.objects:
+        obj.select_set(obj == armature)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.duplicate(linked=linked)
+    assert mesh_of(bpy.context.view_layer.objects.active) is None
+    assert mesh_of(armature) == mesh
+
+
+@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (100.5, 0.8), (7.0, 2.0)])
+def test_rows_of_scene_frames(make_take, offset, scale):
+    take = make_take(sides=("right",)).take
+    collection = bpy.data.collections.new("capture")
+    store.describe_capture(collection, None, Timing(offset, scale))
+    places = store.scene_frames(collection, take)
+    np.testing.assert_allclose(Timing(offset, scale).source_frames(places), FRAMES, atol=1e-6)
+    np.testing.assert_array_equal(store.rows_at(collection, take, places), np.arange(len(FRAMES)))
+    np.testing.assert_array_equal(store.rows_at(collection, take, places + 0.2 * scale), range(len(FRAMES)))
+    between = offset + scale * np.array([-5.0, 10.0, 900.0])  # source frames 9, 10 and 11 are no rows
+    np.testing.assert_array_equal(store.rows_at(collection, take, between), -1)
 
 
 def test_scene_frames_follow_the_scenes_rate(make_take):

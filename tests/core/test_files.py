@@ -71,6 +71,28 @@ def test_check_writable_says_so_before_and_leaves_nothing(tmp_path: Path) -> Non
         check_writable(tmp_path / "file" / "out.npz")
 
 
+@pytest.mark.parametrize("name", ["a\0b.npz", "a\ud800b.npz", "x" * 300 + ".npz", "x" * 5000 + "/a.npz"])
+def test_names_that_no_file_can_have(tmp_path: Path, name: str) -> None:
+    def write(path: Path) -> None:
+        with written_whole(path) as beside:
+            beside.write_text("x")
+
+    for writing in (check_writable, write):
+        with pytest.raises(OutputError, match="choose another name") as caught:
+            writing(tmp_path / name)
+        assert len(str(caught.value)) < 600
+        assert str(caught.value).isprintable()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path) -> None:
+    path = tmp_path / ("x" * 250 + ".npz")
+    check_writable(path)
+    with written_whole(path) as beside:
+        beside.write_text("new")
+    assert path.read_text() == "new"
+
+
 def test_results_are_ordinary_files(tmp_path: Path) -> None:
     before = os.umask(0o022)
     try:

@@ -217,6 +217,13 @@ def bad_inputs(folder: Path) -> dict[str, tuple[Path | list[Path], str]]:
         "no pictures": (folder / "nothing", "no pictures"),
         "damaged": (folder / "cut.png", "not a picture"),
         "no match": (folder / "x.%04d.png", "no file matches"),
+        "spaces": (Path(" "), "' ': there is no such file"),
+        "a line break": (folder / "a\nb.jpg", r"a\\nb.jpg': there is no such file"),
+        "no such user": (Path("~nobody of that name/a.jpg"), "no such file"),
+        "zero": (Path("a\0b.jpg"), r"'a\\x00b.jpg': there is no such file"),
+        "surrogate": (Path("a\ud800b.jpg"), r"'a\\ud800b.jpg': there is no such file"),
+        "too long": (folder / ("x" * 300), "cannot be opened|no such file"),
+        "too long in a list": ([folder / "cut.png", folder / ("x" * 300)], "cannot be opened|no such file"),
         "missing in a list": ([folder / "cut.png", folder / "gone.png"], "no such file"),
         "empty list": ([], "no pictures"),
     }
@@ -227,6 +234,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=words) as caught:
             open_media(source)
         assert "\n" not in str(caught.value), case
+        assert len(str(caught.value)) < 600, case
 
 
 def test_mixed_sizes_are_refused(tmp_path: Path) -> None:

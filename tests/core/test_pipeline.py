@@ -1,21 +1,26 @@
 """The whole core on the bundled sample, against the pose that was rendered; and on real photos."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 import handfit_core
 from handfit_core import Intrinsics, Progress, Take, capture, pipeline
 from handfit_core.align import align
+from handfit_core.detect.tracks import HandChoice
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.media import open_media
-from handfit_core.pipeline import _rate, hand_track
+from handfit_core.pipeline import _rate, hand_summaries, hand_track
+from handfit_core.solvers import TrackSolver, get_solver
 from handfit_core.solvers.result import TrackFit
 from tests.conftest import ROOT
 
@@ -153,6 +158,50 @@ def test_detections_can_be_taken_from_the_take(take: Take) -> None:
         assert detection.right_side > 0.5
 
 
+@pytest.fixture(scope="module")
+def two_right_hands(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A photo of two hands that the detector rightly calls right ones."""
+    path = tmp_path_factory.mktemp("two") / "two.png"
+    halves = [cv2.imread(str(SAMPLE / f"hand.{n:04d}.jpg")) for n in (1, 10)]
+    cv2.imwrite(str(path), np.hstack([half for half in halves if half is not None]))
+    return path
+
+
+@pytest.mark.parametrize("hands", ["auto", "both"])
+def test_a_take_keeps_what_the_solver_was_given(
+    two_right_hands: Path, hands: HandChoice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where one of two right hands is taken for a left one."""
+    given: list[DetectedTrack] = []
+
+    def watched(name: str, *options: Any) -> TrackSolver:
+        solve = get_solver(name, *options)
+
+        def solver(*arguments: Any, **named: Any) -> TrackFit:
+            given.append(arguments[1])
+            return solve(*arguments, **named)
+
+        return solver
+
+    monkeypatch.setattr(pipeline, "get_solver", watched)
+    take = capture(two_right_hands, hands=hands)
+    assert [hand.side for hand in take.hands] == ["right", "left" if hands == "both" else "right"]
+    for hand, track in zip(take.hands, given, strict=True):
+        detected, kept = track.detections[0], hand.detection(0)
+        assert detected is not None
+        assert kept is not None
+        assert kept.side == detected.side == "right"
+        assert (kept.score, kept.right_side) == (detected.score, detected.right_side)
+        np.testing.assert_array_equal(kept.keypoints, detected.keypoints)
+        np.testing.assert_array_equal(kept.world, detected.world)
+
+
+def test_an_odd_length_is_remarked_on_once(two_right_hands: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert len(capture(two_right_hands, hand_length=0.1).hands) == 2
+    (warning,) = [r.getMessage() for r in caplog.records]
+    assert "100 mm long" in warning
+
+
 def test_hand_length_decides_size_and_distance(caplog: pytest.LogCaptureFixture) -> None:
     photo, model = SAMPLE / "hand.0001.jpg", load_model(None, "right")
     small, large = (capture(photo, hand_length=length).hands[0] for length in (0.16, 0.20))
@@ -220,6 +269,31 @@ def test_filled_frames_have_a_pose_but_nothing_seen() -> None:
     assert track.right_side is not None
     assert np.isnan(track.keypoints_depth[1:]).all()
     assert np.isnan(track.right_side).all()  # nobody judged
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"intrinsics": Intrinsics(31.0, 640.0, 320.0, 240.0)},
+        {"intrinsics": Intrinsics(640.0, 641_000.0, 320.0, 240.0)},
+        {"lens": (0.04, 0.5, 0.5)},
+    ],
+    ids=str,
+)
+def test_a_camera_that_cannot_have_taken_the_picture(camera: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match="between 32 and 640000 pixels for a picture of 640x480"):
+        capture(SAMPLE / "hand.0001.jpg", **camera)
+
+
+def test_summaries_hold_no_nan(take: Take) -> None:
+    (hand,) = take.hands
+    assert hand_summaries(take)[0]["mean_reprojection_error_px"] == pytest.approx(
+        hand.reprojection_error.mean()
+    )
+    huge = replace(hand, reprojection_error=np.full(6, 1e308))
+    nowhere = replace(hand, detected=np.zeros(6, dtype=bool))
+    for odd in (huge, nowhere):
+        assert hand_summaries(replace(take, hands=(odd,)))[0]["mean_reprojection_error_px"] is None
 
 
 @pytest.mark.parametrize("smoothing", [-1.0, 11.0])

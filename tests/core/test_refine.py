@@ -21,7 +21,7 @@ from handfit_core.align import align
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.landmarks import detector_landmarks
-from handfit_core.keypoints import HandDetection
+from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.refine import (
     RefineHand,
     RefineResult,
@@ -36,9 +36,10 @@ from handfit_core.refine import (
 )
 from handfit_core.refine.models import hand_model
 from handfit_core.refine.recent import Recent
+from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.solvers.fast.chain import Chain
-from handfit_core.solvers.fast.fit import fit_frames
+from handfit_core.solvers.fast.fit import fit_frames, fit_track
 from handfit_core.worker.protocol import pack
 from tests.core.solvers.fast.detections import (
     CAMERA,
@@ -287,7 +288,7 @@ def test_a_frame_without_a_detection_is_posed_by_its_pins() -> None:
         array[[1, 2]] = np.nan
     four[3][3] = (0.0, 0.0, -0.5)
     pins = no_pins(4)
-    pins[:3, TIP] = before[0, TIP] + (7.0, -5.0)
+    pins[:3, TIP] = before[0, TIP] + (-7.0, 5.0)
     found = refit_each(make_hand("right", [None, detection, None, None], four, pins))
     np.testing.assert_array_equal(found.present, [True, True, False, False])
     assert distance(found.landmarks_2d, pins)[:2, TIP].max() < 1.0
@@ -319,6 +320,147 @@ def test_a_guess_leads_to_the_same_place() -> None:
     alone, led = refit_each(hand), refit_each(hand, near)
     assert distance(led.landmarks_2d, alone.landmarks_2d).max() < 1.0
     assert distance(led.landmarks_2d, hand.pins)[0, TIP] < 1.0
+
+
+def outwards(points: np.ndarray, keypoint: int) -> np.ndarray:
+    """(2,) the direction in the picture from a fingertip's finger's first point (21, 2) to itself."""
+    along = points[keypoint] - points[keypoint - 3]
+    return along / np.linalg.norm(along)
+
+
+def turned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(15,) degrees between two hand poses (45,)."""
+    first, second = (rotvec_to_rotmat(np.reshape(pose, (15, 3))) for pose in (before, after))
+    between = rotmat_to_rotvec(np.swapaxes(first, -1, -2) @ second)
+    return np.degrees(np.linalg.norm(between, axis=-1))
+
+
+@pytest.mark.parametrize("keypoint", TIP_KEYPOINTS)
+def test_a_fingertip_dragged_outwards_leaves_the_hand_at_its_distance(keypoint: int) -> None:
+    """Nearer, it would look larger and reach the pin."""
+    _, before = dragged(keypoint, (0.0, 0.0))
+    hand, _ = dragged(keypoint, tuple(12.0 * outwards(before, keypoint)))
+    found = refit_each(hand)
+    assert abs(found.joints_3d[0, 0, 2] - keypoints_of("right", *photo()[1])[0, 0, 2]) < 0.004
+
+
+def test_a_pin_of_a_range_leaves_the_hand_at_its_distance() -> None:
+    true, start, detections = clip()
+    points = handles("right", true)
+    pins = no_pins(COUNT)
+    pins[10, TIP] = points[10, TIP] + 15.0 * outwards(points[10], TIP)
+    hand = make_hand("right", list(detections), start, pins)
+    plain = refit_range(replace(hand, pins=no_pins(COUNT)))
+    found = refit_range(hand)
+    assert distance(found.landmarks_2d, plain.landmarks_2d)[10, TIP] > 5.0
+    assert np.abs(found.joints_3d - plain.joints_3d)[:, 0, 2].max() < 0.001
+
+
+def test_palm_pins_change_the_distance() -> None:
+    """Wrist and knuckles drawn apart: that hand is nearer."""
+    hand, before = dragged(0, (0.0, 0.0))
+    palm = [0, 5, 9, 13, 17]
+    middle = before[palm].mean(axis=0)
+    hand.pins[0, palm] = middle + 1.1 * (before[palm] - middle)
+    found = refit_each(hand)
+    assert distance(found.landmarks_2d, hand.pins)[0, palm].max() < 3.0
+    wrist = keypoints_of("right", *photo()[1])[0, 0, 2]
+    assert 0.85 * wrist < found.joints_3d[0, 0, 2] < 0.95 * wrist
+
+
+@pytest.mark.parametrize("keypoint", [4, 8, 20])
+def test_a_drag_that_comes_back_ends_where_a_direct_one_does(keypoint: int) -> None:
+    way = np.array([14.0, -9.0])
+    direct = refit_each(dragged(keypoint, tuple(way))[0])
+    led = None
+    for far in (*np.linspace(0.5, 5.0, 7), *np.linspace(5.0, 1.0, 7)):
+        led = refit_each(dragged(keypoint, tuple(far * way))[0], led)
+    assert led is not None
+    assert distance(led.joints_3d, direct.joints_3d).max() < 0.0005
+
+
+def test_untouched_fingers_keep_a_hand_made_pose() -> None:
+    """Beyond the limits, and far from what hands usually do."""
+    detection, (betas, orient, pose, transl) = photo()
+    by_hand = pose.copy()
+    by_hand[0, 27:36] += np.radians([20.0, -15.0, 60.0, 10.0, 0.0, -50.0, 0.0, 25.0, -30.0])
+    by_hand[0, 9:18] += np.radians([0.0, 30.0, -60.0, 0.0, 0.0, -40.0, 0.0, 0.0, 70.0])
+    start = (betas, orient, by_hand, transl)
+    before = handles("right", start)[0]
+    pins = no_pins(1)
+    pins[0, TIP] = before[TIP] + (5.0, 8.0)
+    pins[0, 4] = before[4] + (4.0, -3.0)
+    found = refit_each(make_hand("right", [detection], start, pins))
+    assert distance(found.landmarks_2d, pins)[0, [TIP, 4]].max() < 1.0
+    np.testing.assert_array_equal(found.hand_pose[0, 9:36], by_hand[0, 9:36])
+    assert turned(by_hand[0], found.hand_pose[0])[[0, 1, 2, 12, 13, 14]].max() > 1.0
+
+
+def test_a_small_drag_hardly_turns_a_hand_made_finger() -> None:
+    """Its own finger does not fall back to what hands usually do."""
+    detection, (betas, orient, pose, transl) = photo()
+    by_hand = pose.copy()
+    by_hand[0, 0:9] *= 0.3
+    start = (betas, orient, by_hand, transl)
+    pins = no_pins(1)
+    pins[0, TIP] = handles("right", start)[0, TIP] + (0.3, 0.2)
+    found = refit_each(make_hand("right", [detection], start, pins))
+    assert turned(by_hand[0], found.hand_pose[0]).max() < 2.0
+
+
+def test_fingers_ride_on_a_dragged_knuckle() -> None:
+    hand, before = dragged(9, (-10.0, 8.0))
+    found = refit_each(hand)
+    moved = distance(found.landmarks_2d[0], before)
+    assert moved[[5, 9, 13, 17]].min() > 3.0
+    assert np.median(turned(hand.hand_pose[0], found.hand_pose[0])) < 5.0
+
+
+def test_a_finger_that_is_dragged_far_remembers_its_detection() -> None:
+    """Its pose was changed by hand; where it is dragged far from that, the detection knows it better."""
+    true = true_hands("right", 3, seed=1)
+    detection = seen(landmarks_of("right", *true)[1], "right", noise=0.5)
+    betas, orient, pose, transl = captured("right", [detection])
+    by_hand = pose.copy()
+    by_hand[0, 0:9] += np.radians([0.0, 0.0, -50.0, 0.0, 0.0, -40.0, 0.0, 0.0, -20.0])
+    start = (betas, orient, by_hand, transl)
+    pins = no_pins(1)
+    pins[0, 6] = detection.keypoints_2d[6]
+    known = refit_each(make_hand("right", [detection], start, pins)).landmarks_2d[0]
+    unknown = refit_each(make_hand("right", [None], start, pins)).landmarks_2d[0]
+    off, without = (distance(p, detection.keypoints_2d)[[7, TIP]].mean() for p in (known, unknown))
+    assert off < 0.5 * without
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 3.0])
+def test_a_take_without_poses_is_its_capture(smoothing: float) -> None:
+    """At its own frame rate, with a missing picture and a gap."""
+    detections = clip()[2]
+    rows: tuple[HandDetection | None, ...] = (*detections[:4], None, *detections[5:])
+    track = DetectedTrack("right", rows, 12.0, holes=(9,))
+    capture = fit_track(smoothing, model_of("right"), track, CAMERA, lambda: None)
+    empty = (capture.betas[None], *(np.full((COUNT, n), np.nan) for n in (3, 45, 3)))
+    hand = make_hand("right", rows, empty, smoothing=smoothing, holes=(9,))
+    found = refit_range(replace(hand, fps=12.0))
+    assert found.present.all()
+    aims = model_of("right").keypoints(
+        capture.betas, capture.global_orient, capture.hand_pose, capture.transl
+    )
+    assert distance(found.joints_3d, aims).max() < 1e-5
+
+
+def test_answers_go_on_from_the_last() -> None:
+    """A thumb that is drawn far aside, step by step, comes to a better place than at one go."""
+    steps = [dragged(4, (share * 120.0, 0.0))[0] for share in (0.25, 0.5, 0.75, 0.95, 1.0)]
+    requests = [{"mode": "each", "hand": to_message(hand)} for hand in steps]
+    answer({"mode": "each", "hand": to_message(corrected_clip())}, lambda: False)  # of many frames: forgotten
+    answers = [result_from_message(answer(request, lambda: False)) for request in requests]
+    led = None
+    for hand in steps:
+        led = refit_each(hand, led)
+    assert led is not None
+    assert distance(answers[-1].joints_3d, led.joints_3d).max() < 0.002
+    assert distance(answers[-1].joints_3d, refit_each(steps[-1]).joints_3d).max() > 0.01
 
 
 def test_the_error_counts_pins() -> None:

@@ -10,8 +10,10 @@ import torch
 from handfit_core.hand_model.anatomy import JointLimits
 from handfit_core.residuals.coupling import coupling
 from handfit_core.residuals.depth import depth
+from handfit_core.residuals.distance import distance
 from handfit_core.residuals.hand_length import hand_length
 from handfit_core.residuals.limits import limits
+from handfit_core.residuals.near_pose import near_pose
 from handfit_core.residuals.pose_prior import pose_prior
 from handfit_core.residuals.reprojection import reprojection
 from handfit_core.residuals.robust import Huber, Kernel, QuadraticWhere
@@ -22,6 +24,7 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, TIP_KEYPOINTS
 from handfit_core.solvers.fast.angles import angles_of, rates_of
 from handfit_core.solvers.fast.blocks import Blocks
 from handfit_core.solvers.fast.chain import Chain, Posed
+from handfit_core.solvers.fast.keeping import Kept
 from handfit_core.solvers.fast.observation import Observation
 
 # The last joint's bend from the middle one's: slope, offset in degrees (FACTS: index, middle, ring;
@@ -136,11 +139,16 @@ class Energy:
         of_finger = whole[:, 1:].view(batch, 5, -1, whole.shape[-1])  # (B, 5, 4 c, 9 + n + 1)
         sides = of_finger[..., :9].mT @ of_finger
 
-        angle_squared, angle_cost = self._of_angles(posed.state.local)
+        angle_squared, angle_cost = self._of_angles(posed.state.local, seen.kept)
         finger = sides[..., :9] + angle_squared[..., :9]
         finger_gradient = sides[..., -1] + angle_squared[..., 9]
         hand, hand_gradient = corner[:, :-1, :-1], corner[:, :-1, -1]
         cost = cost + angle_cost
+        if seen.kept is not None:
+            off, slope = distance(posed.state.wrist, seen.kept.wrist, seen.kept.distance_sigma)
+            cost = cost + off.square()
+            hand_gradient[:, 3:6] += off[:, None] * slope
+            hand[:, 3:6, 3:6] += slope[:, :, None] * slope[:, None]
         if shape:
             of_shape, slope = shape_prior(posed.state.betas, self._shape_sigma, self._shape_mean)
             cost = cost + shape_weight * of_shape.square().sum(dim=1)
@@ -154,7 +162,7 @@ class Energy:
                 hand[:, -10:, -10:] += shape_weight * slope[:, None] * slope
         return Blocks(hand, sides[..., 9:-1], finger, hand_gradient, finger_gradient, cost)
 
-    def _of_angles(self, local: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _of_angles(self, local: torch.Tensor, kept: Kept | None) -> tuple[torch.Tensor, torch.Tensor]:
         """J^T [J r] (B, 5, 9, 10) of the terms on angles by the joints' increments, and their cost (B,)."""
         angles = angles_of(local)
         rates = rates_of(angles)
@@ -165,10 +173,16 @@ class Energy:
         away = flat - habit.best
         pull = (away.flatten(1) @ habit.precision).view_as(flat)
         cost = habit.least + (away * pull + outside.residual.square()).sum(dim=(1, 2))
+        precision = habit.blocks
+        if kept is not None:
+            near = near_pose(flat, kept.angles, kept.angle_sigma)
+            cost = cost + near.residual.square().sum(dim=(1, 2))
+            pull = pull + (near.jacobian.mT @ near.residual.unsqueeze(-1)).squeeze(-1)
+            precision = precision + near.jacobian.mT @ near.jacobian
         turn, jacobian = turn.flatten(0, 1), outside.jacobian.flatten(0, 1)  # (5 B, 9, 9)
         sloped = jacobian.mT
-        by_angle = torch.bmm(sloped, jacobian).view(*flat.shape, 9) + habit.blocks
-        gradient = torch.baddbmm(pull.view(-1, 9, 1), sloped, outside.residual.view(-1, 9, 1))
+        by_angle = torch.bmm(sloped, jacobian).view(*flat.shape, 9) + precision
+        gradient = torch.baddbmm(pull.reshape(-1, 9, 1), sloped, outside.residual.view(-1, 9, 1))
         right = torch.cat([torch.bmm(by_angle.view(-1, 9, 9), turn), gradient], dim=-1)
         return torch.bmm(turn.mT, right).view(*flat.shape, 10), cost
 

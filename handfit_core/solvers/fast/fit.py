@@ -128,9 +128,16 @@ class FastFitter:
         )
 
     def solve_each(
-        self, seen: Observation, start: State, *, shape: bool, held: Held | None = None
+        self,
+        seen: Observation,
+        start: State,
+        *,
+        shape: bool,
+        held: Held | None = None,
+        max_iterations: int | None = None,
     ) -> Solution:
-        """Independent frames, each with its own shape or the start's. `held` joints stay as in `start`."""
+        """Independent frames, each with its own shape or the start's. `held` joints stay as in `start`.
+        `max_iterations`: None for MAX_ITERATIONS."""
 
         def linearise(state: State, index: torch.Tensor):
             whole = len(index) == len(seen)
@@ -141,7 +148,8 @@ class FastFitter:
                 return blocks
             return (held if whole else held.select(index)).of(blocks)
 
-        return solve(self.chain, linearise, start, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
+        most = MAX_ITERATIONS if max_iterations is None else max_iterations
+        return solve(self.chain, linearise, start, max_iterations=most, tolerance=TOLERANCE)
 
     def solve_shape(self, seen: Observation) -> torch.Tensor:
         """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
@@ -169,8 +177,8 @@ def measured_hand(model: HandModel, length: float) -> MeasuredHand:
     return MeasuredHand(betas, length_rates(model, betas))
 
 
-def _tell_of_odd_shapes(model: HandModel, length: float) -> None:
-    """Warn where a length asks for a shape that hardly any hand has."""
+def tell_of_odd_shapes(model: HandModel, length: float) -> None:
+    """Warn where a hand length in metres asks for a shape that hardly any hand has."""
     away = float(np.linalg.norm(betas_of_length(model, length)))
     if away <= ODD_SHAPE:
         return
@@ -245,8 +253,6 @@ def fit_track(
     """
     found = np.flatnonzero(track.detected)
     detections = [d for d in track.detections if d is not None]
-    if hand_length is not None:
-        _tell_of_odd_shapes(model, hand_length)
     with one_thread(), torch.inference_mode():
         if len(detections) == 1:
             # A picture by itself: float32, since nothing is summed over frames.
@@ -308,7 +314,8 @@ def over_time(
     before_each: Callable[[], None] = lambda: None,
 ) -> tuple[np.ndarray, State]:
     """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their
-    states. `held` has a row for each of the track's frames; `before_each` stretch may raise to stop."""
+    states. `held` has a row for each of the track's frames; `before_each` stretch, window and iteration may
+    raise to stop."""
     motion = _motion(smoothing, fps)
     frames, states = [], []
     for stretch in spans(found, fps, cuts):
@@ -323,7 +330,7 @@ def over_time(
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
             guess = smoothed(
                 fitter.chain, fitter.energy, seen.select(nearest), known, guess, motion,
-                None if here is None else here.variables(),
+                None if here is None else here.variables(), before_each,
             )  # fmt: skip
         frames.append(stretch)
         states.append(guess)

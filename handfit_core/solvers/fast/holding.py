@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -36,12 +37,16 @@ class Held:
 
     def of(self, blocks: Blocks) -> Blocks:
         """The same problems without the held variables."""
-        count, n = blocks.hand_gradient.shape
-        device = blocks.cost.device
-        held = torch.tensor(self.variables(), device=device)
-        of_hand = torch.zeros(count, n, dtype=torch.bool, device=device)
-        of_hand[:, :6] = held[:, :1]
-        return blocks.holding(of_hand, held[:, 3:48].reshape(count, 5, 9))
+        wrist, fingers = self._masks
+        of_hand = torch.zeros_like(blocks.hand_gradient, dtype=torch.bool)
+        of_hand[:, :6] = wrist
+        return blocks.holding(of_hand, fingers)
+
+    @cached_property
+    def _masks(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """(B, 1) and (B, 5, 9) bool, of the state's device."""
+        held = torch.tensor(self.variables(), device=self.state.root.device)
+        return held[:, :1], held[:, 3:48].reshape(-1, 5, 9)
 
     def put(self, state: State) -> State:
         """B hands with the held joints where they are held."""

@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
+from handfit_core.solvers.fast.keeping import Kept
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -30,6 +32,8 @@ class Observation:
     number of other landmarks can outvote them. None: there are none"""
     world: torch.Tensor | None = None
     """(B, 21, 3) world landmarks in metres; None where they are in `depth` already"""
+    kept: Kept | None = None
+    """Poses that the hands are to stay near; None: there are none"""
 
     def __len__(self) -> int:
         return len(self.pixels)

@@ -8,6 +8,7 @@ there is no lag. Frames without a detection have no residuals and follow from th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,24 +53,32 @@ def smoothed(
     start: State,
     motion: Motion,
     held: np.ndarray | None = None,
+    before_each: Callable[[], None] = lambda: None,
 ) -> State:
     """Smooth T frames, window by window.
 
     `seen` and `start` have T rows; rows where `has_data` (T,) is False are not looked at in `seen`, and in
     `start` hold a guess. `held` (T, 51) bool: variables (root, joints finger by finger, place) that stay as
-    they are in `start`; None: none does.
+    they are in `start`; None: none does. `before_each` window, and each of its iterations, may raise to stop.
     """
     count = len(start)
     held = np.zeros((count, SIZE), dtype=bool) if held is None else held
     if count <= WINDOW + motion.overlap:
-        return _window(chain, energy, seen, has_data, start, motion, held)
+        return _window(chain, energy, seen, has_data, start, motion, held, before_each)
     state, first = start, 0
     while True:
         last = min(first + WINDOW + motion.overlap, count)
         part = torch.arange(first, last)
         rows = slice(first, last)
         found = _window(
-            chain, energy, seen.select(part), has_data[rows], start.select(part), motion, held[rows]
+            chain,
+            energy,
+            seen.select(part),
+            has_data[rows],
+            start.select(part),
+            motion,
+            held[rows],
+            before_each,
         )
         # In the shared part the first half is the earlier window's, the second the later's.
         keep = 0 if first == 0 else motion.overlap // 2
@@ -96,14 +105,17 @@ def _window(
     start: State,
     motion: Motion,
     held: np.ndarray,
+    before_each: Callable[[], None],
 ) -> State:
     if len(start) < 3:
         return start
+    before_each()
     state = start
     blocks = _data(chain, energy, seen, has_data, state)
     total = float(blocks.cost.double().sum()) + _motion_cost(state, motion)
     damping = 1e-4
     for _ in range(ITERATIONS):
+        before_each()
         matrix, gradient = _banded(blocks, has_data)
         _add_motion(matrix, gradient, state, motion)
         _hold(matrix, gradient, held)

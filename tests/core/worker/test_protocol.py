@@ -33,7 +33,20 @@ def test_only_jsons_types_are_sent(value: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", [b"", b"hello", b"{", b"[1, 2]", b"3", b'{"a": 1} {"b": 2}', b"\xff\xfe{}", b"[" * 100_000]
+    "line",
+    [
+        b"",
+        b"hello",
+        b"{",
+        b"[1, 2]",
+        b"3",
+        b'{"a": 1} {"b": 2}',
+        b"\xff\xfe{}",
+        b"[" * 100_000,
+        b'{"a": NaN}',
+        b'{"a": [-Infinity]}',
+        b'{"a": ' + b"9" * 5000 + b"}",
+    ],
 )
 def test_other_lines_are_refused_in_one_sentence(line: bytes) -> None:
     with pytest.raises(ProtocolError) as caught:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import queue
 import subprocess
@@ -15,8 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core import Take
+from handfit_core import Intrinsics, Take, capture
+from handfit_core.frame_range import FrameRange
 from handfit_core.version import __version__
+from handfit_core.worker.capturing import arguments
 from handfit_core.worker.protocol import PROTOCOL, decode, encode
 from tests.conftest import ROOT
 
@@ -188,6 +191,14 @@ def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
         ({"input": ["/nowhere/a.png"]}, "InputError", "no such file"),
         ({"output": None}, "OptionError", "output"),
         ({"output": "/proc/x/y.npz"}, "OutputError", "cannot write"),
+        ({"output": "a\0b.npz"}, "OutputError", "choose another name"),
+        ({"output": "a\ud800b.npz"}, "OutputError", "choose another name"),
+        ({"output": "x" * 300}, "OutputError", "choose another name"),
+        ({"input": ["x" * 300]}, "InputError", "xxx"),
+        ({"input": [" "]}, "InputError", "' ': there is no such file"),
+        ({"options": {"intrinsics": [1e-300, 1e-300, 0, 0]}}, "OptionError", "focal lengths"),
+        ({"options": {"intrinsics": [1, 1, 0, 0]}}, "OptionError", "between 32 and 640000 pixels"),
+        ({"options": {"threshold": 10**400}}, "OptionError", "a finite number"),
     ],
     ids=str,
 )
@@ -239,6 +250,53 @@ def test_warnings_are_of_their_request(warm: Worker, tmp_path: Path) -> None:
     (warning,) = [e for e in before if e["event"] == "warning"]
     assert warning["id"] == 60
     assert "100 mm" in warning["message"]
+
+
+def test_a_compact_take_has_numbers_of_32_bits(warm: Worker, tmp_path: Path) -> None:
+    for compact, dtype in ((None, "float64"), (False, "float64"), (True, "float32")):
+        output = tmp_path / f"{compact}.npz"
+        fields = {} if compact is None else {"compact": compact}
+        done = warm.ask(65, "capture", input=[PHOTO], output=str(output), **fields)
+        assert done["event"] == "done", done
+        with np.load(output, allow_pickle=False) as arrays:
+            kinds = {a.dtype.name for a in arrays.values() if a.dtype.kind == "f"}
+        assert kinds == {dtype}
+    error = warm.ask(66, "capture", input=[PHOTO], output=str(tmp_path / "x.npz"), compact="yes")
+    assert "compact must be true or false" in error["message"]
+
+
+def test_every_option_is_an_argument_of_the_capture() -> None:
+    given = arguments(
+        {
+            "frames": "2-10:4",
+            "hands": "left",
+            "solver": "paper-a",
+            "model": "m.pkl",
+            "threshold": 1,
+            "intrinsics": [1, 2, 3, 4],
+            "lens": [1, 0.5, 0.5],
+            "smoothing": 0.5,
+            "plain_detection": True,
+            "landmark_model": "l.task",
+            "hand_length": 0.2,
+        }
+    )
+    assert given == {
+        "frames": FrameRange.parse("2-10:4"),
+        "hands": "left",
+        "solver": "paper-a",
+        "model": "m.pkl",
+        "threshold": 1.0,
+        "intrinsics": Intrinsics(1.0, 2.0, 3.0, 4.0),
+        "lens": (1.0, 0.5, 0.5),
+        "smoothing": 0.5,
+        "persistent": False,
+        "landmark_model": "l.task",
+        "hand_length": 0.2,
+    }
+    assert set(given) <= set(inspect.signature(capture).parameters)
+    assert arguments({"plain_detection": False, "hands": None}) == {"persistent": True}
+    assert arguments({}) == {}
 
 
 def test_warm_and_check(warm: Worker) -> None:
@@ -385,6 +443,66 @@ def test_interrupting_blender_in_its_terminal_is_not_for_the_worker(fresh: Worke
 
     fresh.process.send_signal(signal.SIGINT)
     assert fresh.ask(1, "magic")["type"] == "ProtocolError"
+
+
+def test_threads_reach_torch_and_the_others() -> None:
+    code = (
+        "import os\n"
+        "from handfit_core.worker import checking\n"
+        "from handfit_core.worker.server import THREAD_VARIABLES\n"
+        "def told(should_stop):\n"
+        "    import torch\n"
+        "    variables = [os.environ.get(name) for name in THREAD_VARIABLES]\n"
+        "    return {'torch': torch.get_num_threads(), 'variables': variables}\n"
+        "checking.answer = told\n"
+        "from handfit_core.__main__ import main\n"
+        "main()\n"
+    )
+    for threads in (1, 3):
+        worker = Worker("--threads", str(threads), code=code)
+        try:
+            done = worker.ask(1, "check")
+            assert set(done["variables"]) == {str(threads)}
+            assert 1 <= done["torch"] <= threads
+        finally:
+            worker.end()
+
+
+def test_a_line_without_an_end_is_refused_and_the_next_understood() -> None:
+    code = "from handfit_core.worker import server\nserver.LONGEST_LINE = 4096\nserver.serve()\n"
+    worker = Worker(code=code)
+    try:
+        for length in (4096, 4097, 3_000_000):
+            worker.send_line(b"x" * length + b"\n")
+            error = worker.next()
+            assert (error["id"], error["type"]) == (None, "ProtocolError")
+            assert "more than 4096 bytes came; send fewer frames" in error["message"]
+        worker.send_line(b"x" * 4095 + b"\n")  # as long as a line may be
+        assert "not JSON" in worker.next()["message"]
+        assert worker.ask(1, "magic")["id"] == 1
+        worker.send_line(b"x" * 5000)
+        assert worker.close() == 0
+    finally:
+        worker.end()
+
+
+def test_a_worker_that_cannot_read_any_more_ends() -> None:
+    """Memory runs out over a request; stdin stays open."""
+    code = (
+        "from handfit_core.worker import server\n"
+        "def decode(line):\n"
+        "    raise MemoryError\n"
+        "server.decode = decode\n"
+        "server.serve()\n"
+    )
+    worker = Worker(code=code)
+    try:
+        worker.send(id=1, request="check")
+        worker.process.wait(PATIENCE)
+        assert worker.process.stderr is not None
+        assert worker.process.stderr.read().splitlines()[-1] == b"MemoryError"
+    finally:
+        worker.end()
 
 
 def test_threads_must_be_positive() -> None:

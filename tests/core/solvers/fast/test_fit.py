@@ -15,7 +15,7 @@ from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import PARENTS, SIDES, Side
 from handfit_core.solvers.fast import fit
-from handfit_core.solvers.fast.fit import FrameFits, fit_frames, fit_track
+from handfit_core.solvers.fast.fit import FrameFits, fit_frames, fit_track, tell_of_odd_shapes
 from handfit_core.solvers.fast.gaps import LONGEST_GAP
 from handfit_core.solvers.result import TrackFit
 from tests.core.solvers.fast.detections import (
@@ -300,6 +300,8 @@ def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCapt
     ]:
         caplog.clear()
         found = fit_track(1.0, model, track, CAMERA, lambda: None, hand_length=length)
+        assert not caplog.records  # it is not this hand's alone
+        tell_of_odd_shapes(model, length)
         assert (said or "") in caplog.text
         assert bool(caplog.records) == (said is not None)
         assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)

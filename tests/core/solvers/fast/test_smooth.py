@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -241,6 +242,35 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
     difference = np.linalg.norm(points_of(found) - points_of(whole), axis=-1)
     assert difference.max() < 2e-3  # metres
     assert difference.mean() < 2e-4
+
+
+@pytest.mark.parametrize(("window", "windows"), [(600, 1), (12, 2)])
+def test_asks_before_every_window_and_iteration(
+    monkeypatch: pytest.MonkeyPatch, window: int, windows: int
+) -> None:
+    monkeypatch.setattr(smooth, "WINDOW", window)
+    monkeypatch.setattr(smooth, "TOLERANCE", 0.0)
+    _, seen, start = clip()
+    solve, done, asked = smooth._solve, [], []
+    monkeypatch.setattr(smooth, "_solve", lambda *a: done.append(1) or solve(*a))
+    motion, known = replace(MOTION, overlap=16), np.ones(COUNT, dtype=bool)
+
+    def smoothing(before_each: Callable[[], None]) -> None:
+        smoothed(CHAIN, ENERGY, seen, known, start, motion, before_each=before_each)
+
+    smoothing(lambda: asked.append(len(done)))
+    whole = windows * smooth.ITERATIONS
+    assert len(done) == whole
+    assert len(asked) == whole + windows
+    assert set(asked) == set(range(whole))
+
+    def stop_at_the_second_iteration() -> None:
+        if len(done) == whole + 1:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        smoothing(stop_at_the_second_iteration)
+    assert len(done) == whole + 1
 
 
 def test_one_or_two_frames_stay_as_they_are() -> None:

@@ -1,0 +1,82 @@
+"""Whether a captured hand may be changed here, and its keys, and why not."""
+
+from __future__ import annotations
+
+import bpy
+
+from handfit_core.errors import HandModelError, OptionError
+from handfit_core.skeleton import Side
+
+from .armature import bone_names
+
+
+def check_bones(armature: bpy.types.Object, side: Side) -> None:
+    """Raises HandModelError where the armature lacks one of the hand's 16 bones."""
+    why = _lacking(armature, side)
+    if why is not None:
+        raise HandModelError(f"{armature.name!r}: {_lower(why)}")
+
+
+def why_not_readable(armature: bpy.types.Object) -> str | None:
+    """Why a captured hand's pose cannot be read: a sentence for a tooltip; None where it can."""
+    return _lacking(armature, armature.manient.side)
+
+
+def why_not_editable(armature: bpy.types.Object) -> str | None:
+    """Why nothing of a captured hand can be changed: a sentence for a tooltip; None where it can."""
+    if armature.library is not None or not armature.is_editable:
+        return "This hand is linked from another file: make it local to change it"
+    if armature.override_library is not None:
+        # What the add-on writes would be gone as soon as the file is loaded again.
+        return "This hand is a library override: make it local to change it"
+    return why_not_readable(armature)
+
+
+def why_not_keyable(armature: bpy.types.Object) -> str | None:
+    """The same for single keys of its motion: these are changed in the active action."""
+    why = why_not_editable(armature)
+    data = armature.animation_data
+    if why is not None or data is None:
+        return why
+    if is_tweaked(armature):
+        return "The motion is in the NLA: leave tweak mode, and make its action the active one to change it"
+    action = data.action
+    if action is None:
+        # A new action with a few keys would hide all strips under it, on all frames.
+        if any(len(track.strips) for track in data.nla_tracks):
+            return "The motion is in the NLA: make its action the active one, or bake it, to change it"
+        return None
+    if action.library is not None or action.override_library is not None or not action.is_editable:
+        return f"The action {action.name} is linked from another file: make the action local to change it"
+    return None
+
+
+def is_tweaked(armature: bpy.types.Object) -> bool:
+    """Whether an NLA strip of it is being edited, whose action has a time of its own."""
+    data = armature.animation_data
+    return data is not None and data.use_tweak_mode
+
+
+def check_editable(armature: bpy.types.Object) -> None:
+    """Raises OptionError where nothing of the hand can be changed."""
+    _check(armature, why_not_editable(armature))
+
+
+def check_keyable(armature: bpy.types.Object) -> None:
+    """Raises OptionError where single keys of the hand cannot be changed."""
+    _check(armature, why_not_keyable(armature))
+
+
+def _check(armature: bpy.types.Object, why: str | None) -> None:
+    if why is not None:
+        raise OptionError(f"{armature.name!r} cannot be changed: {_lower(why)}")
+
+
+def _lacking(armature: bpy.types.Object, side: Side) -> str | None:
+    bones = armature.data.bones
+    missing = next((name for name in bone_names(side) if name not in bones), None)
+    return None if missing is None else f"The hand lacks the bone {missing}: give its bones their names back"
+
+
+def _lower(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:]

@@ -1,0 +1,25 @@
+"""Poses that hands are to stay near, softly. What is held exactly: `holding`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What B hands are to stay near, and how firmly; a sigma that is infinite keeps nothing."""
+
+    wrist: torch.Tensor
+    """(B, 3) metres, camera frame, of which the distance counts"""
+    distance_sigma: torch.Tensor
+    """(B,) as a part of that distance"""
+    angles: torch.Tensor
+    """(B, 5, 9) radians, finger by finger"""
+    angle_sigma: torch.Tensor
+    """(B, 5) radians"""
+
+    def __getitem__(self, index: torch.Tensor) -> Kept:
+        """The hands of that index."""
+        return Kept(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
