@@ -169,7 +169,7 @@ class Refiner:
         rows: Sequence[int],
         pins: Sequence[Pins],
         poses: BonePoses,
-        mode: Literal["each", "range"] = "each",
+        mode: Literal["each", "draft", "range"] = "each",
         smoothing: float = DEFAULT_SMOOTHING,
     ) -> Callable[[], dict[str, Any]]:
         """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.

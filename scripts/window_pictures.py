@@ -46,6 +46,9 @@ def main() -> int:
             window.stop()
         for name in PICTURES:
             picture = cv2.imread(str(shots / f"{name}.png"))
+            if picture is None:
+                print(f"window_pictures.py: the tour left no picture of {name}", file=sys.stderr)
+                return 1
             left, top, right, bottom = SIDEBAR
             if name == "empty":
                 picture = picture[top:bottom, left:right]

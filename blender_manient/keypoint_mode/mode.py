@@ -70,6 +70,8 @@ class _Drag:
     sent: np.ndarray | None = None
     sent_at: float = 0.0
     is_sent: bool = False
+    is_final: bool = False
+    """Whether the last request was one for the result to be kept, and not a draft"""
     asked: Pins = field(default_factory=dict)
     """The pins of the request"""
     answer: BonePoses | None = None
@@ -89,7 +91,7 @@ class _Drag:
     @property
     def waiting(self) -> bool:
         """Whether the newest place has not been asked for yet."""
-        return not self.is_sent or self.sent is not self.place
+        return not self.is_sent or self.sent is not self.place or (self.released and not self.is_final)
 
 
 class KeypointMode:
@@ -342,7 +344,9 @@ class KeypointMode:
     def _send(self, drag: _Drag) -> None:
         drag.sent, drag.sent_at, drag.is_sent = drag.place, drag.moved_at, True
         drag.asked = drag.pins
-        fields = self.refiner.request([drag.row], [drag.asked], drag.start)()
+        drag.is_final = drag.released
+        mode = "each" if drag.released else "draft"
+        fields = self.refiner.request([drag.row], [drag.asked], drag.start, mode)()
         drag.request = shared.worker().request("refit", **fields)
 
     def _show(self, context: bpy.types.Context, drag: _Drag, poses: BonePoses) -> None:

@@ -22,7 +22,7 @@ from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.solvers.result import ShouldStop
 from handfit_core.worker.protocol import pack, unpack
 
-MODES = ("each", "range")
+MODES = ("each", "draft", "range")
 _POINTS = ("keypoints", "world")
 _RECENT = Recent()
 
@@ -109,8 +109,9 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
     """What the `done` event of a `refit` request says: {"result": {...}, "seconds": s}.
 
-    The request's `mode` is "each" or "range", its `hand` what `to_message` made. The result's arrays
-    are those of RefineResult, packed as float32. Raises HandfitError; Cancelled when stopped.
+    The request's `mode` is "each", "draft" (see `refit_each`) or "range", its `hand` what `to_message` made.
+    The result's arrays are those of RefineResult, packed as float32. Raises HandfitError; Cancelled when
+    stopped.
     """
     mode = message.get("mode", "each")
     if mode not in MODES:
@@ -121,11 +122,11 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
     hand = from_message(message["hand"])
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
-    if mode == "each":
-        result = refit_each(hand, _RECENT.of(hand))
-        _RECENT.keep(hand, result)
-    else:
+    if mode == "range":
         result = refit_range(hand, should_stop)
+    else:
+        result = refit_each(hand, _RECENT.of(hand), draft=mode == "draft")
+        _RECENT.keep(hand, result)
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
     packed = {f.name: pack(getattr(result, f.name).astype(np.float32)) for f in fields(RefineResult)}

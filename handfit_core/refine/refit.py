@@ -15,21 +15,22 @@ from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, S
 from handfit_core.solvers.result import ShouldStop, never
 
 
-def refit_each(hand: RefineHand, guess: RefineResult | None = None) -> RefineResult:
+def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bool = False) -> RefineResult:
     """Every frame by itself, with the shape as it is.
 
     A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
     as it is, and with pins the joints of fingers that none of them moves do. A frame without a pose is
     fitted to its detection and pins; without a detection too it stays empty. `guess`, an earlier result for
     the same hand, is where the solver begins too, beside the frame's own pose: it counts where it leads
-    to a clearly better place.
+    to a clearly better place. `draft`: a few steps from the guess alone, for the time until a mouse button
+    is released.
 
     Raises HandModelError.
     """
     from handfit_core.refine import solving
 
     model = hand_model(hand.model, hand.side)
-    return _result(hand, model, solving.each(hand, model, guess))
+    return _result(hand, model, solving.each(hand, model, guess, draft=draft))
 
 
 def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResult:

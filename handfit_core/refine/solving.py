@@ -11,11 +11,12 @@ import torch
 
 from handfit_core.errors import Cancelled
 from handfit_core.hand_model.data import HandModel
+from handfit_core.keypoints import HandDetection
 from handfit_core.refine import pins as pinning
 from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points
 from handfit_core.residuals.reprojection import NEAREST
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, NUM_KEYPOINTS
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers.fast.angles import angles_of
 from handfit_core.solvers.fast.chain import State, joined
 from handfit_core.solvers.fast.fit import CHUNK, TRUST, FastFitter, fitter_of, over_time
@@ -32,6 +33,8 @@ LOOSE: Final = 4.0
 MAX_ITERATIONS: Final = 30
 """More than captures take. Where they are too few, a drag's result does still not depend on the way there:
 from the frame's own pose the steps are the same every time."""
+DRAFT_ITERATIONS: Final = 6
+"""While a point is dragged, each answer goes on where the one before ended"""
 CHEAPER: Final = 0.9
 """of the cost from the frame's own pose: where the guess leads to less, its result counts"""
 
@@ -44,8 +47,11 @@ def load() -> None:
     import scipy.linalg  # noqa: F401
 
 
-def each(hand: RefineHand, model: HandModel, guess: RefineResult | None) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, each by itself."""
+def each(
+    hand: RefineHand, model: HandModel, guess: RefineResult | None, *, draft: bool = False
+) -> dict[str, np.ndarray]:
+    """Poses (T rows) of all frames, each by itself. `draft`: a few steps from the guess, or from the frame's
+    own pose where there is none."""
     pose = {name: np.array(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
     for values in pose.values():
@@ -75,10 +81,11 @@ def each(hand: RefineHand, model: HandModel, guess: RefineResult | None) -> dict
             starts = [own]
             if guess is not None:
                 there = guess.present[at]
-                near = _start(fitter, hand, guess, there, observed, at)
-                starts.append(near.where(torch.tensor(there), own))
+                near = _start(fitter, hand, guess, there, observed, at).where(torch.tensor(there), own)
+                starts = [near] if draft else [own, near]
             observed = replace(observed, kept=kept)
-            state = _cheapest(fitter, observed, starts, _held(held[at], own), MAX_ITERATIONS)
+            most = DRAFT_ITERATIONS if draft else MAX_ITERATIONS
+            state = _cheapest(fitter, observed, starts, _held(held[at], own), most)
             for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
                 pose[name][at] = values
     return _with_held(hand, held, pose)
@@ -192,10 +199,24 @@ def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
     points = (count, NUM_KEYPOINTS)
     whole = Landmarked(*(np.full(shape, np.nan) for shape in ((*points, 2), (*points, 2), points, points)))
     if detections:
-        found = landmarked(detections, hand.side, TRUST)
+        found = _corrected_once(hand.side, detections)
         for name in _ARRAYS:
             getattr(whole, name)[there] = getattr(found, name)
     return whole
+
+
+_LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
+"""The landmarks of the last single detection: a drag asks for the same ones again and again"""
+
+
+def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
+    if len(detections) > 1:
+        return landmarked(detections, side, TRUST)
+    (one,) = detections
+    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes())
+    if "one" not in _LAST or _LAST["one"][0] != key:
+        _LAST["one"] = key, landmarked(detections, side, TRUST)
+    return _LAST["one"][1]
 
 
 _ARRAYS = tuple(f.name for f in fields(Landmarked) if f.name != "pinned")
