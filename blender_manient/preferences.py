@@ -7,6 +7,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
+from .properties import PRESETS
+
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
 """The name of the add-on in Blender's preferences; of an extension it is bl_ext.REPOSITORY.ID"""
 
@@ -46,11 +48,7 @@ class ManientPreferences(bpy.types.AddonPreferences):
     default_preset: EnumProperty(  # type: ignore
         name="Quality",
         description="Quality of captures in scenes where none has been chosen yet",
-        items=(
-            ("FAST", "Fast", "One look per frame"),
-            ("BEST", "Best", "Look again where hands are missed or uncertain"),
-            ("PAPER", "Paper", "The published method's experiments, slow"),
-        ),
+        items=PRESETS,
         default="BEST",
         update=lambda _self, _context: _apply_default_preset(),
     )

@@ -17,6 +17,12 @@ from bpy.props import (
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 
+PRESETS = (
+    ("FAST", "Fast", "One look per frame"),
+    ("BEST", "Best", "Look again where hands are missed or uncertain"),
+    ("PAPER", "Paper", "The published method's experiments, slow"),
+)
+
 EXPERIMENTS = (
     ("paper-a", "A: L-BFGS, Mean Squares", "Mean squared error, fingertips counted again"),
     ("paper-b", "B: Without Fingertips", "Mean squared error of the 21 keypoints"),
@@ -119,11 +125,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     preset: EnumProperty(  # type: ignore
         name="Quality",
         description="How hands are found and fitted",
-        items=(
-            ("FAST", "Fast", "One look per frame"),
-            ("BEST", "Best", "Look again where hands are missed or uncertain"),
-            ("PAPER", "Paper", "The published method's experiments, slow"),
-        ),
+        items=PRESETS,
         default="BEST",
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
