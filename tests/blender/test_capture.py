@@ -305,3 +305,41 @@ def _tick_until(condition, seconds: float = 60.0) -> None:
         assert time.monotonic() < end, [(j.state, j.message) for j in jobs.jobs()]
         jobs.tick()
         time.sleep(0.002)
+
+
+@needs_worker
+def test_the_list_of_captures_and_its_buttons(settings, photo):
+    settings.source = str(photo)
+    bpy.ops.manient.capture()
+    (hand,) = _hands()
+    for obj in bpy.context.scene.objects:
+        obj.select_set(False)
+    bpy.context.view_layer.objects.active = None
+    assert bpy.ops.manient.select_hand(hand=hand.armature.name) == {"FINISHED"}
+    assert bpy.context.view_layer.objects.active == hand.armature
+    assert hand.armature.select_get()
+    hand.armature.hide_set(True)
+    with pytest.raises(RuntimeError, match="hidden"):
+        bpy.ops.manient.select_hand(hand=hand.armature.name)
+    with pytest.raises(RuntimeError, match="not in this scene"):
+        bpy.ops.manient.select_hand(hand="nobody")
+
+    waiting = [new_job(bpy.context, only_frame=False) for _ in range(2)]
+    for job in waiting:
+        jobs.submit(job)
+    assert bpy.ops.manient.cancel_capture(index=1) == {"FINISHED"}
+    assert [job.state for job in waiting] == ["cancelled", "waiting"]
+    assert bpy.ops.manient.cancel_capture() == {"FINISHED"}
+    assert not jobs.busy()
+    assert bpy.ops.manient.clear_captures() == {"FINISHED"}
+    assert jobs.jobs() == ()
+
+
+@needs_worker
+def test_details_of_a_failure_can_be_shown(settings, tmp_path):
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    settings.source = str(tmp_path / "broken.jpg")
+    with pytest.raises(RuntimeError, match="not a picture"):
+        bpy.ops.manient.capture()
+    assert bpy.ops.manient.show_details() == {"FINISHED"}
+    assert "not a picture" in bpy.data.texts["Hand Capture Details"].as_string()
