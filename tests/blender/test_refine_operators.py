@@ -361,13 +361,13 @@ def test_pins_are_those_of_the_pose_that_is_kept(armature):
     drag.place, drag.moved = fitted, True
     until_answered(mode)
     drag.place = fitted + [300.0, 300.0]
+    mode.release()
     mode._send(drag)
     worker = shared.worker()
     worker.wait(drag.request, timeout=120)
     drag.request = 0
     nothing = np.full((1, 16, 4), np.nan), np.full((1, 3), np.nan), np.full((1, 21, 2), np.nan)
     mode._show(bpy.context, drag, BonePoses(*nothing))
-    mode.release()
     mode.tick(bpy.context)
     assert mode.drag is None
     np.testing.assert_allclose(mode.refiner.pins(mode.row())[TIP], fitted, atol=1e-3)
