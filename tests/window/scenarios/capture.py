@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -239,7 +240,7 @@ def full_disk(stage, source):
     addon = bpy.context.preferences.addons["blender_manient"].preferences
     before = addon.cache_folder
     addon.cache_folder = "/tmp/small_disk"
-    with open("/tmp/small_disk/filler", "wb") as filler, __import__("contextlib").suppress(OSError):
+    with open("/tmp/small_disk/filler", "wb") as filler, contextlib.suppress(OSError):
         while True:
             filler.write(b"\0" * 4096)
             filler.flush()
