@@ -49,12 +49,3 @@ def test_light_half_is_light() -> None:
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-
-
-def test_version_has_one_source() -> None:
-    import tomllib
-
-    from handfit_core.version import __version__
-
-    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
-    assert manifest["version"] == __version__
