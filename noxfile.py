@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import sys
 from pathlib import Path
 
 import nox
@@ -16,8 +18,11 @@ PYTHON = "3.11"
 RUN_TIME = ["torch", "scipy", "opencv-python-headless", "mediapipe"]
 EVALUATION = ["matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
+SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
+OLDEST_NUMPY = "numpy==1.24.4"
+"""As some Blenders 4.2 have it; the bpy wheel would take the newest."""
 
 BPY = {
     "4.2": "bpy==4.2.23",
@@ -26,6 +31,13 @@ BPY = {
     "5.2": "bpy==5.2.3",
 }
 DEMO_BPY = BPY["4.5"]
+
+PUBLIC_HOST_FILES = {
+    "github-workflows": "workflows/*.yml",
+    "github-issue-forms": "ISSUE_TEMPLATE/*_*.yml",
+    "github-issue-config": "ISSUE_TEMPLATE/config.yml",
+}
+"""Schema, which check-jsonschema brings with it, and the files below .github that follow it."""
 
 
 def install(session: nox.Session, *packages: str) -> None:
@@ -68,7 +80,7 @@ def benchmark(session: nox.Session) -> None:
 def tests(session: nox.Session, part: str) -> None:
     """All tests: the core without Blender, the open hand's rebuild, and Blender's side per bpy wheel."""
     if part == "core":
-        install(session, *RUN_TIME, *EVALUATION, CORE_NUMPY, "pytest")
+        install(session, *RUN_TIME, *EVALUATION, *SBOM_CHECK, CORE_NUMPY, "pytest")
         fetch_landmark_model(session)
         run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx")
     elif part == "open-hand":
@@ -78,21 +90,80 @@ def tests(session: nox.Session, part: str) -> None:
         run_blender_tests(session, part.removeprefix("bpy-"))
 
 
+@nox.session(python=PYTHON, name="checkout-4.2")
+def checkout_42(session: nox.Session) -> None:
+    """Blender's side of the checkout, as in `tests`, in the oldest Blender that is supported."""
+    run_blender_tests(session, "4.2")
+
+
+@nox.session(python="3.13", name="checkout-5.2")
+def checkout_52(session: nox.Session) -> None:
+    """The same in 5.2 under Python 3.13; what captures there is a Python 3.11 of its own."""
+    install(session, BPY["5.2"], "pytest")
+    env = {"HANDFIT_BLENDER_CHROOT": "", "HANDFIT_PYTHON": capturing_python(session)}
+    run_pytest(session, "tests/blender", "tests/e2e", allowed_skips="chroot,cv2", env=env)
+
+
 @nox.session(python=PYTHON, name="blender-4.2")
 def blender_42(session: nox.Session) -> None:
-    """Blender's side in the oldest Blender that is supported."""
-    run_blender_tests(session, "4.2")
+    """The zip in the oldest Blender that is supported, with the NumPy that it may have."""
+    run_installed_tests(session, "4.2", OLDEST_NUMPY)
+
+
+@nox.session(python=PYTHON, name="blender-4.5")
+def blender_45(session: nox.Session) -> None:
+    """The zip in Blender 4.5: installed offline into an empty profile, used, removed."""
+    run_installed_tests(session, "4.5")
+
+
+@nox.session(python=PYTHON, name="blender-5.0")
+def blender_50(session: nox.Session) -> None:
+    """The zip in Blender 5.0."""
+    run_installed_tests(session, "5.0")
 
 
 @nox.session(python="3.13", name="blender-5.2")
 def blender_52(session: nox.Session) -> None:
-    """Blender's side in 5.2 under Python 3.13.
+    """The zip in Blender 5.2, and in a real Blender where HANDFIT_BLENDER_CHROOT names one.
 
-    Torch has no CPU build for it here: name an interpreter of Python 3.11 that has the run-time
-    packages in HANDFIT_PYTHON, or the tests that capture are skipped.
+    Both have Python 3.13, for which there is no CPU build of torch on Linux; so a Python 3.11 captures.
     """
-    install(session, BPY["5.2"], "pytest")
-    run_pytest(session, "tests/blender", "tests/e2e", allowed_skips="HANDFIT_PYTHON,chroot,cv2")
+    run_installed_tests(session, "5.2", real_blender=True)
+
+
+def run_installed_tests(
+    session: nox.Session, version: str, *packages: str, real_blender: bool = False
+) -> None:
+    """Build the zip, and test it where there is nothing but Blender: this environment has no torch, no
+    SciPy, no OpenCV and no MediaPipe."""
+    install(session, BPY[version], *packages, "pytest")
+    folder = Path(session.virtualenv.location) / "extension"
+    shutil.rmtree(folder, ignore_errors=True)  # the zip of an earlier version
+    session.run("python", "scripts/build_extension.py", "--output", str(folder))
+    (zipped,) = folder.glob("*.zip")
+    env = {"HANDFIT_ZIP": str(zipped)}
+    allowed = "left out of this zip"
+    if session.python == PYTHON:
+        env["HANDFIT_PYTHON"] = ""
+    else:
+        env["HANDFIT_PYTHON"], allowed = capturing_python(session), ""
+    if not real_blender:
+        env["HANDFIT_BLENDER_CHROOT"], allowed = "", f"{allowed},chroot"
+    run_pytest(session, "tests/installed", allowed_skips=allowed, env=env)
+
+
+def capturing_python(session: nox.Session) -> str:
+    """A second environment of the session, which captures for a Blender whose Python has no torch."""
+    folder = Path(session.virtualenv.location) / "capturing"
+    python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    if not python.exists():
+        # nox itself stands on virtualenv.
+        virtualenv = [sys.executable, "-m", "virtualenv", "--quiet", "--python", PYTHON]
+        session.run(*virtualenv, str(folder), external=True)
+    constraint = ["--constraint", str(ROOT / "constraints.txt")]
+    pip = [str(python), "-m", "pip", "install", "--quiet", *constraint]
+    session.run(*pip, *RUN_TIME, CORE_NUMPY, external=True)
+    return str(python)
 
 
 def run_blender_tests(session: nox.Session, version: str) -> None:
@@ -109,8 +180,10 @@ def run_pytest(
     session: nox.Session, *paths: str, allowed_skips: str = "", env: dict[str, str] | None = None
 ) -> None:
     """Run pytest. In CI everything is there, so that a skip whose reason names none of
-    `allowed_skips` is a failure (tests/conftest.py)."""
-    strict = {"HANDFIT_ALLOWED_SKIPS": allowed_skips} if os.environ.get("CI") else {}
+    `allowed_skips` is a failure (tests/conftest.py). A CI that lacks something, such as the samples, names
+    it in HANDFIT_ALLOWED_SKIPS."""
+    allowed = ",".join(filter(None, (allowed_skips, os.environ.get("HANDFIT_ALLOWED_SKIPS"))))
+    strict = {"HANDFIT_ALLOWED_SKIPS": allowed} if os.environ.get("CI") else {}
     chosen = [a for a in session.posargs if a.startswith("tests")]
     options = [a for a in session.posargs if a not in chosen]
     # More BLAS threads than one only wait for each other, as handfit_core/__main__.py explains.
@@ -121,9 +194,40 @@ def run_pytest(
 
 
 @nox.session(python=PYTHON)
+def build(session: nox.Session) -> None:
+    """The add-on's zip for this machine, or as the options after `--` say, into out/extension/."""
+    install(session, DEMO_BPY)  # whose extension tool makes and validates the zip
+    session.run("python", "scripts/build_extension.py", *session.posargs)
+
+
+@nox.session(python=PYTHON)
+def lock(session: nox.Session) -> None:
+    """Choose the zips' wheels, by constraints.txt and pip's index, and write scripts/extension/locks/."""
+    install(session, "packaging", CORE_NUMPY)
+    session.run("python", "scripts/lock_wheels.py")
+
+
+@nox.session(python=PYTHON)
+def release(session: nox.Session) -> None:
+    """Everything that a release publishes, into out/release/; `-- --allow-dirty` to try it out."""
+    install(session, DEMO_BPY)
+    session.run("python", "scripts/release.py", *session.posargs)
+
+
+@nox.session(venv_backend="none")
+def bump(session: nox.Session) -> None:
+    """Give the next release its version: `-- 0.2.0`."""
+    session.run(sys.executable, "scripts/bump_version.py", *session.posargs)
+
+
+@nox.session(python=PYTHON)
 def lint(session: nox.Session) -> None:
-    """ruff (lint and format) and pyright."""
-    install(session, "ruff", "pyright[nodejs]", "nox", "pytest", CORE_NUMPY, *RUN_TIME, *EVALUATION)
+    """ruff (lint and format), pyright, and the forms and workflows of a public host against their schemas."""
+    tools = ["ruff", "pyright[nodejs]", "check-jsonschema", "nox", "pytest"]
+    install(session, *tools, CORE_NUMPY, *RUN_TIME, *EVALUATION)
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("pyright")
+    for schema, pattern in PUBLIC_HOST_FILES.items():
+        files = sorted(str(path) for path in (ROOT / ".github").glob(pattern))
+        session.run("check-jsonschema", "--builtin-schema", f"vendor.{schema}", *files)

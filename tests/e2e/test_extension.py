@@ -1,78 +1,203 @@
-"""The zip: what is in it, and that the real Blender installs it and captures with it."""
+"""The zip as scripts/build_extension.py makes it, with the real wheels and Blender's own tool.
+
+That it installs and captures is in tests/installed/.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from scripts.build_extension import build
+from scripts.build_extension import Built, build
+from scripts.extension import locks
+from scripts.extension.blender_tool import run_validate, tool_command
+from scripts.extension.core_wheel import LANDMARK_MODEL, LANDMARK_MODEL_SHA256
+from scripts.extension.downloads import in_cache
+from scripts.extension.errors import BuildError
+from scripts.extension.targets import PLATFORM_NAMES, PYTHONS, this_platform
 
 ROOT = Path(__file__).resolve().parents[2]
-CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
+LOCK = locks.lock_path("linux-x64", "3.11")
 
-SCRIPT = """
-import json, bpy
-bpy.context.scene.manient.source = "{photo}"
-done = bpy.ops.manient.capture()
-names = [a for a in bpy.context.preferences.addons.keys() if "manient" in a]
-hands = [o.manient.side for o in bpy.data.objects if o.type == "ARMATURE"]
-check = bpy.ops.manient.check_installation()
-print("FOUND " + json.dumps([names, list(done), hands, list(check)]))
-"""
+pytestmark = pytest.mark.skipif(
+    this_platform() not in PLATFORM_NAMES, reason=f"there is no zip for {this_platform()}"
+)
+
+
+def built_or_skipped(output: Path, **options) -> Built:
+    """Where the wheels are neither in the cache nor to be downloaded, there is nothing to test with."""
+    try:
+        return build(output, **options)
+    except BuildError as error:
+        if "could not be downloaded" in str(error):
+            pytest.skip(f"wheels are neither in the cache nor to be downloaded: {error}")
+        raise
 
 
 @pytest.fixture(scope="module")
-def zipped(tmp_path_factory) -> Path:
-    return build(tmp_path_factory.mktemp("extension"))
+def built(tmp_path_factory) -> Built:
+    """The usual zip of this machine's platform."""
+    return built_or_skipped(tmp_path_factory.mktemp("extension"))
 
 
-def test_contents(zipped):
-    with zipfile.ZipFile(zipped) as archive:
-        names = archive.namelist()
-        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+@pytest.fixture(scope="module")
+def light(tmp_path_factory) -> Built:
+    """Without torch, which makes it quick."""
+    return built_or_skipped(tmp_path_factory.mktemp("light"), torch="none")
+
+
+@pytest.fixture
+def zipped(built) -> Iterator[zipfile.ZipFile]:
+    with zipfile.ZipFile(built.path) as archive:
+        yield archive
+
+
+def test_contents(built, zipped):
+    names = zipped.namelist()
     assert {"__init__.py", "LICENSE", "operators/capture.py", "panels/__init__.py"} <= set(names)
+    assert {"THIRD_PARTY_LICENSES", "sbom.cdx.json", "wheels.json"} <= set(names)
+    assert len(names) == len(set(names))
     assert not [name for name in names if "__pycache__" in name or name.startswith("tests")]
-    (wheel,) = manifest["wheels"]
-    assert wheel.removeprefix("./") in names
+    manifest = tomllib.loads(zipped.read("blender_manifest.toml").decode())
+    source = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    assert manifest["version"] == source["version"]
+    assert manifest["platforms"] == [this_platform()]
+    wheels = {name for name in names if name.startswith("wheels/")}
+    assert {wheel.removeprefix("./") for wheel in manifest["wheels"]} == wheels
+    assert built.path.name == f"manient-{source['version']}-{this_platform().replace('-', '_')}.zip"
 
 
-def test_same_input_same_bytes(zipped, tmp_path):
-    assert build(tmp_path).read_bytes() == zipped.read_bytes()
+def test_the_inventory_matches_files_and_hashes(built, zipped):
+    inventory = json.loads(zipped.read("wheels.json"))
+    files = {name.removeprefix("wheels/") for name in zipped.namelist() if name.startswith("wheels/")}
+    assert {wheel["file"] for wheel in inventory["wheels"]} == files
+    for wheel in inventory["wheels"]:
+        content = zipped.read(f"wheels/{wheel['file']}")
+        assert len(content) == wheel["size"]
+        assert hashlib.sha256(content).hexdigest() == wheel["sha256"]
+    assert {part.file for part in built.parts} == {*files, None}
+    assert [vars(missing) for missing in built.missing] == inventory["missing"]
 
 
-@pytest.mark.skipif(not CHROOT, reason="HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it")
-def test_real_blender_installs_it_and_captures(zipped, tmp_path):
-    photo = shutil.copy(ROOT / "samples" / "rendered_hand" / "hand.0001.jpg", zipped.parent)
-    script = zipped.parent / "capture.py"
-    script.write_text(SCRIPT.format(photo=photo))
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    commands = (
-        f"blender --command extension validate '{zipped}'",
-        f"blender --command extension install-file -r user_default --enable '{zipped}'",
-        f"blender -b --python-exit-code 3 --python '{script}'",
+def test_the_wheels_are_the_locked_ones_and_the_core(zipped):
+    """Unmodified, since their hashes are those of the index."""
+    locked = {
+        pin.sha256
+        for python in PYTHONS
+        for pin in locks.read_lock(locks.lock_path(this_platform(), python)).pins
+    }
+    inventory = json.loads(zipped.read("wheels.json"))["wheels"]
+    assert {wheel["sha256"] for wheel in inventory if wheel["name"] != "handfit-core"} == locked
+    assert {wheel["name"] for wheel in inventory if wheel["sha256"] not in locked} == {"handfit-core"}
+
+
+def test_the_core_carries_models_but_nothing_licensed(light, tmp_path):
+    with zipfile.ZipFile(light.path) as archive:
+        (name,) = [n for n in archive.namelist() if n.startswith("wheels/handfit_core-")]
+        archive.extract(name, tmp_path)
+    with zipfile.ZipFile(tmp_path / name) as wheel:
+        content = wheel.read(f"handfit_core/{LANDMARK_MODEL}")
+        names = wheel.namelist()
+    assert hashlib.sha256(content).hexdigest() == LANDMARK_MODEL_SHA256
+    assert "handfit_core/hand_model/data/open_hand_right.npz" in names
+    assert not [name for name in names if "mano_" in name.lower() and name.endswith(".pkl")]
+
+
+def test_same_input_same_bytes(light, tmp_path):
+    """At another time, in another folder, with another umask and time zone."""
+    script = ROOT / "scripts" / "build_extension.py"
+    subprocess.run(
+        [sys.executable, str(script), "--torch", "none", "-o", str(tmp_path)],
+        check=True,
+        capture_output=True,
+        env={**os.environ, "TZ": "Asia/Tokyo"},
+        umask=0o077,
     )
+    assert (tmp_path / light.path.name).read_bytes() == light.path.read_bytes()
+
+
+def test_blender_validates_it_and_refuses_a_spoiled_one(light, tmp_path):
+    tool = tool_command()
+    run_validate(tool, light.path)
+    with zipfile.ZipFile(tmp_path / "spoiled.zip", "w") as archive:
+        archive.writestr("__init__.py", "")
+        archive.writestr("blender_manifest.toml", 'schema_version = "1.0.0"\nid = "manient"\n')
+    with pytest.raises(BuildError, match="Blender's extension tool refused"):
+        run_validate(tool, tmp_path / "spoiled.zip")
+
+
+def test_without_torch_it_says_so(light):
+    with zipfile.ZipFile(light.path) as archive:
+        inventory = json.loads(archive.read("wheels.json"))
+    assert light.path.name.endswith("-no_torch.zip")
+    assert inventory["torch"] == "none"
+    assert not {"torch", "typing-extensions"} & {wheel["name"] for wheel in inventory["wheels"]}
+    assert [(m["name"], m["python"]) for m in inventory["missing"]] == [("torch", p) for p in PYTHONS]
+
+
+def test_a_torch_of_the_users_own_for_one_python(tmp_path):
+    """A stand-in with torch's name: what is tested is how it is carried."""
+    own = tmp_path / "torch-2.13.0+cu126-py3-none-any.whl"
+    with zipfile.ZipFile(own, "w") as wheel:
+        wheel.writestr(
+            "torch-2.13.0+cu126.dist-info/METADATA", "Metadata-Version: 2.4\nName: torch\nVersion: 1\n"
+        )
+    built = built_or_skipped(tmp_path, pythons=["3.11"], torch=str(own))
+    with zipfile.ZipFile(built.path) as archive:
+        inventory = json.loads(archive.read("wheels.json"))
+        assert archive.read(f"wheels/{own.name}") == own.read_bytes()
+    (torch,) = [wheel for wheel in inventory["wheels"] if wheel["name"] == "torch"]
+    assert torch["sha256"] == hashlib.sha256(own.read_bytes()).hexdigest()
+    assert inventory["torch"] == "2.13.0+cu126"
+    assert inventory["missing"] == []
+    assert built.path.name.endswith("-py311-cu126.zip")
+
+
+def test_a_wrong_hash_in_a_lock_is_refused(light, tmp_path):
+    """Although the right wheel is in the cache."""
+    pin = next(pin for pin in locks.read_lock(LOCK).pins if pin.name == "mediapipe")
+    assert in_cache(pin)
+    spoiled = LOCK.read_text(encoding="utf-8").replace(pin.sha256, "0" * 64)
+    (tmp_path / LOCK.name).write_text(spoiled, encoding="utf-8")
+    with pytest.raises(
+        BuildError, match=r"mediapipe 0\.10\.31 for linux-x64, Python 3\.11 could not be downloaded"
+    ):
+        build(tmp_path, "linux-x64", ["3.11"], torch="none", lock_folder=tmp_path)
+    assert not list(tmp_path.glob("*.zip"))
+
+
+def test_a_missing_lock_is_refused(tmp_path):
+    with pytest.raises(BuildError, match=r"linux-x64-py311\.txt: this lock cannot be read"):
+        build(tmp_path, "linux-x64", ["3.11"], lock_folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--platform", "amiga"], "amiga: there is no zip for this platform; choose from linux-x64"),
+        (["--python", "3.9"], "3.9: no supported Blender has this Python; choose from 3.11, 3.13"),
+        (["--torch", "gpu"], "gpu: expected cpu, none, or the path of a wheel"),
+        (["--blender", "no/blender"], "no/blender: there is no such Blender"),
+    ],
+)
+def test_a_wrong_option_is_one_sentence(tmp_path, options, said):
+    script = ROOT / "scripts" / "build_extension.py"
     done = subprocess.run(
-        [str(ROOT / "scripts" / "chroot_blender.sh"), str(Path(CHROOT or "").resolve()),
-         "env", f"HANDFIT_PYTHON={python}", "sh", "-ec", "\n".join(commands)],
+        [sys.executable, str(script), *options, "-o", str(tmp_path)],
         capture_output=True,
         text=True,
-        env={**os.environ, "HANDFIT_PYTHON": python, "CHROOT_BIND": str(zipped.parent)},
         check=False,
-        timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    found = next(line for line in done.stdout.splitlines() if line.startswith("FOUND"))
-    assert json.loads(found.removeprefix("FOUND ")) == [
-        ["bl_ext.user_default.manient"],
-        ["FINISHED"],
-        ["right"],
-        ["FINISHED"],
-    ]
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {said}")
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
