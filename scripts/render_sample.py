@@ -21,6 +21,7 @@ from mathutils import Vector
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from blender_manient.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
 from handfit_core.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
@@ -190,17 +191,14 @@ def furnish(built: BuiltTake) -> None:
         bpy.context.scene.collection.objects.link(lamp)
     world = bpy.data.worlds.new("room")
     bpy.context.scene.world = world
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.55, 0.6, 1.0)
-    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.5
+    background = use_nodes(world).nodes["Background"]
+    background.inputs["Color"].default_value = (0.5, 0.55, 0.6, 1.0)
+    background.inputs["Strength"].default_value = 0.5
 
 
 def _material(name: str, colour: tuple[float, float, float], roughness: float) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    shader = material.node_tree.nodes["Principled BSDF"]
+    shader = use_nodes(material).nodes["Principled BSDF"]
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
     shader.inputs["Roughness"].default_value = roughness
     return material

@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..blender_versions import channels, new_slot
 from ..scene.armature import bone_names
-from ..scene.keys import PoseKeys, channels, displayed_pose, write_pose_keys
+from ..scene.keys import PoseKeys, displayed_pose, write_pose_keys
 from .needs_hand import hand_in, hand_is_there
 
 
@@ -40,7 +41,7 @@ class MANIENT_OT_save_pose_asset(bpy.types.Operator):
         hand = hand_in(context)
         armature, side = hand.armature, hand.side
         action = bpy.data.actions.new(self.asset_name.strip() or "Hand Pose")
-        slot = action.slots.new(id_type="OBJECT", name=armature.name) if hasattr(action, "slots") else None
+        slot = new_slot(action, armature.name)
         chosen = np.ones((1, 16), dtype=bool)
         chosen[0, 0] = self.wrist
         keys = PoseKeys(

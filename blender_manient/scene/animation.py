@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -14,9 +14,9 @@ from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
 from .. import axes
+from ..blender_versions import assign_action, channels, first_slot
 from ..slices import result_of
 from .armature import bone_names, rest_frames
-from .keys import assign, channels
 from .timing import Timing
 
 ERROR_PROPERTY = "reprojection_error_px"
@@ -90,7 +90,7 @@ def animating(armature: bpy.types.Object, track: HandTrack, keys: HandKeys) -> I
     the gaps, as Bezier curves through noisy per-frame data would.
     """
     action = bpy.data.actions.new(armature.name)
-    assign(armature, action)
+    assign_action(armature, action)
     yield action
     names = bone_names(track.side)
     for joint, name in enumerate(names):
@@ -133,26 +133,13 @@ def describe(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
     )
 
 
-def action_curves(action: bpy.types.Action) -> Iterable[bpy.types.FCurve]:
-    """All curves of an action, in any version of Blender."""
-    if hasattr(action, "fcurves"):
-        return list(action.fcurves)
-    return [
-        c
-        for layer in action.layers
-        for strip in layer.strips
-        for bag in strip.channelbags
-        for c in bag.fcurves
-    ]
-
-
 def new_curve(
     action: bpy.types.Action, path: str, index: int, frames: np.ndarray, values: np.ndarray, group: str = ""
 ) -> None:
-    """A new curve in an action of ours, which `keys.assign` has given to its armature, with a key (scene
+    """A new curve in an action of ours, which `assign_action` has given to its armature, with a key (scene
     frame, value) per frame and straight lines between."""
     # Asked for each curve: an undo may have moved what holds them.
-    holder = channels(action, action.slots[0] if hasattr(action, "slots") else None)
+    holder = channels(action, first_slot(action))
     curve = holder.fcurves.new(path, index=index)
     if group:
         curve.group = holder.groups.get(group) or holder.groups.new(group)

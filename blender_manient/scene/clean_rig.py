@@ -18,8 +18,8 @@ from mathutils import Matrix
 from handfit_core.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.skeleton import Side
 
+from ..blender_versions import assign_action
 from .animation import new_curve
-from .keys import assign
 from .sampling import Sampled, rotations_of, sample
 
 
@@ -149,7 +149,7 @@ def _bake(
         placed = world @ sampled.pose[:, bone] @ np.diag([1 / size, 1 / size, 1 / size, 1.0])
         basis[:, bone] = np.linalg.inv(rest) @ placed
     action = bpy.data.actions.new(armature.name)
-    assign(armature, action)
+    assign_action(armature, action)
     turns = unflip_quats(rotmat_to_quat(rotations_of(basis)))
     scales = np.linalg.norm(basis[..., :3, :3], axis=-2)
     for bone, name in enumerate(sampled.names):

@@ -21,6 +21,7 @@ import numpy as np
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.skeleton import NUM_JOINTS
 
+from ..blender_versions import action_slot, property_group
 from ..correction_field import (
     Correction,
     CorrectionField,
@@ -104,7 +105,7 @@ def fingerprint(armature: bpy.types.Object) -> str:
 
 def _present(armature: bpy.types.Object) -> tuple[Any, Any]:
     data = armature.animation_data
-    return (None, None) if data is None else (data.action, getattr(data, "action_slot", None))
+    return (None, None) if data is None else (data.action, action_slot(data))
 
 
 def _slot_key(slot: Any) -> str:
@@ -112,8 +113,7 @@ def _slot_key(slot: Any) -> str:
 
 
 def _marks(action: bpy.types.Action) -> dict[str, str]:
-    marks = action.get(MARK)
-    return marks.to_dict() if hasattr(marks, "to_dict") else {}
+    return property_group(action, MARK)
 
 
 def _mark(action: bpy.types.Action, slot: Any, wanted: str) -> None:

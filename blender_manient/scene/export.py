@@ -18,7 +18,6 @@ Presets say what a program expects of a format beyond Blender's habits:
 from __future__ import annotations
 
 import contextlib
-import importlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +31,7 @@ from handfit_core.errors import OptionError, OutputError
 from handfit_core.files import written_whole
 from handfit_core.take import Take
 
+from ..blender_versions import gltf_left_out, has_operator
 from .build import BuiltTake
 from .camera import frame_scene
 from .clean_rig import Rig, clean_rig
@@ -197,8 +197,7 @@ def available(fmt: Format) -> bool:
     """Whether this Blender can write the format (some builds lack USD and Alembic)."""
     if not fmt.operator:
         return True
-    module, operator = fmt.operator.split(".")
-    return operator in dir(getattr(bpy.ops, module))
+    return has_operator(fmt.operator)
 
 
 def _write_one(
@@ -277,17 +276,12 @@ def _root_name(root: str, hands: Sequence[Rig], index: int) -> str:
 def _own_settings_left_out() -> Iterator[None]:
     """Keep what the add-on itself notes on objects out of glTF's extras, which up to Blender 4.5 take all
     that add-ons register for custom properties."""
-    left_out = []
-    for module in ("extras", "gltf2_blender_extras"):  # the second up to Blender 4.2
-        with contextlib.suppress(ImportError):
-            left_out.append(importlib.import_module(f"io_scene_gltf2.blender.com.{module}").BLACK_LIST)
-    for names in left_out:
-        names.append("manient")
+    left_out = gltf_left_out()
+    left_out.append("manient")
     try:
         yield
     finally:
-        for names in left_out:
-            names.remove("manient")
+        left_out.remove("manient")
 
 
 def _gltf(path: Path, hands: tuple[Rig, ...], preset: Preset) -> None:

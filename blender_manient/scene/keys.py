@@ -23,6 +23,7 @@ from handfit_core.errors import OptionError
 from handfit_core.rotations import unflip_quats
 from handfit_core.skeleton import NUM_JOINTS, Side
 
+from ..blender_versions import action_slot, assign_action, channels
 from .armature import bone_names
 from .editable import check_bones, is_tweaked
 
@@ -264,7 +265,7 @@ def own_action(armature: bpy.types.Object, *, nla: bool = False) -> None:
         users += [strip for track in data.nla_tracks for strip in track.strips]
     copies: dict[bpy.types.Action, bpy.types.Action] = {}
     for user in users:
-        action, slot = user.action, getattr(user, "action_slot", None)
+        action, slot = user.action, action_slot(user)
         if action is None or not (action.library is not None or _used_by_others(armature, action, slot)):
             continue
         if is_tweaked(armature):
@@ -287,7 +288,7 @@ def _used_by_others(armature: bpy.types.Object, action: bpy.types.Action, slot: 
         if obj == armature or data is None:
             continue
         strips = [strip for track in data.nla_tracks for strip in track.strips]
-        if any(u.action == action and getattr(u, "action_slot", None) == slot for u in (data, *strips)):
+        if any(u.action == action and action_slot(u) == slot for u in (data, *strips)):
             return True
     return False
 
@@ -298,36 +299,6 @@ def _names(armature: bpy.types.Object, side: Side) -> list[str]:
     return bone_names(side)
 
 
-def channels(action: bpy.types.Action, slot: Any = None, *, make: bool = False) -> Any:
-    """What holds the curves of an action: the action itself up to Blender 4.3, the slot's channel bag from
-    4.4 on. None where the slot has none, unless `make`."""
-    if not hasattr(action, "slots"):
-        return action
-    for layer in action.layers:
-        for strip in layer.strips:
-            bag = strip.channelbag(slot) if slot is not None else None
-            if bag is not None:
-                return bag
-    if not make:
-        return None
-    layer = action.layers[0] if len(action.layers) else action.layers.new("Layer")
-    strip = layer.strips[0] if len(layer.strips) else layer.strips.new(type="KEYFRAME")
-    return strip.channelbag(slot, ensure=True)
-
-
-def assign(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
-    """Give an action to an object, with a slot where Blender has them. Returns what holds its curves."""
-    data = owner.animation_data or owner.animation_data_create()
-    if data.action != action:
-        data.action = action
-    if not hasattr(action, "slots"):
-        return action
-    if data.action_slot is None:
-        # Where names match Blender has already taken a slot that exists.
-        data.action_slot = action.slots.new(id_type="OBJECT", name=owner.name)
-    return channels(action, data.action_slot, make=True)
-
-
 class _Curves:
     """The curves of one armature's present action, by bone."""
 
@@ -336,9 +307,9 @@ class _Curves:
         data = armature.animation_data
         action = data.action if data else None
         if holder is None and make:
-            holder = assign(armature, action or bpy.data.actions.new(armature.name))
+            holder = assign_action(armature, action or bpy.data.actions.new(armature.name))
         elif holder is None and action is not None:
-            holder = channels(action, getattr(data, "action_slot", None))
+            holder = channels(action, action_slot(data))
         self._holder = holder
         self._found = (
             {} if self._holder is None else {(c.data_path, c.array_index): c for c in self._holder.fcurves}

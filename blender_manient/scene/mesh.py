@@ -8,6 +8,7 @@ import numpy as np
 from handfit_core.hand_model import HandModel, ShapedHand
 
 from .. import axes
+from ..blender_versions import use_nodes
 from .armature import bone_names
 
 _LEAST_WEIGHT = 1e-6
@@ -65,10 +66,9 @@ def _set_uvs(mesh: bpy.types.Mesh, uv: np.ndarray, uv_faces: np.ndarray) -> None
 def _skin_material() -> bpy.types.Material:
     """A plain skin; the user's own material of that name is left alone."""
     material = bpy.data.materials.new("Hand Skin")
-    if bpy.app.version < (5, 0, 0):  # from 5.0 on every material has nodes, and setting this warns
-        material.use_nodes = True
+    nodes = use_nodes(material).nodes
     material.diffuse_color = (0.80, 0.56, 0.45, 1.0)  # seen in Solid shading
-    shader = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
     wanted = {
         "Base Color": (0.62, 0.32, 0.22, 1.0),
         "Roughness": 0.5,

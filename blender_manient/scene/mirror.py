@@ -13,10 +13,11 @@ from handfit_core.skeleton import NUM_JOINTS, Side, other_side
 from handfit_core.take import HandTrack
 
 from .. import axes
+from ..blender_versions import action_slot, assign_action, channels
 from .animation import ERROR_PROPERTY, describe
 from .armature import bone_names, build_armature, rest_frames
 from .correctives import add_correctives
-from .keys import assign, channels, displayed_pose, read_pose_keys, set_pose, write_pose_keys
+from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import build_mesh
 from .models import kept_model
 from .store import CapturedHand, describe_hand, keep_take
@@ -122,7 +123,7 @@ def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side:
     data = source.animation_data
     if data is None or data.action is None:
         return None
-    old_slot = getattr(data, "action_slot", None)
+    old_slot = action_slot(data)
     action = data.action.copy()
     action.name = armature.name
     armature.animation_data_create().action = action
@@ -133,9 +134,9 @@ def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side:
                 action.slots.remove(slot)
         armature.animation_data.action_slot = action.slots[0]
         action.slots[0].name_display = armature.name
-    holder = channels(action, getattr(armature.animation_data, "action_slot", None))
+    holder = channels(action, action_slot(armature.animation_data))
     if holder is None:
-        return assign(armature, action)
+        return assign_action(armature, action)
     names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in _pairs(side)}
     for curve in list(holder.fcurves):
         if curve.data_path == f'["{ERROR_PROPERTY}"]':

@@ -21,6 +21,7 @@ from handfit_core.files import written_whole
 from handfit_core.take import Take
 
 from .. import axes
+from ..blender_versions import use_nodes
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
@@ -155,9 +156,7 @@ def _render_hands(
     with _scene(take, scale) as scene:
         lights = [_sun(*sun) for sun in _SUNS]
         clay = bpy.data.materials.new("preview clay")
-        if bpy.app.version < (5, 0, 0):
-            clay.use_nodes = True
-        clay.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
+        use_nodes(clay).nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
         try:
             for light in lights:
                 scene.collection.objects.link(light)
@@ -227,9 +226,7 @@ def _card(plate: Plate, take: Take) -> bpy.types.Object:
     mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.ravel())
 
     material = bpy.data.materials.new("preview card")
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    tree = material.node_tree
+    tree = use_nodes(material)
     tree.nodes.clear()
     texture = tree.nodes.new("ShaderNodeTexImage")
     texture.image = plate.image

@@ -28,12 +28,13 @@ from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.skeleton import Side
 
 from .. import axes
+from ..blender_versions import action_slot, channels
 from ..correction_field import CorrectionField
 from . import correctives
 from .armature import bone_names, edit_mode, rest_frames
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
-from .keys import channels, own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
+from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
 from .models import kept_model
 from .object_mode import object_mode
 from .store import CapturedHand, hand_of
@@ -207,12 +208,8 @@ def _used(armature: bpy.types.Object) -> list[tuple[Any, Any]]:
     data = armature.animation_data
     if data is None:
         return []
-    used = [(data.action, getattr(data, "action_slot", None))]
-    used += [
-        (strip.action, getattr(strip, "action_slot", None))
-        for track in data.nla_tracks
-        for strip in track.strips
-    ]
+    used = [(data.action, action_slot(data))]
+    used += [(strip.action, action_slot(strip)) for track in data.nla_tracks for strip in track.strips]
     found: dict[Any, tuple[Any, Any]] = {}
     for action, slot in used:
         if action is not None and action.is_editable:

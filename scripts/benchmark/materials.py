@@ -7,6 +7,8 @@ from typing import Final
 import bpy
 import numpy as np
 
+from blender_manient.blender_versions import use_nodes
+
 _TONES: Final = np.array(
     [
         (0.045, 0.022, 0.013),
@@ -100,9 +102,7 @@ def _log_uniform(ends: tuple[float, float], rng: np.random.Generator) -> float:
 
 def _principled(name: str):
     material = bpy.data.materials.new(name)
-    if bpy.app.version < (5, 0, 0):  # from 5.0 on every material has nodes, and setting this warns
-        material.use_nodes = True
-    tree = material.node_tree
+    tree = use_nodes(material)
     return material, tree, next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED")
 
 

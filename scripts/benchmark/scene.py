@@ -9,6 +9,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from blender_manient import axes
+from blender_manient.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
 from handfit_core.errors import OptionError
 
@@ -143,9 +144,7 @@ def _light(scene: bpy.types.Scene, depth: float, tone: np.ndarray, rng: np.rando
     total += np.pi * strength * 0.7
     world = bpy.data.worlds.new("sky")
     scene.world = world
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
-    background = next(n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    background = next(n for n in use_nodes(world).nodes if n.type == "BACKGROUND")
     background.inputs["Color"].default_value = (*rng.uniform(0.65, 1.0, 3).tolist(), 1.0)
     background.inputs["Strength"].default_value = strength
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.scene.animation import CURVES, action_curves
+from blender_manient.blender_versions import action_curves
+from blender_manient.scene.animation import CURVES
 from blender_manient.scene.build import build_take, building
 from handfit_core.errors import BuildInterrupted
 

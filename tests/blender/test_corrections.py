@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.blender_versions import channels
 from blender_manient.correction_field import (
     Correction,
     CorrectionField,
@@ -23,7 +24,7 @@ from blender_manient.correction_field import (
 )
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
-from blender_manient.scene.keys import PoseKeys, channels, pose_at, read_pose_keys, write_pose_keys
+from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat

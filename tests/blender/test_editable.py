@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.blender_versions import channels
 from blender_manient.operators import needs_hand
 from blender_manient.refiner import why_not
 from blender_manient.scene import corrections, reshape
@@ -16,7 +17,6 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.editable import why_not_editable, why_not_keyable
 from blender_manient.scene.keys import (
     PoseKeys,
-    channels,
     displayed_pose,
     pose_at,
     read_pose_keys,

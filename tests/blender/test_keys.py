@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.scene.animation import action_curves
+from blender_manient.blender_versions import action_curves
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import (

@@ -10,12 +10,13 @@ import pytest
 
 import blender_manient
 from blender_manient.axes import REST_FROM_MODEL
+from blender_manient.blender_versions import channels
 from blender_manient.correction_field import Correction, CorrectionField
 from blender_manient.scene import reshape
 from blender_manient.scene.armature import bone_names, rest_frames
 from blender_manient.scene.build import BuiltHand, BuiltTake, build_take
 from blender_manient.scene.corrections import clear_corrections, correct_frame, corrections_of, keep_field
-from blender_manient.scene.keys import channels, pose_at, read_pose_keys, remove_pose_keys
+from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
 from handfit_core.hand_model import load_model

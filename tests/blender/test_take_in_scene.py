@@ -10,7 +10,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from blender_manient.scene.animation import ERROR_PROPERTY, action_curves
+from blender_manient.blender_versions import action_curves
+from blender_manient.scene.animation import ERROR_PROPERTY
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from handfit_core.camera import Intrinsics

@@ -1,0 +1,109 @@
+"""What differs between the versions of Blender from 4.2 on: only here.
+
+Every function asks for the thing itself rather than for Blender's version, so that builds with other
+parts and versions to come are met too.
+
+Up to Blender 4.3 an action holds curves for one object. From 4.4 on it holds them in a channel bag per
+*slot*, and who uses the action names a slot of it; from 5.0 on `Action.fcurves` is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from typing import Any
+
+import bpy
+
+
+def action_slot(user: Any) -> Any:
+    """The slot that animation data or an NLA strip uses; None for none, and before Blender 4.4."""
+    return getattr(user, "action_slot", None)
+
+
+def first_slot(action: bpy.types.Action) -> Any:
+    """The first slot of an action that has one; None before Blender 4.4."""
+    return action.slots[0] if _has_slots(action) else None
+
+
+def new_slot(action: bpy.types.Action, name: str) -> Any:
+    """A new slot for an object; None before Blender 4.4."""
+    return action.slots.new(id_type="OBJECT", name=name) if _has_slots(action) else None
+
+
+def channels(action: bpy.types.Action, slot: Any = None, *, make: bool = False) -> Any:
+    """What holds the curves of an action: the action itself up to Blender 4.3, the slot's channel bag from
+    4.4 on. None where the slot has none, unless `make`."""
+    if not _has_slots(action):
+        return action
+    for layer in action.layers:
+        for strip in layer.strips:
+            bag = strip.channelbag(slot) if slot is not None else None
+            if bag is not None:
+                return bag
+    if not make:
+        return None
+    layer = action.layers[0] if len(action.layers) else action.layers.new("Layer")
+    strip = layer.strips[0] if len(layer.strips) else layer.strips.new(type="KEYFRAME")
+    return strip.channelbag(slot, ensure=True)
+
+
+def assign_action(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
+    """Give an action to an object, with a slot where Blender has them. Returns what holds its curves."""
+    data = owner.animation_data or owner.animation_data_create()
+    if data.action != action:
+        data.action = action
+    if not _has_slots(action):
+        return action
+    if data.action_slot is None:
+        # Where names match Blender has already taken a slot that exists.
+        data.action_slot = new_slot(action, owner.name)
+    return channels(action, data.action_slot, make=True)
+
+
+def action_curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
+    """All curves of an action; in Blender 4.4 and 4.5 those of its first slot."""
+    if hasattr(action, "fcurves"):
+        return list(action.fcurves)
+    return [
+        c
+        for layer in action.layers
+        for strip in layer.strips
+        for bag in strip.channelbags
+        for c in bag.fcurves
+    ]
+
+
+def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:
+    """Have a material or world made of nodes. Returns its node tree.
+
+    From Blender 5.0 on all are from the start, and setting `use_nodes` warns.
+    """
+    if block.node_tree is None:
+        block.use_nodes = True
+    return block.node_tree
+
+
+def has_operator(name: str) -> bool:
+    """Whether this Blender has the operator `module.name`; some builds lack USD and Alembic."""
+    module, _, operator = name.partition(".")
+    return operator in dir(getattr(bpy.ops, module))
+
+
+def gltf_left_out() -> list[str]:
+    """The glTF exporter's own list of custom properties that it leaves out: changing it changes what is
+    written. An empty one where this Blender's exporter has none."""
+    for module in ("extras", "gltf2_blender_extras"):  # the second up to Blender 4.2
+        with contextlib.suppress(ImportError):
+            return importlib.import_module(f"io_scene_gltf2.blender.com.{module}").BLACK_LIST
+    return []
+
+
+def property_group(block: bpy.types.ID, name: str) -> dict[str, Any]:
+    """A copy of a data-block's custom property that is a group; empty where it is missing or no group."""
+    value = block.get(name)
+    return value.to_dict() if hasattr(value, "to_dict") else {}
+
+
+def _has_slots(action: bpy.types.Action) -> bool:
+    return hasattr(action, "slots")
