@@ -1,0 +1,90 @@
+"""One input: capture, build, export, preview."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from handfit_core.errors import InputError
+from handfit_core.take import Take
+
+from ..scene.build import build_take
+from ..scene.export import export_take
+from ..scene.preview import render_preview, spread_frames
+from ..worker.client import Worker
+from .console import blender_silenced
+from .inputs import Job
+from .order import Order
+from .report import Result
+
+TAKE_SUFFIX = ".take.npz"
+
+
+def fit(job: Job, result: Result, order: Order, worker: Worker, *, keep_addons: bool) -> None:
+    """Make everything that is ordered of one input; fills in `result` as it goes.
+
+    The open file is replaced by an empty one. `keep_addons` leaves the add-ons and preferences as they
+    are; otherwise they become Blender's factory settings. Raises HandfitError.
+    """
+    if job.error:
+        raise InputError(job.error)
+    folder = order.folder(job.name)
+    take_path = folder / f"{job.name}{TAKE_SUFFIX}"
+    if job.take is None:
+        _capture(job, take_path, result, worker, order)
+        take = Take.load(take_path)
+    else:
+        take = Take.load(job.take)
+        if not (take_path.exists() and take_path.samefile(job.take)):
+            take.save(take_path)
+    result.describe(take)
+    result.files.append(_relative(take_path, order.output))
+
+    with blender_silenced(order.debug):
+        if keep_addons:
+            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        else:
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+        built = build_take(
+            take,
+            model=order.model if job.take else None,
+            pose_correctives=order.pose_correctives,
+            picture=order.picture,
+        )
+        result.warnings += built.warnings
+        for fmt in order.formats:
+            for path in export_take(built, take, folder, job.name, fmt):
+                result.files.append(_relative(path, order.output))
+        frames = spread_frames(take, 3)
+        if order.preview and frames:
+            path = folder / f"{job.name}.preview.png"
+            render_preview(built, take, frames[len(frames) // 2], path)
+            result.files.append(_relative(path, order.output))
+
+
+def _capture(job: Job, take_path: Path, result: Result, worker: Worker, order: Order) -> None:
+    """Write the take of one input. Raises HandfitError; after the order's timeout WorkerError."""
+    shown = sys.stderr.isatty()
+
+    def on_event(event: dict[str, Any]) -> None:
+        if event["event"] == "warning":
+            result.warnings.append(str(event["message"]))
+        elif shown:
+            line = f"{job.name}: {event['stage']} {event['done']}/{event['total']} "
+            print(f"\r{line}", end="", file=sys.stderr, flush=True)
+
+    request = worker.request(
+        "capture", input=list(job.source), output=str(take_path), options=order.options.to_message()
+    )
+    try:
+        worker.wait(request, on_event, order.timeout)
+    finally:
+        if shown:
+            print("\r" + " " * 70 + "\r", end="", file=sys.stderr, flush=True)
+
+
+def _relative(path: Path, base: Path) -> str:
+    return path.relative_to(base).as_posix()

@@ -1,0 +1,63 @@
+"""report.json, and the one line about each input on the console."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from handfit_core.files import written_whole
+from handfit_core.take import Take
+
+
+@dataclass
+class Result:
+    """One entry of report.json."""
+
+    input: str
+    name: str
+    status: str = "pending"
+    """pending, ok, failed or interrupted"""
+    seconds: float = 0.0
+    frames: int = 0
+    hands: list[dict[str, Any]] = field(default_factory=list)
+    """per hand its side, the frames in which it was detected, and mean_reprojection_error_px"""
+    files: list[str] = field(default_factory=list)
+    """relative to the report's folder"""
+    warnings: list[str] = field(default_factory=list)
+    error: str = ""
+
+    def describe(self, take: Take) -> None:
+        """Fill in `frames` and `hands`."""
+        self.frames = len(take.frame_numbers)
+        for track in take.hands:
+            error = track.reprojection_error[track.detected]
+            self.hands.append(
+                {
+                    "side": track.side,
+                    "detected": int(track.detected.sum()),
+                    "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
+                }
+            )
+
+
+def write_report(path: Path, results: list[Result]) -> None:
+    """Write report.json whole. Raises OutputError."""
+    report = {"format": "handfit-batch", "version": 1, "inputs": [asdict(r) for r in results]}
+    with written_whole(path) as beside:
+        beside.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def line(result: Result) -> str:
+    """One line about one input, for people."""
+    if result.status != "ok":
+        named = "" if result.error.startswith(result.input) else f"{result.input}: "
+        return f"{result.status}: {named}{result.error}"
+    hands = ", ".join(
+        f"{hand['side']} hand in {hand['detected']} of {result.frames} frames"
+        + (f" ({hand['mean_reprojection_error_px']:.1f} px)" if hand["detected"] else "")
+        for hand in result.hands
+    )
+    warnings = f", {len(result.warnings)} warnings" if result.warnings else ""
+    return f"ok: {result.input}: {hands}{warnings}, {result.seconds:.1f} s"

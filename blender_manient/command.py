@@ -1,0 +1,116 @@
+"""`blender --command manient`: the installed add-on without a window; docs/batch.md describes it.
+
+Neither NumPy nor handfit_core is imported before a command runs, so that a damaged installation can say what
+is wrong with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import bpy
+
+from . import verification
+from .batch.arguments import add_arguments
+from .batch.console import print_error, show_all_names, stopped_by_signals
+from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
+
+NAME = "manient"
+
+_handle: Any = None
+"""What Blender gave for the registered command"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run `manient ARGV`; returns the exit code, raises nothing."""
+    parser = _parser()
+    try:
+        args = parser.parse_args(argv)
+    except SystemExit as ended:  # --help, or wrong options; both have printed what there is to say
+        return ended.code if isinstance(ended.code, int) else EXIT_USAGE
+    show_all_names()
+    return args.run(args)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"blender --command {NAME}", description="Manient Hand Capture without a window."
+    )
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    capture = commands.add_parser(
+        "capture",
+        help="fit hands to photos, sequences, videos and folders of them",
+        description="Fit hands to photos, sequences, videos and folders of them.",
+    )
+    add_arguments(capture, default_python="the preferences', else $HANDFIT_PYTHON, else Blender's own")
+    capture.set_defaults(run=_capture)
+    check = commands.add_parser(
+        "check",
+        help="check the installation",
+        description="Print versions, files and a self-test, for bug reports. Ends with 0 if all is well.",
+    )
+    check.add_argument("--debug", action="store_true", help="show tracebacks")
+    check.set_defaults(run=_check)
+    return parser
+
+
+def _capture(args: argparse.Namespace) -> int:
+    if _refused():
+        return EXIT_SOME_FAILED
+    from . import preferences
+    from .batch.run import Host, run
+    from .worker.client import PYTHON_VARIABLE
+
+    chosen = preferences.get()
+    host = Host(
+        python=preferences.full_path(chosen.python) or None,
+        threads=chosen.threads or None,
+        python_is_chosen=f"with --python, in ${PYTHON_VARIABLE} or in the add-on's preferences",
+        keep_addons=True,
+    )
+    return run(args, host)
+
+
+def _check(args: argparse.Namespace) -> int:
+    if _refused():
+        print(verification.report())
+        return EXIT_SOME_FAILED
+    from .operators.check_installation import check
+
+    with stopped_by_signals():
+        try:
+            result, text = check()
+            print(text, end="")
+            return EXIT_OK if result.ok else EXIT_SOME_FAILED
+        except KeyboardInterrupt:
+            print("stopped", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        except Exception as error:  # a defect of ours: still one line
+            print_error(f"unexpected {type(error).__name__}: {error}", args.debug)
+            return EXIT_SOME_FAILED
+
+
+def _refused() -> bool:
+    """Say why the add-on cannot run, where it cannot."""
+    known = verification.problems()
+    refused = any(problem.stops == "add-on" for problem in known)
+    if refused:
+        print_error(known[0].sentence)
+    return refused
+
+
+def register() -> None:
+    """Add the command."""
+    global _handle
+    _handle = bpy.utils.register_cli_command(NAME, main)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    global _handle
+    if _handle is not None:
+        bpy.utils.unregister_cli_command(_handle)
+    _handle = None

@@ -1,0 +1,184 @@
+"""`blender --command manient`: what Blender calls with the arguments that follow."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import pytest
+
+import blender_manient
+from blender_manient import command, preferences
+from blender_manient.scene.store import captured_hands, hand_of
+from handfit_core.take import Take
+
+ROOT = Path(__file__).resolve().parents[2]
+needs_scripts = pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
+
+
+def can_capture() -> bool:
+    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
+    code = "import torch, cv2, mediapipe, scipy"
+    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture(autouse=True)
+def registered(empty_file, tmp_path):
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def take_file(make_take, tmp_path) -> Path:
+    return make_take(sides=("right",)).take.save(tmp_path / "wave.take.npz")
+
+
+@pytest.fixture
+def interrupting(tmp_path) -> Path:
+    """A Python whose worker answers every request with a Ctrl-C to who asked."""
+    path = tmp_path / "interrupting"
+    path.write_text(
+        f"#!{sys.executable}\n"
+        "import json, os, signal, sys, time\n"
+        "ready = {'event': 'ready', 'protocol': 1, 'version': '0', 'pid': 1, 'python': '3'}\n"
+        "print(json.dumps(ready), flush=True)\n"
+        "sys.stdin.readline()\n"
+        "os.kill(os.getppid(), signal.SIGINT)\n"
+        "time.sleep(600)\n"
+    )
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+def report(folder: Path) -> list[dict]:
+    return json.loads((folder / "report.json").read_text(encoding="utf-8"))["inputs"]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["capture", "--help"], ["check", "--help"]])
+def test_help(arguments, capfd):
+    assert command.main(arguments) == 0
+    said = capfd.readouterr()
+    assert said.out.startswith("usage: blender --command manient")
+    assert said.err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "COMMAND"),
+        (["fetch"], "fetch"),
+        (["capture"], "INPUT"),
+        (["capture", "a.jpg", "-o", "out", "--nonsense"], "--nonsense"),
+    ],
+)
+def test_wrong_arguments(arguments, expected, capfd):
+    assert command.main(arguments) == 2
+    assert expected in capfd.readouterr().err
+
+
+def test_what_cannot_be_meant_is_refused_before_any_work(tmp_path, capfd):
+    assert command.main(["capture", "a.jpg", "-o", str(tmp_path / "out"), "--format", "obj"]) == 2
+    assert "there is no export format 'obj'" in capfd.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_take_becomes_files_and_the_addon_stays(take_file, tmp_path, capfd):
+    out = tmp_path / "out"
+    assert command.main(["capture", str(take_file), "--output", str(out), "--format", "blend,bvh"]) == 0
+    (entry,) = report(out)
+    assert (entry["status"], entry["files"]) == (
+        "ok",
+        ["wave/wave.take.npz", "wave/wave.blend", "wave/wave.bvh"],
+    )
+    assert "[1/1] ok: " in capfd.readouterr().out
+    assert hasattr(bpy.types.Scene, "manient")
+    assert preferences.get().cache_folder == str(tmp_path / "cache")
+    bpy.ops.wm.open_mainfile(filepath=str(out / "wave" / "wave.blend"))
+    (armature,) = captured_hands(bpy.context.scene)
+    hand = hand_of(armature)
+    assert hand is not None
+    assert hand.take.frame_numbers.tolist() == Take.load(take_file).frame_numbers.tolist()
+
+
+def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff")
+    preferences.get().python = str(tmp_path / "preferred-python")
+    arguments = ["capture", str(tmp_path / "a.jpg"), "--flat", "-o", str(tmp_path / "out")]
+    for options, expected in (([], "preferred-python"), (["--python", "named-python"], "named-python")):
+        assert command.main([*arguments, *options]) == 1
+        (entry,) = report(tmp_path / "out")
+        assert f"{expected}'" in entry["error"]
+        assert "--python" in entry["error"]
+        assert "preferences" in entry["error"]
+
+
+@needs_scripts
+def test_ctrl_c_ends_a_capture(interrupting, tmp_path, capfd):
+    out, before = tmp_path / "out", signal.getsignal(signal.SIGINT)
+    arguments = ["capture", "a.jpg", "b.jpg", "-o", str(out), "--python", str(interrupting)]
+    assert command.main(arguments) == 130
+    assert "what was finished is kept" in capfd.readouterr().err
+    assert [entry["status"] for entry in report(out)] == ["interrupted", "pending"]
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+@needs_scripts
+def test_ctrl_c_ends_a_check(interrupting, capfd):
+    preferences.get().python = str(interrupting)
+    assert command.main(["check"]) == 130
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "stopped\n")
+
+
+def test_a_check_that_fails_says_why(tmp_path, capfd):
+    preferences.get().python = str(tmp_path / "no-python")
+    assert command.main(["check"]) == 1
+    said = capfd.readouterr()
+    assert said.out.startswith("Hand Capture Check\n")
+    assert "no-python" in said.out
+    assert bpy.app.version_string in said.out
+    assert said.err == ""
+
+
+@pytest.mark.skipif(
+    not can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
+)
+def test_a_check_that_succeeds(capfd):
+    assert command.main(["check"]) == 0
+    assert "Everything that a capture needs is there and works" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["capture", "a.jpg", "--output", "out"], ["check"]])
+@pytest.mark.parametrize("missing", ["handfit_core", "numpy"])
+def test_without_a_part_that_blenders_side_needs(arguments, missing, tmp_path):
+    code = (
+        "import sys\n"
+        f"sys.path.insert(0, {str(ROOT)!r})\n"
+        "import bpy\n"
+        f"for name in [n for n in sys.modules if n.partition('.')[0] == {missing!r}]: del sys.modules[name]\n"
+        f"sys.modules[{missing!r}] = None\n"
+        "import blender_manient\n"
+        "blender_manient.register()\n"
+        "from blender_manient import command\n"
+        "print('HELP', command.main(['capture', '--help']))\n"
+        f"print('ENDED', command.main({arguments!r}))\n"
+        "sys.stdout.flush()\n"
+        "import os; os._exit(0)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=120, check=False
+    )
+    assert "HELP 0" in done.stdout, done.stderr
+    assert "ENDED 1" in done.stdout, done.stderr
+    name = {"numpy": "NumPy"}.get(missing, missing)
+    assert [line for line in done.stderr.splitlines() if line.startswith("error: ") and name in line]
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
