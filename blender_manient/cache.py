@@ -184,6 +184,8 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove this Blender's takes and forget the size."""
+    """Remove this Blender's takes, and the folder if nothing else is in it, and forget the size."""
     _forget_size()
     remove_temporary_takes()
+    with contextlib.suppress(OSError):
+        folder_path().rmdir()

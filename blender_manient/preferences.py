@@ -27,8 +27,8 @@ class ManientPreferences(bpy.types.AddonPreferences):
     )
     python: StringProperty(  # type: ignore
         name="Python",
-        description="Python interpreter that captures; it needs torch, MediaPipe and OpenCV. "
-        "Empty: the one in $HANDFIT_PYTHON, else Blender's own",
+        description="A Python of your own that captures; it needs torch, SciPy, MediaPipe and OpenCV. "
+        "Empty: the one in $HANDFIT_PYTHON, else Blender's own with what this extension brings",
         subtype="FILE_PATH",
     )
     threads: IntProperty(  # type: ignore
@@ -73,9 +73,12 @@ class ManientPreferences(bpy.types.AddonPreferences):
 
 def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     from .operators import check_installation
-    from .panels.section import sentence
+    from .section import sentence
+    from .worker import shared
 
     layout.prop(self, "python")
+    if text := shared.capture_sentence():
+        sentence(layout, context, text, "ERROR", alert=True)
     layout.prop(self, "threads")
     row = layout.row(align=True)
     row.operator("manient.check_installation", icon="CHECKMARK")
@@ -89,7 +92,7 @@ def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -
 
 def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     from .operators import check_mano
-    from .panels.section import sentence
+    from .section import sentence
 
     layout.separator()
     layout.prop(self, "mano_folder")

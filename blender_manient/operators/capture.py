@@ -13,7 +13,8 @@ from .. import jobs, preferences, screen, sources
 from ..remembered import Remembered
 from ..scene.lens import lens_of_camera
 from ..selection import active_hand
-from ..worker.client import CaptureOptions
+from ..worker import shared
+from ..worker.client import CaptureOptions, WorkerError
 
 _TICK = 0.02
 """seconds between two looks at the worker"""
@@ -53,12 +54,15 @@ class MANIENT_OT_capture(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Whether there is a scene to build into."""
+        """Whether there is a scene to build into, and all that a capture needs."""
         scene = context.scene
         if scene is None or not scene.is_editable:
             cls.poll_message_set("This scene is linked from another file: open or make one of your own")
             return False
-        return True
+        sentence = shared.capture_sentence()
+        if sentence:
+            cls.poll_message_set(sentence)
+        return not sentence
 
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
@@ -176,6 +180,8 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
 def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
     """The capture that the panel's settings describe. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
+    if sentence := shared.capture_sentence():
+        raise WorkerError(sentence)
     source = sources.resolve(settings.source, as_sequence=settings.as_sequence)
     hand = active_hand(context)
     if settings.target != "NEW" and hand is None:

@@ -10,7 +10,7 @@ import bpy
 
 from handfit_core.errors import HandfitError
 
-from .. import cache, details, preferences
+from .. import cache, details, preferences, verification
 from ..worker import shared
 from ..worker.client import PYTHON_VARIABLE, Event, Worker, as_error
 from . import check_mano
@@ -31,6 +31,8 @@ class Result:
 
 
 _last: Result | None = None
+_checking: Worker | None = None
+"""The process of a check that runs beside the window's work"""
 
 
 def last_result() -> Result | None:
@@ -47,25 +49,27 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
     )
     bl_options = {"INTERNAL"}  # noqa: RUF012
 
-    _running = False
-
     @classmethod
     def poll(cls, _context):
         """One at a time."""
-        if MANIENT_OT_check_installation._running:
+        if _checking is not None:
             cls.poll_message_set("The check is running: Esc stops it")
             return False
         return True
 
     def invoke(self, context, _event):
         """Check beside the window's work."""
+        global _checking
+        verification.begin(anew=True)
         # A process of its own: the shared one may be busy for minutes, and may be what is wrong.
         self._worker = shared.make()
+        self._answer: Event | None = None
+        self._problem: HandfitError | None = None
         try:
             self._request = self._worker.request("check")
         except HandfitError as error:
-            return self._finish(context, None, error)
-        MANIENT_OT_check_installation._running = True
+            self._problem = error
+        _checking = self._worker
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set("Checking the installation of Hand Capture   Esc: Stop")
@@ -79,53 +83,78 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        for answer in self._worker.poll(self._request):
-            if answer["event"] in ("done", "error"):
-                self._tidy(context)
-                if answer["event"] == "done":
-                    return self._finish(context, answer, None)
-                return self._finish(context, None, as_error(answer))
-        return {"PASS_THROUGH"}
+        if self._waits():
+            for event in self._worker.poll(self._request):
+                if event["event"] == "done":
+                    self._answer = event
+                elif event["event"] == "error":
+                    self._problem = as_error(event)
+        if not verification.step() or self._waits():
+            return {"PASS_THROUGH"}
+        self.cancel(context)
+        return self._show(*_outcome(self._worker, self._answer, self._problem))
+
+    def _waits(self) -> bool:
+        return self._answer is None and self._problem is None
 
     def cancel(self, context):
         """Blender ends the operator, as on loading a file."""
-        self._tidy(context)
+        global _checking
+        _checking = None
         self._worker.stop()
-
-    def execute(self, context):
-        """Check and wait for it: for scripts, and without a window."""
-        self._worker = shared.make()
-        try:
-            answer, problem = self._worker.wait(self._worker.request("check"), timeout=_LIMIT), None
-        except HandfitError as error:
-            answer, problem = None, error
-        return self._finish(context, answer, problem)
-
-    def _tidy(self, context) -> None:
-        MANIENT_OT_check_installation._running = False
         context.window_manager.event_timer_remove(self._timer)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
 
-    def _finish(self, context, answer: Event | None, problem: HandfitError | None) -> set[str]:
+    def execute(self, context):
+        """Check and wait for it: for scripts, and without a window."""
+        return self._show(*check())
+
+    def _show(self, result: Result, text: str) -> set[str]:
         global _last
-        self._worker.stop()
-        ok = bool(answer and answer.get("ok"))
-        if problem is not None:
-            sentence = _capitalized(str(problem))
-        elif ok:
-            sentence = "Everything that a capture needs is there and works"
-        else:
-            sentence = "Something that a capture needs is missing or fails: the text tells what"
-        _last = Result(ok, sentence)
-        details.write_text(TEXT_NAME, _report_text(self._worker, sentence, answer))
-        self.report({"INFO"} if ok else {"WARNING"}, f"{sentence} (text {TEXT_NAME})")
+        _last = result
+        details.write_text(TEXT_NAME, text)
+        self.report({"INFO"} if result.ok else {"WARNING"}, f"{result.sentence} (text {TEXT_NAME})")
         preferences.redraw()
         return {"FINISHED"}
 
 
+def check() -> tuple[Result, str]:
+    """Check and wait for it. Returns what it came to, and the text for a bug report; raises nothing."""
+    verification.verify(anew=True)
+    worker = shared.make()
+    answer, problem = None, None
+    try:
+        answer = worker.wait(worker.request("check"), timeout=_LIMIT)
+    except HandfitError as error:
+        problem = error
+    finally:
+        worker.stop()
+    return _outcome(worker, answer, problem)
+
+
+def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None) -> tuple[Result, str]:
+    missing = shared.capture_sentence()
+    ok = bool(answer and answer.get("ok")) and not missing
+    if missing:
+        sentence = missing
+    elif problem is not None:
+        sentence = _capitalized(str(problem))
+    elif ok:
+        sentence = "Everything that a capture needs is there and works"
+    else:
+        sentence = "Something that a capture needs is missing or fails: the text tells what"
+    return Result(ok, sentence), _report_text(worker, sentence, answer)
+
+
 def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
-    parts = ["Hand Capture Check", sentence, details.system_text(), _settings_text(worker)]
+    parts = [
+        "Hand Capture Check",
+        sentence,
+        verification.report(),
+        details.system_text(),
+        _settings_text(worker),
+    ]
     if answer is not None:
         parts.append(str(answer.get("report", "")).strip())
     else:
@@ -171,8 +200,9 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take it away again and forget the last check."""
-    global _last
+    """Take it away again, end its process and forget the last check."""
+    global _last, _checking
     bpy.utils.unregister_class(MANIENT_OT_check_installation)
-    MANIENT_OT_check_installation._running = False
-    _last = None
+    if _checking is not None:
+        _checking.stop()
+    _last = _checking = None

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from . import capture, export, hand, refine, result, shape, source
+from . import capture, export, hand, installation, refine, result, shape, source
 
 _CLASSES = (
+    installation.MANIENT_PT_installation,
     source.MANIENT_PT_source,
     hand.MANIENT_PT_hand,
     capture.MANIENT_PT_capture,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, source_info
+from ..section import Section, sentence
 from ..selection import active_hand
-from .section import Section, sentence
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 

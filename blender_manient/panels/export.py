@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
+from ..section import Section, sentence
 from ..selection import active_hand
-from .section import Section, sentence
 
 
 class MANIENT_PT_export(Section, bpy.types.Panel):

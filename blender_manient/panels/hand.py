@@ -6,7 +6,7 @@ import bpy
 
 from .. import preferences
 from ..operators import check_mano
-from .section import Section, sentence
+from ..section import Section, sentence
 
 
 class MANIENT_PT_hand(Section, bpy.types.Panel):

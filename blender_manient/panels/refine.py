@@ -6,8 +6,8 @@ import bpy
 
 from .. import jobs
 from ..scene import corrections
+from ..section import Section, sentence
 from ..selection import active_hand
-from .section import Section, sentence
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):

@@ -8,7 +8,7 @@ import numpy as np
 from ..scene import markers
 from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
-from .section import Section, sentence
+from ..section import Section, sentence
 
 
 class MANIENT_PT_result(Section, bpy.types.Panel):

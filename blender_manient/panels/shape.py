@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..scene import reshape
+from ..section import Section, sentence
 from ..selection import active_hand
-from .section import Section, sentence
 
 
 class MANIENT_PT_shape(Section, bpy.types.Panel):

@@ -6,7 +6,7 @@ import bpy
 
 from .. import source_info
 from ..operators.use_source import MANIENT_MT_sources
-from .section import Section, sentence
+from ..section import Section, sentence
 
 _KINDS = {
     "photo": ("Photo", "IMAGE_DATA"),

@@ -1,4 +1,4 @@
-"""Starts the process that captures, and talks to it: `PYTHON -m handfit_core worker`.
+"""Starts the process that captures, handfit_core's worker, and talks to it.
 
 Capturing needs torch, MediaPipe and OpenCV, which Blender's own Python does not have and must not be given.
 docs/worker-protocol.md lists the messages.
@@ -7,25 +7,33 @@ docs/worker-protocol.md lists the messages.
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
-import handfit_core
 from handfit_core import errors
 from handfit_core.errors import Cancelled, HandfitError
+from handfit_core.version import __version__
 from handfit_core.worker import protocol
 
+from .. import installation, verification
+from .interpreter import PYTHON_VARIABLE, find_python, is_blenders_own, worker_command, worker_environment
 from .process import ChildProcess
 
-PYTHON_VARIABLE = "HANDFIT_PYTHON"
-"""Names the Python that has torch, MediaPipe and OpenCV, when it is not the one that is running"""
+__all__ = [
+    "IN_BLENDER",
+    "PYTHON_VARIABLE",
+    "Advice",
+    "CaptureOptions",
+    "Event",
+    "Worker",
+    "WorkerError",
+    "as_error",
+    "find_python",
+]
 
 _START_LIMIT = 60.0
 """seconds until a started process must have said that it is ready"""
@@ -141,6 +149,11 @@ class Worker:
         self.stop(_PATIENCE)
 
     @property
+    def blenders_own(self) -> bool:
+        """Whether Blender's own Python captures, with what the add-on's zip brings."""
+        return is_blenders_own(self.python)
+
+    @property
     def alive(self) -> bool:
         """Whether the process runs."""
         return self._child is not None and self._child.exit_code is None
@@ -165,13 +178,13 @@ class Worker:
         self._collect()
         if self._child is not None:
             return
-        command = [self.python, "-u", "-m", "handfit_core", "worker"]
+        command = worker_command(self.python)
         if self._threads:
             command += ["--threads", str(self._threads)]
         if self._debug:
             command.append("--debug")
         try:
-            self._child = ChildProcess(command, child_environment(), echo=self._debug)
+            self._child = ChildProcess(command, worker_environment(self.python), echo=self._debug)
         except OSError as error:
             raise WorkerError(
                 f"cannot start the Python '{self.python}' ({error.strerror or error}); {self._advice.python}"
@@ -183,9 +196,11 @@ class Worker:
     def request(self, kind: str, **fields: Any) -> int:
         """Ask for something; returns the number that its events carry as `id`.
 
-        Starts the process if need be. Raises WorkerError when it cannot be started, ProtocolError for
-        values that JSON cannot hold.
+        Starts the process if need be. Raises WorkerError when it cannot be started, or where a part that a
+        capture needs is known to be missing; ProtocolError for values that JSON cannot hold.
         """
+        if kind == "capture" and self.blenders_own and (sentence := verification.before_capture()):
+            raise WorkerError(sentence)
         line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
         self.start()
         assert self._child is not None
@@ -290,7 +305,12 @@ class Worker:
     def _greeted(self, message: Event) -> bool:
         """Whether the first message is the right one; gives up on the process if not."""
         version = message.get("protocol")
-        if message.get("event") != "ready":
+        if message.get("event") == "unfit":
+            self._give_up(
+                f"the Python '{self.python}' is version {message.get('python')}, and capturing needs 3.11 or "
+                f"newer; {self._advice.python}"
+            )
+        elif message.get("event") != "ready":
             self._give_up(
                 f"the Python '{self.python}' answered in an unknown way; {self._advice.python}",
             )
@@ -298,6 +318,11 @@ class Worker:
             self._give_up(
                 f"the worker of '{self.python}' speaks protocol {version}, this add-on needs "
                 f"{protocol.PROTOCOL}; install the handfit-core that belongs to the add-on there"
+            )
+        elif installation.is_installed() and message.get("version") != __version__:
+            self._give_up(
+                f"the add-on was updated from version {__version__} to {message.get('version')} while "
+                "Blender was running; restart Blender"
             )
         else:
             self._hello = message
@@ -311,8 +336,7 @@ class Worker:
         if kind in ("done", "error"):
             del self._open[job]
         if kind == "error" and message.get("type") in ("ModuleNotFoundError", "ImportError"):
-            text = str(message.get("message", "")).rstrip(".")
-            message = {**message, "type": WorkerError.__name__, "message": f"{text} {self._advice.where}"}
+            message = {**message, "type": WorkerError.__name__, "message": self._what_is_missing(message)}
         self._events.append(message)
 
     def _give_up(self, why: str) -> None:
@@ -329,11 +353,26 @@ class Worker:
             )
         self._open.clear()
 
+    def _what_is_missing(self, message: Event) -> str:
+        """One sentence for a part that the process could not import."""
+        if self.blenders_own and installation.is_installed():
+            return self._broken_part(_last_line(str(message.get("details", ""))))
+        return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"
+
+    def _broken_part(self, said: str) -> str:
+        """The same for one that the zip should have brought."""
+        return verification.explanation() or (
+            f"a part of the add-on does not load ({said}), although all its files are there; restart "
+            f"Blender, and if it happens again, {self._advice.python}"
+        )
+
     def _why_it_died(self, child: ChildProcess) -> str:
         """One sentence for a process that ended without saying why."""
         code = child.exit_code or 0
         last = _last_line(child.last_words())
         if "No module named" in last:
+            if self.blenders_own and installation.is_installed():
+                return self._broken_part(last)
             return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
         said = f", last saying: {last}" if last else ""
         if code == -getattr(signal, "SIGKILL", 9) or last.startswith("MemoryError"):
@@ -342,20 +381,6 @@ class Worker:
                 "frames at a time"
             )
         return f"the worker process ended {_ending(code)}{said}; {self._advice.crash}"
-
-
-def find_python(python: str | None = None) -> str:
-    """The interpreter to capture with: the argument, $HANDFIT_PYTHON, else the running one."""
-    return python or os.environ.get(PYTHON_VARIABLE) or sys.executable
-
-
-def child_environment() -> dict[str, str]:
-    """The child's environment: handfit_core in reach, and nothing of Blender's own Python."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    environment["PYTHONPATH"] = str(Path(handfit_core.__file__).resolve().parents[1])
-    environment["PYTHONIOENCODING"] = "utf-8"
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"
-    return environment
 
 
 def as_error(event: Event) -> HandfitError:

@@ -200,6 +200,16 @@ def reap() -> None:
     _killed[:] = [process for process in _killed if process.poll() is None]
 
 
+def wait_for_killed(seconds: float) -> bool:
+    """Wait until all killed processes are gone, which frees the files they had open; whether they are."""
+    until = time.monotonic() + seconds
+    while True:
+        reap()
+        if not _killed or time.monotonic() > until:
+            return not _killed
+        time.sleep(_LOOK)
+
+
 def _read(end: ReadEnd, take: Callable[[bytes], None]) -> bool:
     """Take one chunk; whether there was one."""
     if end.closed:

@@ -6,11 +6,16 @@ from dataclasses import dataclass
 
 import bpy
 
-from .. import preferences
+from .. import preferences, verification
 from ..cache import cache_folder, remove_temporary_takes, temporary_take
 from .client import Worker
+from .interpreter import find_python, is_blenders_own
+from .process import wait_for_killed
 
-__all__ = ["cache_folder", "current", "make", "stop", "temporary_take", "worker"]
+__all__ = ["cache_folder", "capture_sentence", "current", "make", "stop", "temporary_take", "worker"]
+
+_LAST_WAIT = 3.0
+"""seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,15 @@ def make() -> Worker:
     return Worker(settings.python, settings.threads, settings.debug)
 
 
+def capture_sentence() -> str:
+    """Why the Python that the preferences choose cannot capture, as far as is known; empty where nothing is.
+    For labels: with a capital, and it costs nothing."""
+    sentence = verification.capture_sentence()
+    if not sentence or not is_blenders_own(find_python(_settings().python)):
+        return ""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def stop() -> None:
     """End the shared worker and remove what it left in the cache folder."""
     global _worker, _made_for
@@ -65,9 +79,12 @@ def _settings() -> _Settings:
 
 
 def register() -> None:
-    """Nothing to do: the worker starts with the first request."""
+    """Say on the console why nothing can be captured; the worker starts with the first request."""
+    if sentence := capture_sentence():
+        verification.print_sentence(sentence)
 
 
 def unregister() -> None:
-    """End the worker now."""
+    """End the worker now, and wait until it is gone: Blender may be about to remove the files it runs."""
     stop()
+    wait_for_killed(_LAST_WAIT)

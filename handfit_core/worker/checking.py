@@ -21,7 +21,7 @@ from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL
 
 PACKAGES: Final[dict[str, tuple[str, tuple[int, ...]]]] = {
-    "numpy": ("numpy", (1, 26)),
+    "numpy": ("numpy", (1, 24)),
     "scipy": ("scipy", (1, 11)),
     "torch": ("torch", (2, 2)),
     "opencv-python-headless": ("cv2", (4, 9)),
@@ -31,6 +31,9 @@ PACKAGES: Final[dict[str, tuple[str, tuple[int, ...]]]] = {
 
 ASSEMBLED_MODEL_SHA256: Final = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
 """Of the hand_landmarker.task that scripts/fetch_landmark_model.py makes"""
+
+BUNDLED_VARIABLE: Final = "HANDFIT_BUNDLED"
+"""Set in the environment where the packages come from the add-on's zip"""
 
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
@@ -74,7 +77,7 @@ def _package(name: str) -> Callable[[], str]:
     def find() -> str:
         module_name, lowest = PACKAGES[name]
         wanted = ".".join(map(str, lowest))
-        remedy = f"install {name}>={wanted} into this Python, or choose another one"
+        remedy = _how_to_get(f"{name}>={wanted}")
         try:
             version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
         except ModuleNotFoundError as error:
@@ -88,6 +91,13 @@ def _package(name: str) -> Callable[[], str]:
         return version
 
     return find
+
+
+def _how_to_get(requirement: str) -> str:
+    """Where the add-on's zip brings the packages, nobody is to install them into Blender's own Python."""
+    if os.environ.get(BUNDLED_VARIABLE):
+        return "install the add-on's zip again, or choose a Python of your own"
+    return f"install {requirement} into this Python, or choose another one"
 
 
 def _numbers(version: str) -> tuple[int, ...]:

@@ -20,8 +20,6 @@ from blender_manient.worker.client import (
     Worker,
     WorkerError,
     as_error,
-    child_environment,
-    find_python,
 )
 from blender_manient.worker.process import reap
 from handfit_core.errors import Cancelled, InputError, NoHandFoundError, OutputError
@@ -340,9 +338,20 @@ def test_errors_are_raised_as_what_they_were(kind):
         ),
         ("ready(99)\ntime.sleep(60)", "protocol 99.*needs 1.*install"),
         ("say(event='done', id=1)\ntime.sleep(60)", "unknown way"),
+        ("say(event='unfit', python='3.9.1'); sys.exit(3)", "version 3.9.1.*3.11 or newer.*choose a Python"),
         ("while True: print('y')", "is not one.*choose a Python"),
     ],
-    ids=["no-package", "killed", "abort", "silent", "segfault", "version", "no-ready", "garbage"],
+    ids=[
+        "no-package",
+        "killed",
+        "abort",
+        "silent",
+        "segfault",
+        "version",
+        "no-ready",
+        "old-python",
+        "garbage",
+    ],
 )
 def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected):
     worker = start(peer(code))
@@ -475,7 +484,8 @@ def test_debug_repeats_what_it_says(peer, start, capfd):
     worker = start(peer(f"ready()\nfor r in requests(): {speak}"), threads=3, debug=True)
     worker.wait(worker.request("warm"), timeout=20)
     worker.stop()
-    assert "-u -m handfit_core worker --threads 3 --debug" in capfd.readouterr().err
+    assert "launch.py" in (said := capfd.readouterr().err)
+    assert "handfit_core worker --threads 3 --debug" in said
 
 
 # Settings
@@ -492,22 +502,6 @@ def test_options():
         "plain_detection": False,
         "hand_length": 0.18,
     }
-
-
-def test_blenders_python_settings_stay_out(monkeypatch):
-    monkeypatch.setenv("PYTHONHOME", "/blender/python")
-    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
-    environment = child_environment()
-    assert "PYTHONHOME" not in environment
-    assert (Path(environment["PYTHONPATH"]) / "handfit_core").is_dir()
-
-
-def test_choice_of_the_interpreter(monkeypatch):
-    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
-    assert find_python() == sys.executable
-    monkeypatch.setenv("HANDFIT_PYTHON", "/env/python")
-    assert find_python() == "/env/python"
-    assert find_python("/my/python") == "/my/python"
 
 
 # The shared worker
@@ -555,8 +549,8 @@ def test_unregister_ends_it_and_its_files(peer, tmp_path):
     take = shared.temporary_take("a photo.jpg")
     take.write_bytes(b"x")
     blender_manient.unregister()
-    assert gone(pid)
-    assert list((tmp_path / "cache" / "manient").iterdir()) == []
+    assert not exists(pid)  # already: Blender may be about to remove the files that it runs
+    assert list((tmp_path / "cache").iterdir()) == []
     assert shared.current() is None
 
 

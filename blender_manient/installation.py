@@ -1,0 +1,602 @@
+"""What an installed copy of the add-on consists of, and what of it is missing or wrong, in sentences.
+
+The zip has wheels.json beside this file: every wheel with its size and hash, for which Pythons it is, and
+what the zip lacks on purpose. Blender unpacks the wheels into a folder that all extensions share. A checkout
+has no wheels.json, and there is nothing to check.
+
+Only Python's standard library here: handfit_core itself may be what is missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+ADDON_FOLDER = Path(__file__).resolve().parent
+CONTENTS = "wheels.json"
+MANIFEST = "blender_manifest.toml"
+CORE = "handfit-core"
+_SCHEMA = 1
+
+_CHUNK = 1 << 20
+"""bytes that are read and hashed in one step"""
+_FILES = 50
+"""unpacked files that are looked at in one step"""
+_SMALL = 20_000_000
+"""bytes of a wheel that may be hashed at once, where it was not unpacked and the reason is sought"""
+
+_SYSTEMS = {"linux": "Linux", "windows": "Windows", "macos": "macOS"}
+_MACHINES = {"x64": "", "arm64": " on ARM"}
+
+Kind = Literal[
+    "copy",  # another copy of the add-on runs already
+    "unreadable",  # wheels.json itself, or the manifest
+    "mixed",  # the files of two versions of the add-on in one folder
+    "platform",  # a zip for another system
+    "python",  # a zip without wheels for this Python
+    "wheel-missing",
+    "wheel-size",
+    "wheel-content",
+    "not-unpacked",
+    "unpacked-damaged",
+    "module",  # what the add-on's own half needs cannot be imported
+    "core-version",  # handfit_core of another version of the add-on
+    "other-version",  # another extension brings another version of a package
+    "left-out",  # what the zip lacks on purpose
+]
+"""What is wrong, causes before their consequences"""
+Stops = Literal["add-on", "capture", "nothing"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong."""
+
+    kind: Kind
+    sentence: str
+    """For an artist: what is wrong, and what to do"""
+    wheel: str = ""
+    """Name of the package, as in opencv-python-headless; empty where it is about no single one"""
+    stops: Stops = "capture"
+    """What is impossible: everything; capturing with Blender's own Python; nothing, it only explains"""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """One wheel of the zip."""
+
+    file: str
+    name: str
+    version: str
+    sha256: str
+    size: int
+    pythons: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """For people: torch 2.13.0."""
+        return f"{self.name} {self.version.partition('+')[0]}"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A package that the zip lacks for one Python, and why, in a sentence."""
+
+    name: str
+    python: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Contents:
+    """wheels.json."""
+
+    version: str
+    platform: str
+    pythons: tuple[str, ...]
+    torch: str
+    wheels: tuple[Wheel, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a copy of the add-on lies, and which Blender it is to work in."""
+
+    folder: Path
+    """The add-on's own, with wheels.json"""
+    site_packages: Path
+    """Where Blender unpacks the wheels of all extensions"""
+    platform: str
+    """As in linux-x64"""
+    python: str
+    """As in 3.11"""
+
+
+def this_place(extensions: Path) -> Place:
+    """This copy of the add-on in this Blender. `extensions`: Blender's folder of extensions."""
+    python = this_python()
+    return Place(
+        ADDON_FOLDER,
+        extensions / ".local" / "lib" / f"python{python}" / "site-packages",
+        this_platform(),
+        python,
+    )
+
+
+def this_python() -> str:
+    """The running Python, as in 3.11."""
+    return f"{sys.version_info.major}.{sys.version_info.minor}"
+
+
+def this_platform() -> str:
+    """This machine as Blender's manifests name it: linux-x64, windows-x64, macos-arm64."""
+    system = {"win32": "windows", "darwin": "macos"}.get(sys.platform, sys.platform)
+    machine = platform.machine().lower()
+    machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(machine, machine)
+    return f"{system}-{machine}"
+
+
+def is_installed(folder: Path = ADDON_FOLDER) -> bool:
+    """Whether this copy came from a zip with wheels."""
+    return (folder / CONTENTS).is_file()
+
+
+def read_contents(folder: Path = ADDON_FOLDER) -> Contents:
+    """What wheels.json says. Raises OSError, and ValueError where it is damaged."""
+    return _as_contents(json.loads((folder / CONTENTS).read_text(encoding="utf-8")))
+
+
+def zip_name(contents: Contents, platform_name: str | None = None) -> str:
+    """The name of the zip of this version for a platform, this zip's own where none is given."""
+    return f"manient-{contents.version}-{(platform_name or contents.platform).replace('-', '_')}.zip"
+
+
+def examine(place: Place) -> list[Problem]:
+    """What is wrong as far as a look at names, sizes and versions tells; the cause of the others first.
+
+    Reads two small files and the names of two folders; nothing where the copy is not an installed one.
+    """
+    if not is_installed(place.folder):
+        return []
+    try:
+        contents = read_contents(place.folder)
+        version = str(tomllib.loads((place.folder / MANIFEST).read_text(encoding="utf-8"))["version"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return [
+            Problem(
+                "unreadable",
+                f"a file that tells what the add-on consists of cannot be read ({_short(error)}): {_AGAIN}",
+                stops="add-on",
+            )
+        ]
+    if version != contents.version:
+        return [
+            Problem(
+                "mixed",
+                f"the add-on's folder mixes the versions {version} and {contents.version}: {_AGAIN}",
+                stops="add-on",
+            )
+        ]
+    unfit = _unfit(place, contents)
+    unpacked = unpacked_versions(place.site_packages)
+    wheels = _wheels_for(place, contents)
+    if unfit is not None and unfit.kind == "platform":
+        # Blender leaves the wheels of another system packed; what is for all systems is there.
+        wheels = [wheel for wheel in wheels if wheel.name == CORE]
+    problems = [unfit] if unfit is not None else []
+    for wheel in wheels:
+        problem = _wheel_file_problem(place, contents, wheel)
+        if problem is None:
+            problem = _unpacked_problem(place, contents, wheel, unpacked)
+        if problem is not None:
+            problems.append(problem)
+    problems += _left_out_problems(place, contents)
+    return in_order(problems)
+
+
+def examine_deeply(place: Place) -> Iterator[Problem | None]:
+    """Read every wheel for this Python, and look for every file that was unpacked from it.
+
+    Takes a second or so in all, for some 300 MB; yields every few milliseconds, a problem or None.
+    Complements `examine`, whose problems are not repeated.
+    """
+    try:
+        contents = read_contents(place.folder)
+    except (OSError, ValueError):
+        return
+    for wheel in _wheels_for(place, contents):
+        path = _wheel_path(place, wheel)
+        try:
+            if path.stat().st_size != wheel.size:
+                continue
+            digest = hashlib.sha256()
+            with path.open("rb") as file:
+                while chunk := file.read(_CHUNK):
+                    digest.update(chunk)
+                    yield None
+        except OSError as error:
+            if path.exists():
+                yield _unreadable_wheel(contents, wheel, error)
+            continue
+        if digest.hexdigest() != wheel.sha256:
+            yield _wrong_content(contents, wheel)
+    yield from examine_unpacked(place)
+
+
+def examine_unpacked(place: Place) -> Iterator[Problem | None]:
+    """Look for every file that Blender has unpacked, by its size; yields as `examine_deeply`."""
+    try:
+        contents = read_contents(place.folder)
+    except (OSError, ValueError):
+        return
+    unpacked = unpacked_versions(place.site_packages)
+    for wheel in _wheels_for(place, contents):
+        found = unpacked.get(wheel.name)
+        if found is None or not _same_version(found.version, wheel.version):
+            continue
+        wrong: list[str] = []
+        for number, (name, size) in enumerate(_recorded(found.record)):
+            try:
+                good = (place.site_packages / name).stat().st_size == size
+            except OSError:
+                good = False
+            if not good:
+                wrong.append(name)
+            if number % _FILES == 0:
+                yield None
+        if wrong:  # MediaPipe lists a file that its wheel has not
+            wrong = _in_wheel(_wheel_path(place, wheel), wrong)
+        if wrong:
+            more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+            yield Problem(
+                "unpacked-damaged",
+                f"unpacked files of {wheel.label} are missing or changed ({wrong[0]}{more}; "
+                "a virus scanner may have done it): disable the add-on, restart Blender and enable it again, "
+                "which unpacks its parts anew",
+                wheel.name,
+            )
+
+
+def in_order(problems: Sequence[Problem]) -> list[Problem]:
+    """Causes before their consequences, and of the same kind the one that stops more."""
+    kinds, stops = get_args(Kind), get_args(Stops)
+    return sorted(problems, key=lambda problem: (kinds.index(problem.kind), stops.index(problem.stops)))
+
+
+@dataclass(frozen=True)
+class Unpacked:
+    """One package in the shared folder."""
+
+    version: str
+    record: Path
+    """The list of its files"""
+
+
+def unpacked_versions(site_packages: Path) -> dict[str, Unpacked]:
+    """Every package that lies there with a list of its files, by its name as in wheels.json."""
+    found: dict[str, Unpacked] = {}
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(site_packages):
+            name, _, version = entry.name.removesuffix(".dist-info").rpartition("-")
+            record = Path(entry.path) / "RECORD"
+            # Blender leaves empty folders where unpacking failed.
+            if entry.name.endswith(".dist-info") and name and record.is_file():
+                found[_canonical(name)] = Unpacked(version, record)
+    return found
+
+
+def state_of(place: Place) -> dict[str, list[int]]:
+    """Size and time of all that `examine_deeply` reads or goes by: unless this changes, its verdict holds."""
+    state: dict[str, list[int]] = {}
+    with contextlib.suppress(OSError, ValueError):
+        contents = read_contents(place.folder)
+        paths = [place.folder / CONTENTS]
+        paths += [_wheel_path(place, wheel) for wheel in _wheels_for(place, contents)]
+        unpacked = unpacked_versions(place.site_packages)
+        paths += [unpacked[w.name].record for w in _wheels_for(place, contents) if w.name in unpacked]
+        for path in paths:
+            stat = path.stat()
+            state[f"{path.parent.name}/{path.name}"] = [stat.st_size, stat.st_mtime_ns]
+    return state
+
+
+def is_verified(place: Place, memory: Path) -> bool:
+    """Whether a deep look at exactly these files has found nothing, as the file `memory` says."""
+    try:
+        state = json.loads(memory.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return bool(state) and state == state_of(place)
+
+
+def remember_verified(place: Place, memory: Path) -> None:
+    """Write that file; what cannot be written is looked at again the next time."""
+    with contextlib.suppress(OSError):
+        memory.parent.mkdir(parents=True, exist_ok=True)
+        memory.write_text(json.dumps(state_of(place)), encoding="utf-8")
+
+
+def report(place: Place, problems: Sequence[Problem]) -> str:
+    """The installation's state for a bug report: the zip, every wheel, and where it was unpacked."""
+    if not is_installed(place.folder):
+        return f"Not installed from a zip with wheels: {place.folder}"
+    try:
+        contents = read_contents(place.folder)
+    except (OSError, ValueError) as error:
+        return f"Installed in {place.folder}, with an unreadable {CONTENTS} ({error})"
+    lines = [
+        f"Installed: version {contents.version} for {contents.platform}, "
+        f"Python {' and '.join(contents.pythons)}, torch: {contents.torch}",
+        f"  in {place.folder}",
+        f"This Blender: {place.platform}, Python {place.python}",
+        f"Wheels for it, unpacked in {place.site_packages}:",
+    ]
+    unpacked = unpacked_versions(place.site_packages)
+    used = _wheels_for(place, contents)
+    for wheel in used:
+        wrong = [p.sentence for p in problems if p.wheel == wheel.name and p.kind != "left-out"]
+        found = unpacked.get(wheel.name)
+        where = f"unpacked {found.version}" if found else "not unpacked"
+        lines.append(f"  {wheel.file} ({wheel.size / 1e6:.1f} MB), {where}: {'; '.join(wrong) or 'ok'}")
+    lines += [
+        f"  {part.name}: left out of the zip: {part.why}"
+        for part in contents.left_out
+        if part.python == place.python
+    ]
+    lines += [
+        f"  {wheel.file}: for Python {' and '.join(wheel.pythons)} only"
+        for wheel in contents.wheels
+        if wheel not in used
+    ]
+    named = {wheel.name for wheel in used}
+    lines += [f"  {p.sentence}" for p in problems if p.wheel not in named and p.kind != "left-out"]
+    return "\n".join(lines)
+
+
+_AGAIN = "remove the add-on, restart Blender, get the zip once more and install it"
+
+
+def _again(contents: Contents) -> str:
+    """What mends a damaged copy."""
+    return f"remove the add-on, restart Blender, get {zip_name(contents)} once more and install it"
+
+
+def _unfit(place: Place, contents: Contents) -> Problem | None:
+    """Whether the zip is for another system or other Pythons."""
+    if contents.platform != place.platform:
+        return Problem(
+            "platform",
+            f"this is the zip for {_spoken(contents.platform)}, and this machine needs "
+            f"{zip_name(contents, place.platform)}: remove the add-on and install that one",
+        )
+    if place.python not in contents.pythons:
+        return Problem(
+            "python",
+            f"this zip has the parts for Python {' and '.join(contents.pythons)}, and this Blender has "
+            f"Python {place.python}: remove the add-on and install {zip_name(contents)}, which has them for "
+            "all supported versions of Blender",
+        )
+    return None
+
+
+def _left_out_problems(place: Place, contents: Contents) -> list[Problem]:
+    """One problem for all that the zip lacks for this Python on purpose."""
+    left_out = [part for part in contents.left_out if part.python == place.python]
+    if not left_out:
+        return []
+    first = left_out[0]
+    why = first.why.strip().rstrip(".")
+    return [
+        Problem(
+            "left-out",
+            f"{why}: choose a Python of your own that has torch, SciPy, OpenCV and MediaPipe in the add-on's "
+            "preferences",
+            first.name,
+        )
+    ]
+
+
+def _wheels_for(place: Place, contents: Contents) -> list[Wheel]:
+    return [wheel for wheel in contents.wheels if place.python in wheel.pythons]
+
+
+def _wheel_path(place: Place, wheel: Wheel) -> Path:
+    return place.folder / "wheels" / wheel.file
+
+
+def _wheel_file_problem(place: Place, contents: Contents, wheel: Wheel) -> Problem | None:
+    """What is wrong with the wheel itself, as far as its size tells."""
+    try:
+        size = _wheel_path(place, wheel).stat().st_size
+    except FileNotFoundError:
+        sentence = f"the wheel of {wheel.label} is missing in the add-on's folder: {_again(contents)}"
+        return Problem("wheel-missing", sentence, wheel.name, _stopped_by(wheel))
+    except OSError as error:
+        return _unreadable_wheel(contents, wheel, error)
+    if size == wheel.size:
+        return None
+    sentence = (
+        f"the wheel of {wheel.label} is damaged ({size} bytes instead of {wheel.size}): {_again(contents)}"
+    )
+    return Problem("wheel-size", sentence, wheel.name, _stopped_by(wheel))
+
+
+def _unreadable_wheel(contents: Contents, wheel: Wheel, error: OSError) -> Problem:
+    sentence = f"the wheel of {wheel.label} cannot be read ({_short(error)}): {_again(contents)}"
+    return Problem("wheel-content", sentence, wheel.name, _stopped_by(wheel))
+
+
+def _wrong_content(contents: Contents, wheel: Wheel) -> Problem:
+    sentence = f"the wheel of {wheel.label} is damaged (its sha256 is another): {_again(contents)}"
+    return Problem("wheel-content", sentence, wheel.name, _stopped_by(wheel))
+
+
+def _unpacked_problem(
+    place: Place, contents: Contents, wheel: Wheel, unpacked: dict[str, Unpacked]
+) -> Problem | None:
+    """What is wrong with the package in the folder that Blender unpacks to."""
+    found = unpacked.get(wheel.name)
+    if found is None:
+        return _why_not_unpacked(place, contents, wheel)
+    if _same_version(found.version, wheel.version):
+        return None
+    if wheel.name == CORE:
+        return core_version_problem(contents.version, found.version)
+    return Problem(
+        "other-version",
+        f"another extension brings {wheel.name} {found.version} where this one has {wheel.version}, and "
+        "Blender keeps the newer one for both: if captures fail, disable the other extension",
+        wheel.name,
+        "nothing",
+    )
+
+
+def core_version_problem(addon: str, core: str) -> Problem:
+    """For a handfit_core that is not this add-on's."""
+    return Problem(
+        "core-version",
+        f"this add-on is version {addon}, and its other half, handfit_core, is version {core}: two versions "
+        "of the add-on are installed: remove one of them in Preferences > Add-ons and restart Blender",
+        CORE,
+        "add-on",
+    )
+
+
+def second_copy_problem(other: str) -> Problem:
+    """For a copy that finds another one, of the package name `other`, running."""
+    repository = other.split(".")[1] if other.count(".") == 2 else other
+    return Problem(
+        "copy",
+        f"another copy of this add-on is enabled already, in the repository {repository}: disable or remove "
+        "one of the two and restart Blender",
+        stops="add-on",
+    )
+
+
+def import_problem(error: Exception) -> Problem:
+    """For files that are there and cannot be imported."""
+    return Problem(
+        "module",
+        f"the add-on's files are damaged, or mixed with those of another version ({type(error).__name__}: "
+        f"{_short(error)}): {_AGAIN}",
+        stops="add-on",
+    )
+
+
+def _why_not_unpacked(place: Place, contents: Contents, wheel: Wheel) -> Problem:
+    """A wheel is there and Blender has not unpacked it: look for the reason, without reading much."""
+    if wheel.size <= _SMALL:
+        try:
+            digest = hashlib.sha256(_wheel_path(place, wheel).read_bytes()).hexdigest()
+        except OSError as error:
+            return _unreadable_wheel(contents, wheel, error)
+        if digest != wheel.sha256:
+            return _wrong_content(contents, wheel)
+    target = next((p for p in (place.site_packages, *place.site_packages.parents) if p.exists()), None)
+    why, remedy = "", "disable the add-on, restart Blender and enable it again"
+    if target is not None:
+        with contextlib.suppress(OSError):
+            free = shutil.disk_usage(target).free
+            if free < 4 * wheel.size:
+                why = f", perhaps because its disk is full ({free / 1e6:.0f} MB free)"
+                remedy = f"free some space, {remedy}"
+        if not os.access(target, os.W_OK):
+            why, remedy = ", where you may not write", f"get the right to write there, {remedy}"
+    return Problem(
+        "not-unpacked",
+        f"Blender has not unpacked {wheel.label}{why}: {remedy}; if that does not help, install "
+        f"{zip_name(contents)} again",
+        wheel.name,
+        _stopped_by(wheel),
+    )
+
+
+def _stopped_by(wheel: Wheel) -> Stops:
+    """Without handfit_core nothing works; without the others nothing is captured."""
+    return "add-on" if wheel.name == CORE else "capture"
+
+
+def _recorded(record: Path) -> Iterator[tuple[str, int]]:
+    """(path, bytes) of the files of an unpacked wheel, where its list names a size."""
+    try:
+        rows = list(csv.reader(record.read_text(encoding="utf-8", errors="surrogateescape").splitlines()))
+    except (OSError, csv.Error):
+        return
+    for row in rows:
+        # Scripts and the like lie elsewhere, and Blender moves some of them.
+        outside = len(row) < 3 or row[0].startswith("..") or row[0].partition("/")[0].endswith(".data")
+        if not outside and row[2].isdigit():
+            yield row[0], int(row[2])
+
+
+def _in_wheel(wheel: Path, names: list[str]) -> list[str]:
+    """Those of the files that the wheel contains; all of them where it cannot be read."""
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            contained = set(archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return names
+    return [name for name in names if name in contained]
+
+
+def _same_version(first: str, second: str) -> bool:
+    return _canonical(first) == _canonical(second)
+
+
+def _canonical(name: str) -> str:
+    """Wheels write the same name and version in several ways."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _spoken(platform_name: str) -> str:
+    """windows-x64 -> Windows, macos-arm64 -> macOS on ARM."""
+    system, _, machine = platform_name.partition("-")
+    return f"{_SYSTEMS.get(system, system)}{_MACHINES.get(machine, f' on {machine}')}"
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error).split())
+
+
+def _as_contents(data: Any) -> Contents:
+    """Raises ValueError."""
+    try:
+        if data["schema"] != _SCHEMA:
+            raise ValueError(f"{CONTENTS} has the unknown schema {data['schema']}")
+        return Contents(
+            version=str(data["version"]),
+            platform=str(data["platform"]),
+            pythons=tuple(map(str, data["pythons"])),
+            torch=str(data["torch"]),
+            wheels=tuple(
+                Wheel(
+                    file=str(wheel["file"]),
+                    name=_canonical(wheel["name"]),
+                    version=str(wheel["version"]),
+                    sha256=str(wheel["sha256"]),
+                    size=int(wheel["size"]),
+                    pythons=tuple(map(str, wheel["pythons"])),
+                )
+                for wheel in data["wheels"]
+            ),
+            left_out=tuple(
+                LeftOut(_canonical(part["name"]), str(part["python"]), str(part["why"]))
+                for part in data["missing"]
+            ),
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{CONTENTS} lacks {error}") from error

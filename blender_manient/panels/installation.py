@@ -1,0 +1,26 @@
+"""Installation: there only while something that a capture needs is missing or wrong."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..section import Section, sentence
+from ..worker import shared
+
+
+class MANIENT_PT_installation(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_installation"
+    bl_label = "Installation"
+    bl_order = 0
+
+    @classmethod
+    def poll(cls, _context):
+        """Whether there is anything to say."""
+        return bool(shared.capture_sentence())
+
+    def draw(self, context):
+        """What is wrong and what to do."""
+        layout = self.layout
+        assert layout is not None
+        sentence(layout, context, shared.capture_sentence(), "ERROR", alert=True)
+        layout.operator("manient.check_installation", icon="CHECKMARK")

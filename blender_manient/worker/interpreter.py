@@ -1,0 +1,76 @@
+"""The Python that captures: which one, how the worker is started with it, and what its process inherits.
+
+With Blender's own Python everything comes from the extension's wheels. A Python of the user's own brings
+torch and the others itself, and gets nothing but handfit_core: wheels for Blender's Python need not fit it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+import handfit_core
+from handfit_core.worker.checking import BUNDLED_VARIABLE
+
+from ..installation import is_installed
+
+PYTHON_VARIABLE = "HANDFIT_PYTHON"
+"""Names the Python that has torch, MediaPipe and OpenCV, when it is not the one that is running"""
+
+_LAUNCHER = Path(__file__).with_name("launch.py")
+
+
+def find_python(python: str | None = None) -> str:
+    """The interpreter to capture with: the argument, $HANDFIT_PYTHON, else the running one."""
+    return python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+
+
+@lru_cache(maxsize=16)
+def is_blenders_own(python: str) -> bool:
+    """Whether it is the interpreter that runs here, maybe by another name, with the same packages."""
+    if _plain(python) == _plain(sys.executable):
+        return True
+    # A virtual environment's interpreter is often only a link, and has packages of its own all the same.
+    if _environment(python) or _environment(sys.executable):
+        return False
+    try:
+        return Path(python).samefile(sys.executable)
+    except OSError:
+        return False
+
+
+def worker_command(python: str) -> list[str]:
+    """What starts the worker with this interpreter, as `find_python` gives it."""
+    if is_blenders_own(python):
+        # -P: not from the folder in which Blender happens to have been started.
+        return [python, "-P", "-u", "-m", "handfit_core", "worker"]
+    return [python, "-u", str(_LAUNCHER), str(_core_folder()), "worker"]
+
+
+def worker_environment(python: str) -> dict[str, str]:
+    """The process's environment: nothing that is meant for Blender's Python, except for that one itself."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    environment.pop(BUNDLED_VARIABLE, None)
+    if is_blenders_own(python):
+        environment["PYTHONPATH"] = str(_core_folder().parent)
+        if is_installed():
+            environment[BUNDLED_VARIABLE] = "1"
+    environment["PYTHONIOENCODING"] = "utf-8"
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    return environment
+
+
+def _core_folder() -> Path:
+    return Path(handfit_core.__file__).resolve().parent
+
+
+def _plain(python: str) -> str:
+    """Without ".." and the like, and with links kept, unlike Path.resolve."""
+    return os.path.normcase(os.path.abspath(python))  # noqa: PTH100
+
+
+def _environment(python: str) -> bool:
+    """Whether it belongs to a virtual environment."""
+    return any((folder / "pyvenv.cfg").is_file() for folder in list(Path(_plain(python)).parents)[:2])

@@ -1,0 +1,301 @@
+"""Small zips, good and broken, installed by Blender into an empty profile: what an artist gets to see."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from textwrap import indent
+from typing import Any
+
+import pytest
+
+from tests.blender.small_zip import PYTHON, cut_short, gone, one_byte_changed, small_zip
+
+PRELUDE = """
+import json, os, sys, traceback
+import bpy, addon_utils
+from pathlib import Path
+
+if not addon_utils.check("bl_pkg")[1]:
+    addon_utils.enable("bl_pkg", default_set=True)
+NAME = "bl_ext.user_default.manient"
+
+def install(path, repo="user_default"):
+    try:
+        bpy.ops.extensions.package_install_files(filepath=path, repo=repo, enable_on_install=True)
+    except RuntimeError as error:
+        print("Blender says:", error)
+
+def enable(name=NAME):
+    bpy.ops.preferences.addon_enable(module=name)
+
+def disable(name=NAME):
+    bpy.ops.preferences.addon_disable(module=name)
+
+def uninstall():
+    bpy.ops.extensions.package_uninstall(repo_index=1, pkg_id="manient")
+
+def state(name=NAME):
+    module = sys.modules[name]
+    return {
+        "enabled": name in bpy.context.preferences.addons,
+        "runs": module.runs(),
+        "problems": [problem.sentence for problem in module.verification.problems()],
+        "sections": [n for n in dir(bpy.types) if n.startswith("MANIENT_PT_")],
+        "scene": hasattr(bpy.types.Scene, "manient"),
+    }
+
+def files():
+    root = Path(bpy.utils.user_resource("EXTENSIONS"))
+    return sorted(p.relative_to(root).as_posix() for p in root.rglob("*") if p.is_file())
+
+def found(value):
+    print("FOUND " + json.dumps(value), flush=True)
+    os._exit(0)
+"""
+
+EPILOGUE = """
+except BaseException:
+    traceback.print_exc()
+    sys.stderr.flush()
+    os._exit(1)  # the bpy wheel of 4.5 hangs at exit on classes left behind
+"""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a script in Blender found, and what came on the console."""
+
+    value: Any
+    console: str
+
+
+@pytest.fixture
+def blender(tmp_path):
+    """blender(code) -> Done; the same profile each time, empty at first."""
+
+    def run(code: str) -> Done:
+        script = tmp_path / "script.py"
+        script.write_text(f"{PRELUDE}\ntry:\n{indent(code, '    ')}\n{EPILOGUE}", encoding="utf-8")
+        env = {k: v for k, v in os.environ.items() if not k.startswith(("HANDFIT", "PYTHON", "BLENDER"))}
+        env["BLENDER_USER_RESOURCES"] = str(tmp_path / "profile")
+        (tmp_path / "profile").mkdir(exist_ok=True)
+        done = subprocess.run(
+            [sys.executable, "-I", str(script)],
+            cwd=tmp_path,
+            env=env,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+        lines = [line for line in done.stdout.splitlines() if line.startswith("FOUND ")]
+        assert lines, done.stdout + done.stderr
+        return Done(json.loads(lines[0].removeprefix("FOUND ")), done.stdout + done.stderr)
+
+    return run
+
+
+def test_a_good_zip_runs_and_leaves_nothing_of_ours(blender, tmp_path):
+    path = small_zip(tmp_path / "good.zip")
+    done = blender(f"""
+install({str(path)!r})
+before = state()
+bpy.ops.manient.check_installation()
+report = bpy.data.texts["Hand Capture Check"].as_string()
+remembered = [name for name in files() if name.endswith("verified.json")]
+disable()
+off = [n for n in dir(bpy.types) if "MANIENT" in n]
+enable()
+uninstall()
+found([before, report, remembered, off, files()])
+""")
+    before, report, remembered, off, left = done.value
+    assert before["runs"]
+    assert before["problems"] == []
+    assert "MANIENT_PT_capture" in before["sections"]
+    assert report.splitlines()[4].startswith("Installed: version 0.1.0")
+    # The packages of this zip are empty.
+    assert "torch: FAILED" in report
+    assert "zip again, or choose a Python of your own" in report
+    assert "into this Python" not in report
+    assert remembered == [".user/user_default/manient/verified.json"]
+    assert off == []
+    assert left == [".cache/compat.dat"]  # Blender's
+
+
+@pytest.mark.parametrize("damage", [one_byte_changed, gone], ids=["byte", "gone"])
+def test_without_handfit_core_there_is_a_sentence_and_nothing_else(blender, tmp_path, damage):
+    path = small_zip(tmp_path / "broken.zip", damage={"handfit-core": damage})
+    done = blender(f"install({str(path)!r})\nfound(state())")
+    assert done.value["enabled"]
+    assert not done.value["runs"]
+    assert done.value["sections"] == ["MANIENT_PT_unusable_user_default"]
+    assert not done.value["scene"]
+    (sentence,) = done.value["problems"]
+    assert "the wheel of handfit-core 0.1.0" in sentence
+    assert "install it" in sentence
+    assert f"Manient Hand Capture: {sentence}" in done.console
+
+
+def test_a_wheel_that_is_no_zip_keeps_blender_from_unpacking_any(blender, tmp_path):
+    """Blender fails to install it with an error of its own; enabling it all the same brings the sentence."""
+    path = small_zip(tmp_path / "broken.zip", damage={"torch": cut_short})
+    done = blender(f"install({str(path)!r})\nenable()\nfound(state())")
+    assert not done.value["runs"]
+    assert "wheel of torch 2.13.0" in done.value["problems"][0]
+    assert "damaged" in done.value["problems"][0]
+
+
+@pytest.mark.parametrize("damage", [one_byte_changed, gone], ids=["byte", "gone"])
+def test_without_torch_only_capturing_is_impossible(blender, tmp_path, damage):
+    path = small_zip(tmp_path / "broken.zip", damage={"torch": damage})
+    done = blender(f"""
+install({str(path)!r})
+module = sys.modules[NAME]
+shared = sys.modules[NAME + ".worker.shared"]
+section = bpy.types.MANIENT_PT_installation
+said = [section.poll(bpy.context), shared.capture_sentence()]
+try:
+    bpy.ops.manient.capture()
+except RuntimeError as error:
+    said.append(str(error))
+worker = shared.make()
+try:
+    worker.request("capture", input=["a.jpg"], output="b.npz")
+except Exception as error:
+    said.append(str(error))
+os.environ["HANDFIT_PYTHON"] = "/some/python"
+said += [section.poll(bpy.context), shared.capture_sentence()]
+found([state(), said])
+""")
+    state, (shown, sentence, refused, raised, shown_later, later) = done.value
+    assert state["runs"]
+    assert shown
+    assert "wheel of torch 2.13.0" in sentence
+    assert sentence in refused
+    assert raised == sentence[0].lower() + sentence[1:]
+    assert f"Manient Hand Capture: {sentence}" in done.console
+    assert (shown_later, later) == (False, "")  # a Python of one's own has its own torch
+
+
+def test_damage_inside_an_unpacked_wheel_is_found_before_a_capture(blender, tmp_path):
+    path = small_zip(tmp_path / "good.zip")
+    done = blender(f"""
+install({str(path)!r})
+wheel = next((Path(sys.modules[NAME].__file__).parent / "wheels").glob("torch*"))
+data = bytearray(wheel.read_bytes())
+data[60] ^= 1
+wheel.write_bytes(data)
+worker = sys.modules[NAME + ".worker.shared"].make()
+try:
+    worker.request("capture", input=["a.jpg"], output="b.npz")
+    found("captured")
+except Exception as error:
+    found(str(error))
+""")
+    assert "wheel of torch 2.13.0" in done.value
+    assert "sha256" in done.value
+
+
+def test_the_timer_finds_the_same_in_slices(blender, tmp_path):
+    path = small_zip(tmp_path / "good.zip")
+    done = blender(f"""
+install({str(path)!r})
+wheel = next((Path(sys.modules[NAME].__file__).parent / "wheels").glob("torch*"))
+data = bytearray(wheel.read_bytes())
+data[60] ^= 1
+wheel.write_bytes(data)
+verification = sys.modules[NAME + ".verification"]
+section = bpy.types.MANIENT_PT_installation
+before = section.poll(bpy.context)
+while verification._slice() is not None:
+    pass
+found([before, section.poll(bpy.context), state(), files()])
+""")
+    before, after, state, left = done.value
+    assert (before, after) == (False, True)
+    assert "sha256" in state["problems"][0]
+    assert not [name for name in left if name.endswith("verified.json")]  # only what is in order
+
+
+def test_a_part_that_does_not_load_is_explained(blender, tmp_path):
+    """A virus scanner took a file of a package after everything had been verified."""
+    path = small_zip(tmp_path / "good.zip")
+    done = blender(f"""
+install({str(path)!r})
+shared = sys.modules[NAME + ".worker.shared"]
+worker = shared.make()
+errors = []
+for spoil in (False, True):
+    if spoil:
+        next(Path(bpy.utils.user_resource("EXTENSIONS")).glob(".local/lib/*/*/mediapipe/__init__.py")).unlink()
+    event = {{"message": "it lacks x", "details": "Traceback\\nModuleNotFoundError: No module named 'x'"}}
+    errors.append(worker._what_is_missing(event))
+found(errors)
+""")
+    complete, spoiled = done.value
+    assert "No module named 'x'" in complete
+    assert "all its files are there" in complete
+    assert "files of mediapipe 0.10.31 are missing" in spoiled
+
+
+def test_what_the_zip_lacks_on_purpose_is_said(blender, tmp_path):
+    missing = ({"name": "torch", "python": PYTHON, "why": "there is no torch for this Python"},)
+    path = small_zip(tmp_path / "light.zip", missing=missing)
+    done = blender(f"install({str(path)!r})\nfound(state())")
+    assert done.value["runs"]
+    assert "there is no torch for this Python: choose a Python of your own" in done.value["problems"][0]
+
+
+def test_an_update_in_a_running_blender_leaves_nothing_of_the_old_version(blender, tmp_path):
+    old, new = small_zip(tmp_path / "old.zip"), small_zip(tmp_path / "new.zip", version="0.2.0")
+    done = blender(f"""
+install({str(old)!r})
+import handfit_core
+first, version = handfit_core.take, handfit_core.__version__
+install({str(new)!r})
+import handfit_core
+found([version, handfit_core.__version__, handfit_core.take is first, state()])
+""")
+    before, after, same, state = done.value
+    assert (before, after, same) == ("0.1.0", "0.2.0", False)
+    assert state["runs"]
+
+
+def test_two_versions_from_two_repositories_do_not_mix(blender, tmp_path):
+    old, new = small_zip(tmp_path / "old.zip"), small_zip(tmp_path / "new.zip", version="0.2.0")
+    other = tmp_path / "other"
+    other.mkdir()
+    done = blender(f"""
+repo = bpy.context.preferences.extensions.repos.new(
+    name="Other", module="other", custom_directory={str(other)!r})
+install({str(old)!r})
+first = state()
+install({str(new)!r}, repo="other")
+second = state("bl_ext.other.manient")
+disable()
+enable()
+third = state()
+disable()
+disable("bl_ext.other.manient")
+enable("bl_ext.other.manient")
+found([first, second, third, state("bl_ext.other.manient")])
+""")
+    first, second, third, alone = done.value
+    assert first["runs"]
+    assert not second["runs"]
+    assert (
+        "another copy of this add-on is enabled already, in the repository user_default"
+        in second["problems"][0]
+    )
+    # Blender has put the newer handfit_core into the folder that both share.
+    assert not third["runs"]
+    assert (
+        "this add-on is version 0.1.0, and its other half, handfit_core, is version 0.2.0"
+        in third["problems"][0]
+    )
+    assert alone["runs"]
