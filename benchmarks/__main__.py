@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks.memory import LONG, SHORT, measure_memory
+from benchmarks.packages import measure_packages
 from benchmarks.report import Results, json_of, text_of
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import check_writable, written_whole
@@ -28,13 +29,15 @@ SAMPLE = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 DESCRIPTION = """\
 How fast the solvers and the whole pipeline are.
 
-Three parts, each with its table:
+Four parts, each with its table:
   solvers   the fast solver on one frame and in batches against the paper's solvers, all on
             the same detections of the hand that INPUT shows most; with a GPU beside the CPU
             where torch finds one
   pipeline  capturing INPUT, from file to take, against only reading it and detecting
   memory    the peak of a clip of 10 000 frames against one of 300; off unless asked for,
             as it captures all of these frames
+  packages  what the packages that a capture loads cost: disk, time to load, memory; with
+            --zip their part of an extension's zip; off unless asked for; needs no INPUT
 
 What is compared takes turns in every round, so that another program's load hits all alike;
 ratios are taken within rounds. Run it on an idle machine all the same."""
@@ -44,9 +47,10 @@ examples:
   python -m benchmarks                               the bundled pictures, about two minutes
   python -m benchmarks clip.mp4 --frames 1-300 -o times.json
   python -m benchmarks --only solvers --slow paper-a --batches 256
-  python -m benchmarks clip.mp4 --only memory"""
+  python -m benchmarks clip.mp4 --only memory
+  python -m benchmarks --only packages --zip manient-0.1.0-linux_x64.zip"""
 
-PARTS = ("solvers", "pipeline", "memory")
+PARTS = ("solvers", "pipeline", "memory", "packages")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
         "--model", metavar="PATH", help="a MANO file, or a folder with both sides (default: the open hand)"
     )
     parser.add_argument(
-        "--only", metavar="PARTS", help="some of solvers,pipeline,memory (default: solvers,pipeline)"
+        "--only", metavar="PARTS", help="some of solvers,pipeline,memory,packages (default: solvers,pipeline)"
     )
     parser.add_argument("--memory", action="store_true", help="the memory part, too")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.json", help="all measurements as JSON")
@@ -116,6 +120,11 @@ def parser() -> argparse.ArgumentParser:
         metavar="FRAMES",
         help=f"of the clips made of INPUT's frames (default: {SHORT},{LONG})",
     )
+    packages = parser.add_argument_group("packages")
+    packages.add_argument("--zip", type=Path, metavar="FILE.zip", help="an extension's zip, to compare with")
+    packages.add_argument(
+        "--starts", type=int, default=5, metavar="N", help="processes that load each package (default: 5)"
+    )
     return parser
 
 
@@ -127,8 +136,8 @@ def run(args: argparse.Namespace) -> Results:
     if unknown:
         raise OptionError(f"there is no solver '{unknown[0]}'; choose from {', '.join(solver_names())}")
     batches, lengths = numbers(args.batches, "--batches"), numbers(args.lengths, "--lengths")
-    if min(args.rounds, args.runs) < 1:
-        raise OptionError("--rounds and --runs must be at least 1")
+    if min(args.rounds, args.runs, args.starts) < 1:
+        raise OptionError("--rounds, --runs and --starts must be at least 1")
     if args.output is not None:
         check_writable(args.output)  # now, not after minutes of measuring
     source = args.input or SAMPLE
@@ -142,7 +151,7 @@ def run(args: argparse.Namespace) -> Results:
     from benchmarks.solvers import time_solvers
 
     facts = machine_facts()
-    detections = solvers = pipeline = memory = None
+    detections = solvers = pipeline = memory = packages = None
     if "solvers" in parts:
         hand = find_hand(source, frames, args.model)
         detections = len(hand.detections)
@@ -155,6 +164,9 @@ def run(args: argparse.Namespace) -> Results:
         memory = measure_memory(
             source, lengths, on_clip=lambda n: print(f"memory: a clip of {n} frames", file=sys.stderr)
         )
+    if "packages" in parts:
+        told_start = told("packages: start", args.starts)
+        packages = measure_packages(args.starts, extension=args.zip, on_round=told_start)
     return Results(
         machine=facts,
         source=name,
@@ -163,6 +175,7 @@ def run(args: argparse.Namespace) -> Results:
         reference=slow[0] if slow else "",
         pipeline=pipeline,
         memory=memory,
+        packages=packages,
     )
 
 

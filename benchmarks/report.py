@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks.interleaved import Spread, Timing
 from benchmarks.memory import MOST_MORE_MB, Peak
+from benchmarks.packages import PackageCosts
 from benchmarks.solvers import SolverTimings
 
 Row = Sequence[str]
@@ -28,6 +29,7 @@ class Results:
     pipeline: tuple[Timing, Timing] | None = None
     """detection alone, whole pipeline"""
     memory: list[Peak] | None = None
+    packages: PackageCosts | None = None
 
 
 def text_of(results: Results) -> str:
@@ -39,6 +41,8 @@ def text_of(results: Results) -> str:
         parts.append(_pipeline_part(*results.pipeline))
     if results.memory is not None:
         parts.append(_memory_part(results.memory))
+    if results.packages is not None:
+        parts.append(_packages_part(results.packages))
     return "\n\n".join(parts) + "\n"
 
 
@@ -66,6 +70,8 @@ def json_of(results: Results) -> dict[str, Any]:
         }
     if results.memory is not None:
         document["memory_mb"] = [asdict(peak) for peak in results.memory]
+    if results.packages is not None:
+        document["packages_mb"] = asdict(results.packages)
     return document
 
 
@@ -181,6 +187,30 @@ def _memory_part(peaks: Sequence[Peak]) -> str:
             f"the longest takes {more:+.0f} MB over the shortest ({more_detecting:+.0f} MB of it until the "
             f"end of detection): {verdict}, {MOST_MORE_MB:.0f} MB are allowed",
         ]
+    return "\n".join(lines)
+
+
+def _packages_part(costs: PackageCosts) -> str:
+    total = sum(package.installed for package in costs.packages)
+    header = ["package", "on disk, MB", "share", "s to load", "quartiles", "memory, MB"]
+    header += [] if costs.whole_zip is None else ["in the zip, MB", "share"]
+    rows = []
+    for package in costs.packages:
+        seconds = package.seconds
+        row = [
+            package.name,
+            f"{package.installed:.1f}",
+            f"{100 * package.installed / total:.0f} %",
+            significant(seconds.median),
+            f"{significant(seconds.low)}-{significant(seconds.high)}",
+            f"{package.memory:.0f}",
+        ]
+        if costs.whole_zip is not None and package.zipped is not None:
+            row += [f"{package.zipped:.1f}", f"{100 * package.zipped / costs.whole_zip:.0f} %"]
+        rows.append(row)
+    lines = ["Packages that a capture loads, each in a process that has NumPy", "", table(header, rows)]
+    if costs.whole_zip is not None:
+        lines += ["", f"the whole zip: {costs.whole_zip:.1f} MB; wheels for several Pythons are added up"]
     return "\n".join(lines)
 
 

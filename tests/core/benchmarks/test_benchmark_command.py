@@ -78,5 +78,5 @@ def test_help_names_every_part(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     text = capsys.readouterr().out
-    for word in ("solvers", "pipeline", "memory", "--batches", "--lengths", "examples"):
+    for word in ("solvers", "pipeline", "memory", "packages", "--batches", "--lengths", "--zip", "examples"):
         assert word in text
