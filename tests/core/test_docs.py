@@ -1,0 +1,81 @@
+"""What the documentation says of commands, versions and places is true."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+COMMANDS = [*PAGES, *sorted((ROOT / ".github" / "workflows").glob("*.yml")), ROOT / ".ci" / "run"]
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def anchors(page: Path) -> set[str]:
+    """Of the headings, as public hosts make them."""
+    headings = re.findall(r"^#+ (.+)$", text_of(page), re.MULTILINE)
+    plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+def sessions() -> set[str]:
+    """Names of the noxfile's sessions."""
+    found: set[str] = set()
+    for node in ast.parse(text_of(ROOT / "noxfile.py")).body:
+        if isinstance(node, ast.FunctionDef):
+            given = [
+                str(ast.literal_eval(keyword.value))
+                for decorator in node.decorator_list
+                if isinstance(decorator, ast.Call)
+                for keyword in decorator.keywords
+                if keyword.arg == "name"
+            ]
+            found.update(given or [node.name])
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page: Path) -> None:
+    without_code = re.sub(r"^```.*?^```", "", text_of(page), flags=re.MULTILINE | re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", without_code):
+        if re.match(r"\w+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        there = page.parent / path if path else page
+        assert there.exists(), target
+        assert not anchor or anchor in anchors(there), target
+
+
+@pytest.mark.parametrize("page", COMMANDS, ids=name)
+def test_nox_sessions_exist(page: Path) -> None:
+    known = sessions()
+    for line in re.findall(r"nox -s ([^`#\n]+)", text_of(page)):
+        for word in line.split(" -- ")[0].replace('"', " ").split():
+            named = re.match(r"[a-z][\w.-]*", word)
+            if not named:
+                break
+            assert named[0] in known, f"{line}: no session {named[0]}"
+
+
+def test_versions_to_install_are_the_pinned_ones() -> None:
+    text = text_of(ROOT / "docs" / "installing.md")
+    constraints = text_of(ROOT / "constraints.txt")
+    named = set(re.findall(r"([\w-]+)==([\d.]+\d)", text))
+    assert {package for package, _ in named} == {"torch", "scipy", "opencv-python-headless", "mediapipe"}
+    for package, version in named:
+        assert re.search(rf"^{package}=={re.escape(version)}(;.*)?\s", constraints, re.MULTILINE), package
+
+
+def test_nothing_is_left_to_be_filled_in() -> None:
+    for page in PAGES:
+        assert not re.search(r"\b(TODO|TBD|FIXME|XXX)\b", text_of(page)), name(page)
