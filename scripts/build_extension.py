@@ -4,7 +4,7 @@
     nox -s build                                         # for this machine's platform
     nox -s build -- --platform linux-x64,windows-x64,macos-arm64 --python 3.11,3.13
     nox -s build -- --torch none                         # for a Python of the user's own
-    nox -s build -- --torch torch-2.13.0+cu126-....whl   # another build of torch
+    nox -s build -- --torch FOLDER                       # another build of torch, and what it needs
     python scripts/build_extension.py --blender PATH     # without a bpy wheel in this Python
 
 The zip has the add-on, and as wheels handfit_core, with the open hand and the landmark model in it, and all
@@ -35,7 +35,7 @@ from scripts.extension.contents import Contents, Missing, sorted_wheels
 from scripts.extension.core_wheel import core_wheel
 from scripts.extension.downloads import fetched
 from scripts.extension.licences import licence_name
-from scripts.extension.parts import FOR_TORCH
+from scripts.extension.parts import RUN_TIME
 from scripts.extension.staging import MANIFEST, WHEELS, stage
 from scripts.extension.table import Part, megabytes, table
 from scripts.extension.targets import (
@@ -50,6 +50,7 @@ from scripts.extension.torch_choice import CPU, NONE
 from scripts.extension.wheel_file import WheelFile
 
 OUTPUT = ROOT / "out" / "extension"
+BARE = "this zip was built without the packages that capture"
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def build(
 ) -> Built:
     """Build the zip of a platform (None: this machine's) into the folder `output`, and validate it.
 
-    `torch` is "cpu" (the locked one), "none", or the path of a wheel or of a folder of wheels; `blender` an
+    `torch` is "cpu" (the locked one), "none" (nothing that captures: for a Python of the user's own), or the
+    path of a wheel or of a folder of wheels; `blender` an
     executable whose extension tool is used (None: that of this Python's bpy wheel). Raises OptionError for
     an unknown platform or Python, BuildError or LandmarkModelError where a part is not to be had or is not
     the locked one, OutputError where `output` cannot be written.
@@ -127,19 +129,18 @@ def _run_time_wheels(
     platform: Platform, pythons: Sequence[str], torch: str, lock_folder: Path
 ) -> tuple[list[WheelFile], tuple[Missing, ...], str]:
     """The wheels besides handfit_core, what is missing, and what wheels.json says of torch."""
-    own = [] if torch in (CPU, NONE) else torch_choice.own_torch(torch, platform, pythons)
-    replaced = {wheel.name for wheel in own}
     if torch == NONE:
-        replaced.update(FOR_TORCH)
+        # Without torch nothing captures here, and a Python of one's own has the others, too.
+        return [], tuple(Missing(name, python, BARE) for python in pythons for name in RUN_TIME), NONE
+    own = [] if torch == CPU else torch_choice.own_torch(torch, platform, pythons)
+    replaced = {wheel.name for wheel in own}
     wheels, missing = list(own), []
     for python in pythons:
         lock = locks.read_lock(locks.lock_path(platform.name, python, lock_folder))
         pins = [pin for pin in lock.pins if pin.name not in replaced]
         wheels += fetched(pins, platform, python)
         absent = {name: why for name, why in lock.missing.items() if name not in replaced}
-        if torch == NONE:
-            absent["torch"] = "this zip was built without torch"
-        elif own and not any(w.name == "torch" and w.fits(platform, [python]) for w in own):
+        if own and not any(w.name == "torch" and w.fits(platform, [python]) for w in own):
             absent["torch"] = f"this zip was built with a torch that is not for Python {python}"
         missing += [Missing(name, python, why) for name, why in absent.items()]
     versions = sorted({wheel.version for wheel in own if wheel.name == "torch"})
@@ -169,7 +170,10 @@ def report(built: Built, markdown: bool = False) -> str:
         + megabytes(sum(part.unpacked_size for part in built.parts if python in part.pythons))
         for python in built.pythons
     ]
-    lines += [f"missing: {m.name} for Python {m.python}: {m.why}" for m in built.missing]
+    for why in dict.fromkeys(missing.why for missing in built.missing):
+        same = [missing for missing in built.missing if missing.why == why]
+        names, pythons = dict.fromkeys(m.name for m in same), dict.fromkeys(m.python for m in same)
+        lines.append(f"missing: {', '.join(names)} for Python {' and '.join(pythons)}: {why}")
     lines += [built.warning] if built.warning else []
     return "\n".join(lines)
 

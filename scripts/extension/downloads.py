@@ -75,5 +75,5 @@ def _cannot_be_had(pin: Pin, platform: Platform | None, python: str | None, said
         reason = "no file of the index has the hash in the lock"
     advice = f"check the network and pip's index, or put the wheel into {wheel_cache()}"
     if pin.name == "torch":
-        advice += ", or give it with --torch WHEEL, or build with --torch none"
+        advice += ", or give it with --torch PATH, or build with --torch none"
     return f"{pin.name} {pin.version}{target} could not be downloaded ({reason}); {advice}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from scripts.extension.contents import Contents
 from scripts.extension.wheel_file import WheelFile
@@ -12,16 +13,19 @@ CORE = "handfit-core"
 
 _TEXTS = r"[^/]+\.dist-info/(licen[cs]es/.*|(LICEN[CS]E|NOTICE|COPYING|AUTHORS)[^/]*)"
 _LONGEST_NAME = 60
+_CORE_FOLDER = Path(__file__).resolve().parents[2] / "handfit_core"
 
 
 @dataclass(frozen=True)
 class Bundled:
-    """What lies inside handfit_core's wheel and is not of this project. `licence` is an SPDX expression."""
+    """What lies inside handfit_core's wheel and is not of this project. `licence` is an SPDX expression,
+    `text` the file in handfit_core that has its words."""
 
     name: str
     version: str
     licence: str
     note: str
+    text: str
 
 
 BUNDLED = (
@@ -30,15 +34,16 @@ BUNDLED = (
         "0.10.21",
         "Apache-2.0",
         "Copyright The MediaPipe Authors. palm_detection_full.tflite and hand_landmark_full.tflite of the\n"
-        "wheel mediapipe 0.10.21, unchanged, in handfit_core/detect/data/hand_landmarker.task.\n"
-        "The Apache License 2.0 stands with mediapipe in this file.",
+        "wheel mediapipe 0.10.21, unchanged, in handfit_core/detect/data/hand_landmarker.task.",
+        "detect/data/LICENSE-landmark-model.txt",
     ),
     Bundled(
         "Open hand",
         "1",
         "CC0-1.0",
         "A hand model in MANO's file format, made from data of the MakeHuman community (CC0).\n"
-        "In handfit_core/hand_model/data/, where LICENSE-open-hand.md tells more.",
+        "In handfit_core/hand_model/data/.",
+        "hand_model/data/LICENSE-open-hand.md",
     ),
 )
 
@@ -82,7 +87,9 @@ def third_party_licences(contents: Contents) -> str:
         if body not in sections.setdefault(heading, []):
             sections[heading].append(body)
     for part in BUNDLED:
-        sections[f"{part.name} {part.version}"] = [f"Licence: {part.licence}\n\n{part.note}\n"]
+        text = (_CORE_FOLDER / part.text).read_text(encoding="utf-8").strip()
+        body = f"Licence: {part.licence}\n\n{part.note}\n\n--- {part.text} ---\n\n{text}\n"
+        sections[f"{part.name} {part.version}"] = [body]
     lines = [
         "This zip carries the work of others, unchanged. Its own code is under GPL-3.0-or-later (LICENSE).",
         "",
