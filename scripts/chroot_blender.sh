@@ -4,8 +4,9 @@
 #   sudo scripts/chroot_blender.sh CHROOT blender -b -P scripts/batch_fit.py -- ...
 #
 # Inside, the repository, the samples, the core's cache, the folders named in $CHROOT_BIND (colon-separated) and the
-# Python $HANDFIT_PYTHON with its virtual environment stand at the same paths as outside. The mounts
-# live in a private namespace: nothing to clean up, and runs do not see each other.
+# Python $HANDFIT_PYTHON with its virtual environment stand at the same paths as outside; with CHROOT_SEALED=1
+# only the last two of these. The mounts live in a private namespace: nothing to clean up, and runs do not see
+# each other.
 set -euo pipefail
 
 if [ "$#" -lt 2 ] || [ ! -x "$1/usr/bin/blender" ]; then
@@ -29,9 +30,14 @@ bind() { # a folder, to the same path inside
 mount -t proc proc "$chroot_dir/proc"
 mount --rbind /dev "$chroot_dir/dev"
 mount -t tmpfs tmpfs "$chroot_dir/tmp"
-bind "$repo"
-samples=${HANDFIT_SAMPLES:-$repo/../shared/samples}
-[ -d "$samples" ] && bind "$(cd "$samples" && pwd)"
+cache=${HANDFIT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/handfit}
+if [ -z "${CHROOT_SEALED:-}" ]; then
+  bind "$repo"
+  samples=${HANDFIT_SAMPLES:-$repo/../shared/samples}
+  [ -d "$samples" ] && bind "$(cd "$samples" && pwd)"
+  # The core keeps the landmark model there.
+  bind "$cache"
+fi
 if [ -n "${HANDFIT_PYTHON:-}" ]; then
   # The environment, and the installation that it stands on.
   while read -r prefix; do
@@ -46,9 +52,6 @@ if [ -n "${HANDFIT_PYTHON:-}" ]; then
     "$HANDFIT_PYTHON" -c 'import sys; print(*dict.fromkeys((sys.base_prefix, sys.prefix)), sep="\n")'
   )
 fi
-# The core keeps the landmark model in its cache folder.
-cache=${HANDFIT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/handfit}
-bind "$cache"
 IFS=: read -r -a extra <<<"${CHROOT_BIND:-}"
 for folder in "${extra[@]}"; do bind "$folder"; done
 

@@ -26,15 +26,15 @@ if ! command -v debootstrap >/dev/null; then
   DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends debootstrap >/dev/null
 fi
 
-# The machine's own mirror, from either form of apt's sources.
-mirror=$(
+# The machine's own mirror, from either form of apt's sources. On an Ubuntu these name none of Debian's.
+mirror=${DEBIAN_MIRROR:-$(
   {
     sed -nE 's/^URIs:[[:space:]]*([^[:space:]]+).*/\1/p' /etc/apt/sources.list.d/*.sources 2>/dev/null || true
     sed -nE 's/^deb[[:space:]]+(\[[^]]*\][[:space:]]+)?([^[:space:]]+).*/\2/p' /etc/apt/sources.list /etc/apt/sources.list.d/*.list 2>/dev/null || true
   } | grep -m 1 -E '/debian/?$' || true
-)
+)}
 if [ -z "$mirror" ]; then
-  echo "make_blender_chroot.sh: found no Debian mirror in this machine's apt sources" >&2
+  echo "make_blender_chroot.sh: found no Debian mirror in this machine's apt sources; name one in DEBIAN_MIRROR" >&2
   exit 1
 fi
 

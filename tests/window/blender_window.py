@@ -103,32 +103,32 @@ class BlenderWindow:
         self._number = 0
         self._folder = self._base / f"blender-{self._starts}"
         self._folder.mkdir(parents=True)
-        shaders = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "handfit-window-shaders"
-        shaders.mkdir(parents=True, exist_ok=True)
+        with (self._folder / "log").open("wb") as log:
+            self._process = subprocess.Popen(
+                self._command(),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment(),
+                start_new_session=True,
+            )
+
+    def _command(self) -> list[str]:
+        return [str(ROOT / "scripts" / "chroot_blender.sh"), self._chroot, *self._start_script(HERE)]
+
+    def _start_script(self, here: Path) -> list[str]:
+        """The command inside the chroot; `here` has start_blender.sh and what it needs."""
+        return [str(here / "start_blender.sh"), str(self._folder), *map(str, self._size)]
+
+    def _environment(self) -> dict[str, str]:
+        shaders = shader_cache()
         bind = ":".join(filter(None, [str(self._reachable), str(shaders), os.environ.get("CHROOT_BIND")]))
-        environment = {
+        return {
             **os.environ,
             "CHROOT_BIND": bind,
             "MESA_SHADER_CACHE_DIR": str(shaders),
             "HANDFIT_PYTHON": os.environ.get("HANDFIT_PYTHON", sys.executable),
         }
-        width, height = self._size
-        with (self._folder / "log").open("wb") as log:
-            self._process = subprocess.Popen(
-                [
-                    str(ROOT / "scripts" / "chroot_blender.sh"),
-                    self._chroot,
-                    str(HERE / "start_blender.sh"),
-                    str(self._folder),
-                    str(width),
-                    str(height),
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=environment,
-                start_new_session=True,
-            )
 
     def _ask(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> dict[str, Any]:
         assert self._process is not None
@@ -159,6 +159,13 @@ class BlenderWindow:
         self._kept.mkdir(parents=True, exist_ok=True)
         for picture in (self._folder / "screenshots").glob("*.png"):
             shutil.copy(picture, self._kept / picture.name)
+
+
+def shader_cache() -> Path:
+    """Where compiled shaders are kept, which takes minutes without a graphics card."""
+    path = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "handfit-window-shaders"
+    path.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def _once(text: str) -> str:

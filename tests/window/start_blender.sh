@@ -3,6 +3,7 @@
 #
 #   start_blender.sh FOLDER WIDTH HEIGHT
 #
+# Its add-on is the repository's, or where MANIENT_ADDON names an installed one, that of the user's profile.
 # All of it lives in a process namespace of its own, so that ending this script ends the screen,
 # Blender and whatever Blender started; FOLDER/left_behind lists what Blender did not end itself.
 set -euo pipefail
@@ -24,13 +25,17 @@ screen=$!
 read -r number </tmp/display
 export DISPLAY=":$number" LIBGL_ALWAYS_SOFTWARE=1
 
-# Where Blender looks for add-ons, as it does when it reloads its scripts.
-mkdir -p /tmp/scripts/addons
-ln -s "$(cd "$here/../.." && pwd)/blender_manient" /tmp/scripts/addons/
-export BLENDER_USER_SCRIPTS=/tmp/scripts
+settings=()
+if [ -z "${MANIENT_ADDON:-}" ]; then
+  # Where Blender looks for add-ons, as it does when it reloads its scripts.
+  mkdir -p /tmp/scripts/addons
+  ln -s "$(cd "$here/../.." && pwd)/blender_manient" /tmp/scripts/addons/
+  export BLENDER_USER_SCRIPTS=/tmp/scripts PYTHONDONTWRITEBYTECODE=1
+  settings=(--factory-startup)
+fi
 
 status=0
-PYTHONDONTWRITEBYTECODE=1 blender --factory-startup --enable-event-simulate --no-window-focus \
+blender "${settings[@]}" --enable-event-simulate --no-window-focus \
   --window-geometry 0 0 "$width" "$height" \
   --python "$here/inside/driver.py" -- "$folder" || status=$?
 

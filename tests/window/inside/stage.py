@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
 from collections.abc import Callable, Generator
@@ -12,7 +13,8 @@ import addon_utils
 import bpy
 from meter import Meter
 
-ADDON = "blender_manient"
+ADDON = os.environ.get("MANIENT_ADDON", "blender_manient")
+"""The repository's, or an installed one"""
 TAB = "Hand Capture"
 SETTLE = 0.3
 """seconds in which Blender takes up a change of its layout"""

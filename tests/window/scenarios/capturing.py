@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
+from types import ModuleType
 
 import bpy
+from stage import ADDON
+
+
+def part(name: str) -> ModuleType:
+    """A module of the add-on; looked up late, since the add-on comes and goes."""
+    return importlib.import_module(f"{ADDON}.{name}")
 
 
 def jobs() -> tuple:
-    """The add-on's queue; looked up late, since the add-on comes and goes."""
-    import blender_manient.jobs
-
-    return blender_manient.jobs.jobs()
+    """The add-on's queue."""
+    return part("jobs").jobs()
 
 
 def begin(stage, source: str, **settings):
@@ -55,18 +61,14 @@ def capture(stage, source: str, **settings):
 
 def hands() -> list[bpy.types.Object]:
     """The captured hands of the scene."""
-    from blender_manient.scene.store import captured_hands
-
-    return captured_hands(bpy.context.scene)
+    return part("scene.store").captured_hands(bpy.context.scene)
 
 
 def summary() -> list[dict]:
     """What the file holds of each captured hand, to compare before and after."""
-    from blender_manient.scene.store import hand_of
-
     found = []
     for armature in hands():
-        hand = hand_of(armature)
+        hand = part("scene.store").hand_of(armature)
         assert hand is not None, f"{armature.name} has lost its take"
         bpy.context.scene.frame_set(bpy.context.scene.frame_current)
         found.append(

@@ -14,6 +14,7 @@ NAME = "manient"
 
 def traces() -> dict[str, list[str]]:
     """Everything of the add-on's that Blender knows, kind by kind; kinds without any are left out."""
+    addons = bpy.context.window_manager.keyconfigs.addon  # None without a window, in some versions
     found = {
         "classes": [name for name in dir(bpy.types) if NAME in name.lower()],
         "operators": list(dir(bpy.ops.manient)) if NAME in dir(bpy.ops) else [],
@@ -47,7 +48,7 @@ def traces() -> dict[str, list[str]]:
         ],
         "shortcuts": [
             f"{keymap.name}: {item.idname}"
-            for keymap in bpy.context.window_manager.keyconfigs.addon.keymaps
+            for keymap in (addons.keymaps if addons else ())
             for item in keymap.keymap_items
             if item.idname.startswith(f"{NAME}.")
         ],

@@ -1,0 +1,190 @@
+"""With the zip alone, on the real Blender's command line: install it, then `--command manient`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.installed.sealed import without_network
+
+ROOT = Path(__file__).resolve().parents[2]
+CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
+MARK = "MANIENT_COMMAND_TEST"
+TIMEOUT = 400.0
+
+pytestmark = pytest.mark.skipif(
+    not CHROOT, reason="HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it"
+)
+
+STEPS = """
+run() {
+  step=$1; shift
+  blender --command "$@" >"$step.out" 2>"$step.err" && code=0 || code=$?
+  echo "$code" >"$step.code"
+}
+run install extension install-file -r user_default --enable "$ZIP"
+run help manient capture --help
+run wrong manient capture photo.jpg
+run check manient check
+run capture manient capture photo.jpg clip.mp4 nowhere.jpg --output results --format blend,glb,fbx \
+  --frames 1-20 --preview --timeout 200
+run again manient capture results/photo/photo.take.npz --output again --format bvh
+
+blender --command manient capture clip.mp4 photo.jpg --output stopped >stopped.out 2>stopped.err &
+while [ ! -e stopped/report.json ]; do sleep 0.1; done
+sleep 1
+kill -INT $!
+wait $! && code=0 || code=$?
+echo "$code" >stopped.code
+
+mv "$HOME"/.config/blender/*/extensions/.local/lib/python*/site-packages/handfit_core moved
+run damaged manient check
+run damaged_capture manient capture photo.jpg --output damaged
+"""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one command ended with and said."""
+
+    code: int
+    out: str
+    err: str
+
+
+@dataclass(frozen=True)
+class Commands:
+    """The folder in which the commands ran, and what they said."""
+
+    folder: Path
+    mark: str
+    log: str
+
+    def __getitem__(self, step: str) -> Step:
+        path = self.folder / f"{step}.code"
+        assert path.is_file(), f"it did not get as far as {step!r}:\n{self.log[-4000:]}"
+        out, err = (
+            (self.folder / f"{step}.{stream}").read_text(encoding="utf-8", errors="replace")
+            for stream in ("out", "err")
+        )
+        return Step(int(path.read_text()), out, err)
+
+    def report(self, folder: str) -> list[dict]:
+        return json.loads((self.folder / folder / "report.json").read_text(encoding="utf-8"))["inputs"]
+
+    def processes(self) -> list[str]:
+        """Names of processes that were started for the commands and still run."""
+        found = []
+        for process in (p for p in Path("/proc").iterdir() if p.name.isdigit()):
+            try:
+                if f"{MARK}={self.mark}".encode() in (process / "environ").read_bytes():
+                    found.append((process / "comm").read_text().strip())
+            except OSError:
+                continue  # it has ended meanwhile
+        return found
+
+
+@pytest.fixture(scope="module")
+def commands(
+    zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory, capturing_in_chroot: str
+) -> Commands:
+    folder = tmp_path_factory.mktemp("command")
+    shutil.copy(samples / "photos" / "thumb_up.jpg", folder / "photo.jpg")
+    shutil.copy(samples / "videos" / "asl_hand.mp4", folder / "clip.mp4")
+    mark = uuid.uuid4().hex
+    done = subprocess.run(
+        [*without_network(), str(ROOT / "scripts" / "chroot_blender.sh"), str(Path(CHROOT or "").resolve()),
+         "env", "-u", "HANDFIT_CACHE", f"ZIP={zipped}", f"{MARK}={mark}", "sh", "-eu", "-c", STEPS],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        env={
+            **os.environ,
+            "CHROOT_SEALED": "1",
+            "CHROOT_BIND": f"{folder}:{zipped.parent}",
+            "HANDFIT_PYTHON": capturing_in_chroot,
+        },
+        check=False,
+        timeout=TIMEOUT,
+    )  # fmt: skip
+    return Commands(folder, mark, done.stdout)
+
+
+@pytest.fixture(scope="module")
+def capturing_in_chroot() -> str:
+    """The Python that captures: there is no torch for the chroot's own."""
+    python = os.environ.get("HANDFIT_PYTHON")
+    if not python:
+        pytest.skip("HANDFIT_PYTHON names no Python to capture with")
+    return python
+
+
+def test_it_installs(commands):
+    assert commands["install"].code == 0
+    assert "Installed" in commands["install"].out
+
+
+def test_help_and_wrong_arguments(commands):
+    assert commands["help"].code == 0
+    assert commands["help"].out.startswith("usage: blender --command manient capture")
+    assert commands["wrong"].code == 2
+    assert "--output" in commands["wrong"].err
+
+
+def test_check(commands):
+    assert commands["check"].code == 0
+    assert "Everything works." in commands["check"].out
+    assert "FAILED" not in commands["check"].out
+
+
+def test_a_photo_and_a_video_become_files(commands):
+    assert commands["capture"].code == 1  # one of the inputs is not there
+    photo, clip, nowhere = commands.report("results")
+    assert [entry["status"] for entry in (photo, clip, nowhere)] == ["ok", "ok", "failed"]
+    assert "no such file" in nowhere["error"]
+    assert [(h["side"], h["detected"]) for h in photo["hands"]] == [("left", 1)]
+    assert [(h["side"], h["detected"]) for h in clip["hands"]] == [("right", 20)]
+    for entry in (photo, clip):
+        name = entry["name"]
+        endings = (".take.npz", ".blend", ".glb", ".fbx", ".preview.png")
+        assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
+        sizes = [(commands.folder / "results" / file).stat().st_size for file in entry["files"]]
+        assert min(sizes) > 1000, sizes
+    lines = commands["capture"].out.splitlines()
+    assert [line.partition(":")[0] for line in lines if line.startswith("[")] == [
+        "[1/3] ok",
+        "[2/3] ok",
+        "[3/3] failed",
+    ]
+    assert "Traceback" not in commands["capture"].err
+
+
+def test_a_take_is_exported_again(commands):
+    assert commands["again"].code == 0
+    (entry,) = commands.report("again")
+    assert entry["files"] == ["photo/photo.take.npz", "photo/photo.bvh"]
+
+
+def test_ctrl_c_keeps_what_was_finished_and_ends_the_worker(commands):
+    assert commands["stopped"].code == 130
+    assert "what was finished is kept" in commands["stopped"].err
+    assert [entry["status"] for entry in commands.report("stopped")] == ["interrupted", "pending"]
+    assert commands.processes() == []
+
+
+@pytest.mark.parametrize("step", ["damaged", "damaged_capture"])
+def test_a_damaged_installation_says_so(commands, step):
+    assert commands[step].code == 1
+    errors = [line for line in commands[step].err.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert "handfit" in errors[0]
+    assert not (commands.folder / "damaged").exists()

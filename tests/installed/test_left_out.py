@@ -1,0 +1,53 @@
+"""A zip without torch for this Blender's Python, in a Blender where no other Python is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.installed.conftest import PYTHON
+from tests.installed.sealed import Finished
+
+REMEDY = "choose a Python of your own"
+
+
+@pytest.fixture(scope="module")
+def tried(new_sealed, zipped: Path, left_out: str, samples: Path) -> Finished:
+    if not left_out:
+        pytest.skip(f"nothing is left out of this zip for Python {PYTHON}")
+    sealed = new_sealed()
+    photo = sealed.give(samples / "photos" / "thumb_up.jpg")
+    finished = sealed.run("attempts", zip=sealed.give(zipped), photo=photo)
+    assert finished.code == 0, finished.said
+    return finished
+
+
+def test_it_installs_and_all_but_capturing_is_there(tried):
+    assert tried.facts["installed"]["enabled"] == ["bl_ext.user_default.manient"]
+    panels = " ".join(tried.facts["panels"]["said"])
+    assert all(f"[{section}]" in panels for section in ("Source", "Capture", "Refine", "Export"))
+
+
+def test_the_panel_says_why_and_what_to_do(tried, left_out):
+    panels = " ".join(tried.facts["panels"]["said"])
+    assert left_out in panels.replace("There", "there")
+    assert REMEDY in panels
+
+
+@pytest.mark.parametrize("command", ["check", "batch"])
+def test_so_does_the_command_line(tried, left_out, command):
+    found = tried.facts[command]
+    assert found["code"] == 1
+    said = (found["out"] + found["err"]).replace("There", "there")
+    assert left_out in said
+    assert REMEDY in said
+
+
+def test_so_does_the_button(tried, left_out):
+    assert left_out in tried.facts["button"]["said"].replace("There", "there")
+
+
+def test_no_traceback(tried):
+    assert "Traceback" not in tried.said
+    assert "Traceback" not in str(tried.facts)

@@ -1,0 +1,52 @@
+"""An extension that was installed from the zip, in the window."""
+
+from __future__ import annotations
+
+import sys
+
+import bpy
+from stage import ADDON
+
+from scenarios.capturing import done, finish, jobs, summary
+from scenarios.traces import workers
+
+
+def photo_by_the_button(stage, source):
+    """The panel, the button Capture, the hand; and where all of it came from."""
+    yield from stage.open_sidebar()
+    yield from stage.screenshot("installed-panel")
+    bpy.context.scene.manient.source = source
+    yield 1.0
+    place = yield from stage.find_button("bpy.ops.manient.capture(")
+    assert place is not None, "the sidebar has no button Capture"
+    yield from stage.click(place)
+    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
+    yield from finish(stage, job, timeout=120.0)
+    done(job)
+    yield from stage.look_through_camera()
+    yield from stage.screenshot("installed-photo")
+    modules = {name: module for name, module in list(sys.modules.items()) if _is_ours(name)}
+    return {
+        "addons": [name for name in bpy.context.preferences.addons.keys() if "manient" in name],  # noqa: SIM118
+        "hands": summary(),
+        "workers": len(workers()),
+        "files": sorted({str(getattr(module, "__file__", None)) for module in modules.values()}),
+    }
+
+
+def preferences(stage):
+    """The add-on's preferences."""
+    bpy.context.preferences.active_section = "ADDONS"
+    bpy.context.window_manager.addon_search = "manient"
+    bpy.ops.preferences.addon_expand(module=ADDON)
+    area = stage.area()
+    area.type = "PREFERENCES"
+    yield 0.5
+    yield from stage.screenshot("installed-preferences")
+    area.type = "VIEW_3D"
+    bpy.context.window_manager.addon_search = ""
+    yield 0.2
+
+
+def _is_ours(name: str) -> bool:
+    return name.startswith((ADDON, "handfit_core"))
