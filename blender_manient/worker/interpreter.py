@@ -11,10 +11,13 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
+import bpy
+
 import handfit_core
 from handfit_core.worker.checking import BUNDLED_VARIABLE
 
 from ..installation import is_installed
+from ..preferences import ADDON
 
 PYTHON_VARIABLE = "HANDFIT_PYTHON"
 """Names the Python that has torch, MediaPipe and OpenCV, when it is not the one that is running"""
@@ -58,8 +61,23 @@ def worker_environment(python: str) -> dict[str, str]:
         if is_installed():
             environment[BUNDLED_VARIABLE] = "1"
     environment["PYTHONIOENCODING"] = "utf-8"
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    bytecode = _bytecode_folder(python)
+    if bytecode is None:
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    else:
+        environment["PYTHONPYCACHEPREFIX"] = str(bytecode)
     return environment
+
+
+def _bytecode_folder(python: str) -> Path | None:
+    """Where the worker keeps what it compiles; compiling torch anew costs each start some two seconds.
+
+    Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it
+    removes them; so a folder that goes with the extension.
+    """
+    if not (is_installed() and ADDON.startswith("bl_ext.") and is_blenders_own(python)):
+        return None
+    return Path(bpy.utils.extension_path_user(ADDON, path="bytecode"))
 
 
 def _core_folder() -> Path:

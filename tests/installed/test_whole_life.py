@@ -153,6 +153,17 @@ def test_the_worker_has_what_blender_unpacked(life, capturing):
     assert [str(p) for p in libraries.values() if not p.is_relative_to(place)] == []
 
 
+def test_what_the_worker_compiles_lies_in_a_folder_that_goes_with_the_extension(life, capturing):
+    """And not beside what Blender has unpacked."""
+    variables, compiled = life["worker"]["variables"], life["worker"]["compiled"]
+    if capturing:
+        assert "PYTHONPYCACHEPREFIX" not in variables
+    else:
+        folder = life.sealed.base / "profile" / "extensions" / ".user" / "user_default" / "manient"
+        assert Path(variables["PYTHONPYCACHEPREFIX"]).is_relative_to(folder)
+        assert compiled > 100
+
+
 def test_disabling_leaves_nothing(life):
     found = life["disabled"]
     assert found["said"] == "FINISHED"

@@ -228,12 +228,15 @@ def worker() -> dict[str, Any]:
     if process is None or process.pid is None:
         return {}
     folder = Path("/proc") / str(process.pid)
-    variables = (folder / "environ").read_bytes().decode().split("\0")
+    lines = (folder / "environ").read_bytes().decode().split("\0")
+    variables = dict(line.split("=", 1) for line in lines if "=" in line)
+    compiled = variables.get("PYTHONPYCACHEPREFIX")
     mapped = {line.split(maxsplit=5)[5] for line in (folder / "maps").read_text().splitlines() if "/" in line}
     return {
         "pid": process.pid,
         "command": (folder / "cmdline").read_bytes().decode().split("\0"),
-        "variables": dict(v.split("=", 1) for v in variables if "=" in v),
+        "variables": variables,
+        "compiled": sum(1 for _ in Path(compiled).rglob("torch/**/*.pyc")) if compiled else 0,
         "libraries": {
             name: sorted(path for path in mapped if f"/{name}/" in path and ".so" in path)[:1]
             for name in (*HEAVY, "numpy")
