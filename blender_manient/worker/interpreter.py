@@ -73,9 +73,12 @@ def _bytecode_folder(python: str) -> Path | None:
     """Where the worker keeps what it compiles; compiling torch anew costs each start some two seconds.
 
     Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it
-    removes them; so a folder that goes with the extension.
+    removes them; so a folder that goes with the extension. In it whole paths are repeated, which Windows
+    finds too long.
     """
-    if not (is_installed() and ADDON.startswith("bl_ext.") and is_blenders_own(python)):
+    if sys.platform == "win32" or not (
+        is_installed() and ADDON.startswith("bl_ext.") and is_blenders_own(python)
+    ):
         return None
     return Path(bpy.utils.extension_path_user(ADDON, path="bytecode"))
 
