@@ -26,6 +26,7 @@ from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import building
 from .scene.store import hand_of
+from .scene.surroundings import clear_view
 from .slices import retold
 from .worker import shared
 from .worker.client import CaptureOptions
@@ -314,9 +315,12 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         camera=plan.camera.find() if plan.camera else None,
     )
     _pack_cached_pictures(take)
+    warnings += built.warnings
+    if plan.match_scene and plan.camera is None and scene is not None:
+        warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (
         tuple(hand.armature.name for hand in built.hands),
-        [*warnings, *built.warnings],
+        warnings,
         _summary(job, take),
     )
 

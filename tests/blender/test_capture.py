@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -20,19 +18,9 @@ from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
 from blender_manient.worker import shared  # noqa: E402
 from handfit_core.errors import HandfitError  # noqa: E402
+from tests.capturing import needs_capture  # noqa: E402
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
-
-
-def _can_capture() -> bool:
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
-    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
-
-
-needs_worker = pytest.mark.skipif(
-    not _can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
-)
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +44,7 @@ def _hands():
     return [hand_of(armature) for armature in captured_hands(bpy.context.scene)]
 
 
-@needs_worker
+@needs_capture
 def test_photo(photo, settings):
     settings.source = str(photo)
     assert bpy.ops.manient.capture() == {"FINISHED"}
@@ -69,7 +57,17 @@ def test_photo(photo, settings):
     assert (job.state, job.message) == ("done", "1 hand in 1 frame")
 
 
-@needs_worker
+@needs_capture
+def test_in_the_start_up_file_the_cube_does_not_hide_the_picture(photo, settings):
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.view_layer.objects.active
+    settings.source = str(photo)
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    assert cube.hide_get()
+    assert any("Cube is hidden now" in warning for warning in jobs.jobs()[0].warnings)
+
+
+@needs_capture
 def test_sequence_range_and_single_frame(settings):
     settings.source = str(SAMPLE / "hand.0003.jpg")
     settings.as_sequence = True
@@ -81,7 +79,7 @@ def test_sequence_range_and_single_frame(settings):
     assert sorted(len(h.take.frame_numbers) for h in _hands()) == [1, 3]
 
 
-@needs_worker
+@needs_capture
 def test_onto_a_hand_that_is_there(settings, photo):
     settings.source = str(SAMPLE)
     settings.use_frames, settings.first_frame, settings.last_frame = True, 1, 4
@@ -98,7 +96,7 @@ def test_onto_a_hand_that_is_there(settings, photo):
     assert np.abs(np.array(bone.rotation_quaternion) - before).max() > 0.02
 
 
-@needs_worker
+@needs_capture
 def test_through_the_scenes_own_camera(settings, photo):
     data = bpy.data.cameras.new("own")
     camera = bpy.data.objects.new("own", data)
@@ -122,7 +120,7 @@ def test_through_the_scenes_own_camera(settings, photo):
     assert seen.z > 0.1
 
 
-@needs_worker
+@needs_capture
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_hand_that_is_renamed_meanwhile_is_found_and_one_that_is_gone_is_built_anew(settings, photo, gone):
     settings.source = str(photo)
@@ -140,7 +138,7 @@ def test_a_hand_that_is_renamed_meanwhile_is_found_and_one_that_is_gone_is_built
     assert (len(_hands()), bool(job.warnings)) == (1, gone)
 
 
-@needs_worker
+@needs_capture
 def test_a_scene_that_is_deleted_meanwhile_costs_neither_the_hands_nor_the_open_scene(settings, photo):
     settings.source = str(photo)
     first, other = bpy.context.scene, bpy.data.scenes.new("Other")
@@ -157,7 +155,7 @@ def test_a_scene_that_is_deleted_meanwhile_costs_neither_the_hands_nor_the_open_
     assert any("gone" in warning for warning in job.warnings)
 
 
-@needs_worker
+@needs_capture
 def test_dropped_pictures(settings):
     def dropped(*names, **options):
         files = [{"name": name} for name in names]
@@ -171,7 +169,7 @@ def test_dropped_pictures(settings):
     assert dropped(*some, as_sequence=True) == ({"FINISHED"}, [[3, 4, 5]])
 
 
-@needs_worker
+@needs_capture
 def test_a_painted_picture_stays_in_the_file(settings, photo, tmp_path):
     picture = bpy.data.images.load(str(photo))
     picture.pack()
@@ -185,7 +183,7 @@ def test_a_painted_picture_stays_in_the_file(settings, photo, tmp_path):
     assert plate.packed_file
 
 
-@needs_worker
+@needs_capture
 def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
     settings.source = str(SAMPLE)
     job = new_job(bpy.context, only_frame=False)
@@ -205,7 +203,7 @@ def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
     assert bpy.ops.manient.capture() == {"FINISHED"}
 
 
-@needs_worker
+@needs_capture
 def test_cancelling_keeps_what_is_finished(settings):
     settings.source = str(SAMPLE)
     first, second = (new_job(bpy.context, only_frame=False) for _ in range(2))
@@ -220,7 +218,7 @@ def test_cancelling_keeps_what_is_finished(settings):
     assert 4 <= len(hand.take.frame_numbers) < 24
 
 
-@needs_worker
+@needs_capture
 def test_no_hand_is_a_sentence(settings, tmp_path):
     image = bpy.data.images.new("grey", 320, 240)
     image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
@@ -231,7 +229,7 @@ def test_no_hand_is_a_sentence(settings, tmp_path):
     assert jobs.jobs()[-1].state == "failed"
 
 
-@needs_worker
+@needs_capture
 def test_another_file_ends_the_capture(settings):
     settings.source = str(SAMPLE)
     job = new_job(bpy.context, only_frame=False)
@@ -307,7 +305,7 @@ def _tick_until(condition, seconds: float = 60.0) -> None:
         time.sleep(0.002)
 
 
-@needs_worker
+@needs_capture
 def test_the_list_of_captures_and_its_buttons(settings, photo):
     settings.source = str(photo)
     bpy.ops.manient.capture()
@@ -335,7 +333,7 @@ def test_the_list_of_captures_and_its_buttons(settings, photo):
     assert jobs.jobs() == ()
 
 
-@needs_worker
+@needs_capture
 def test_details_of_a_failure_can_be_shown(settings, tmp_path):
     (tmp_path / "broken.jpg").write_bytes(b"no picture")
     settings.source = str(tmp_path / "broken.jpg")
