@@ -1,5 +1,6 @@
 """The add-on's preferences: where MANO, the capturing Python and the cache are, and a few habits."""
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,13 @@ ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 
 """The name of the add-on in Blender's preferences; of an extension it is bl_ext.REPOSITORY.ID"""
 
 # The annotations are read below, so this file does without `from __future__ import annotations`.
+
+
+def _forget_check(_self, _context) -> None:
+    """What was checked is another Python."""
+    from .operators import check_installation
+
+    check_installation.forget()
 
 
 class ManientPreferences(bpy.types.AddonPreferences):
@@ -77,17 +85,23 @@ def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -
     from .worker import shared
 
     layout.prop(self, "python")
-    if text := shared.capture_sentence():
+    text = shared.capture_sentence()
+    if text:
         sentence(layout, context, text, "ERROR", alert=True)
     layout.prop(self, "threads")
     row = layout.row(align=True)
     row.operator("manient.check_installation", icon="CHECKMARK")
+    if check_installation.running():
+        layout.label(text="Checking, which takes up to half a minute", icon="TIME")
+        return
     result = check_installation.last_result()
     if result is not None:
         show = row.operator("manient.show_details", text="Show", icon="TEXT")
         copy = row.operator("manient.copy_details", text="Copy", icon="COPYDOWN")
         show.text = copy.text = check_installation.TEXT_NAME
-        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok)
+        if result.sentence != text:
+            icon = "CHECKMARK" if result.ok else "ERROR"
+            sentence(layout, context, result.sentence, icon, alert=not result.ok)
 
 
 def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -129,7 +143,16 @@ def get(context: bpy.types.Context | None = None) -> Any:
 
 def full_path(text: str) -> str:
     """A path as typed into the preferences, made absolute; empty stays empty."""
-    return str(Path(bpy.path.abspath(text)).expanduser()) if text else ""
+    text = unquoted(text)
+    return str(Path(os.path.expanduser(bpy.path.abspath(text)))) if text else ""  # noqa: PTH111
+
+
+def unquoted(text: str) -> str:
+    """Without the spaces and quotes around it that come with a copied path."""
+    text = text.strip()
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1].strip()
+    return text
 
 
 def redraw() -> None:

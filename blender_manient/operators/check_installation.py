@@ -40,6 +40,17 @@ def last_result() -> Result | None:
     return _last if details.local_text(TEXT_NAME) is not None else None
 
 
+def running() -> bool:
+    """Whether a check is under way."""
+    return _checking is not None
+
+
+def forget() -> None:
+    """What the last check came to holds no longer."""
+    global _last
+    _last = None
+
+
 class MANIENT_OT_check_installation(bpy.types.Operator):
     bl_idname = "manient.check_installation"
     bl_label = "Check Installation"
@@ -73,6 +84,7 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set("Checking the installation of Hand Capture   Esc: Stop")
+        preferences.redraw()
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -105,6 +117,7 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
+        preferences.redraw()
 
     def execute(self, context):
         """Check and wait for it: for scripts, and without a window."""

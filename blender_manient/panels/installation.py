@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..preferences import ADDON
 from ..section import Section, sentence
 from ..worker import shared
 
@@ -24,3 +25,4 @@ class MANIENT_PT_installation(Section, bpy.types.Panel):
         assert layout is not None
         sentence(layout, context, shared.capture_sentence(), "ERROR", alert=True)
         layout.operator("manient.check_installation", icon="CHECKMARK")
+        layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES").module = ADDON
