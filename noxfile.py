@@ -11,6 +11,8 @@ import nox
 
 nox.options.sessions = ["lint", "tests"]
 nox.options.reuse_existing_virtualenvs = True
+# Else a session whose Python is missing is skipped, and nothing fails.
+nox.options.error_on_missing_interpreters = True
 
 ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"

@@ -15,6 +15,8 @@ they are downloaded once, into the user's cache. The same input gives the same b
 from __future__ import annotations
 
 import argparse
+import errno
+import re
 import shutil
 import sys
 import tempfile
@@ -27,7 +29,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from handfit_core.errors import HandfitError
+from scripts.needed import need
+
+need("numpy", "nox -s build")
+
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import written_whole
 from scripts.extension import archive, locks, torch_choice, windows_paths
 from scripts.extension.blender_tool import run_build, run_validate, tool_command
@@ -50,6 +56,7 @@ from scripts.extension.torch_choice import CPU, NONE
 from scripts.extension.wheel_file import WheelFile
 
 OUTPUT = ROOT / "out" / "extension"
+TEMPORARY_SPACE = "1.2 GB"
 BARE = "this zip was built without the packages that capture"
 
 
@@ -120,8 +127,9 @@ def zip_name(contents: Contents) -> str:
         name += "".join(f"-py{python.replace('.', '')}" for python in contents.pythons)
     if contents.torch == NONE:
         name += "-no_torch"
-    elif (kind := contents.torch.partition("+")[2]) and kind != CPU:
-        name += f"-{kind}"
+    elif contents.torch != CPU:
+        # Also where it is a CPU build: it is not the one of the usual zip.
+        name += "-torch_" + re.sub(r"[^\w.]+", "_", contents.torch)
     return name + ".zip"
 
 
@@ -178,6 +186,22 @@ def report(built: Built, markdown: bool = False) -> str:
     return "\n".join(lines)
 
 
+def listed(names: str) -> list[str]:
+    """The names of a list such as "linux-x64, windows-x64", each once."""
+    return list(dict.fromkeys(filter(None, (name.strip() for name in names.split(",")))))
+
+
+def system_error(error: OSError) -> str:
+    """One sentence for what the system refused."""
+    what = str(error.strerror or error)
+    if error.filename and error.errno != errno.ENOSPC:  # whose file is the one that is copied
+        what = f"{error.filename}: {what}"
+    return (
+        f"{what}; a build needs {TEMPORARY_SPACE} below {tempfile.gettempdir()} (TMPDIR names another "
+        "folder), and folders that it may write to"
+    )
+
+
 def main() -> int:
     """Build; returns the exit code."""
     parser = argparse.ArgumentParser(description="Build the add-on's zip for Blender.")
@@ -191,9 +215,16 @@ def main() -> int:
     parser.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     options = parser.parse_args()
     try:
-        for platform in options.platform.split(","):
-            built = build(options.output, platform, options.python.split(","), options.torch, options.blender)
+        platforms = [platform_named(name).name for name in listed(options.platform)]
+        pythons = checked_pythons(listed(options.python))
+        if not platforms:
+            raise OptionError(f"no platform was named; choose from {', '.join(PLATFORM_NAMES)}")
+        for platform in platforms:
+            built = build(options.output, platform, pythons, options.torch, options.blender)
             print(report(built, options.markdown), end="\n\n", flush=True)
+    except OSError as error:
+        print(f"error: {system_error(error)}", file=sys.stderr)
+        return 1
     except HandfitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

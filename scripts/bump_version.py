@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from scripts.releasing.changelog import CHANGELOG, with_release
+from scripts.releasing.changelog import CHANGELOG, changelog_text, with_release
 from scripts.releasing.errors import ReleaseError
 from scripts.releasing.versions import MANIFEST, as_numbers, current_version, with_version
 
@@ -53,11 +53,13 @@ def bump(repository: Path, version: str, date: datetime.date) -> None:
     now = current_version(repository)
     if as_numbers(version) < as_numbers(now):
         raise ReleaseError(f"{version} is lower than {now}, which {MANIFEST} has; choose a higher version")
-    changelog = repository / CHANGELOG
-    released = with_release(changelog.read_text(encoding="utf-8"), version, date)
+    released = with_release(changelog_text(repository), version, date)
     manifest = with_version(repository, version)
-    changelog.write_text(released, encoding="utf-8", newline="\n")
-    (repository / MANIFEST).write_text(manifest, encoding="utf-8", newline="\n")
+    for name, text in ((CHANGELOG, released), (MANIFEST, manifest)):
+        try:
+            (repository / name).write_text(text, encoding="utf-8", newline="\n")
+        except OSError as error:
+            raise ReleaseError(f"{repository / name} cannot be written ({error.strerror})") from error
 
 
 if __name__ == "__main__":

@@ -4,8 +4,7 @@
     python scripts/fetch_landmark_model.py            # into the cache, where everything finds it
     python scripts/fetch_landmark_model.py --wheel mediapipe-0.10.21-....whl -o hand_landmarker.task
 
-This is the only part of the project that uses the network, and it is run while setting up, never
-by the add-on.
+It is run while setting up, never by the add-on.
 """
 
 from __future__ import annotations
@@ -17,6 +16,10 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from scripts.needed import need
+
+need("numpy", "python -m pip install -c constraints.txt .")
 
 from handfit_core.detect import landmark_model
 from handfit_core.errors import HandfitError, LandmarkModelError

@@ -4,8 +4,8 @@
     python scripts/lock_wheels.py            # or: nox -s lock
 
 Versions come from constraints.txt, files and hashes from the index that pip is set up for. Torch on Linux
-must be a CPU build ("+cpu"): the plain file for Linux is several GB of CUDA. A package that has no wheel
-for a platform and Python is noted in the lock as missing.
+must be a CPU build ("+cpu"): the plain file for Linux is several GB of CUDA. Where the index
+has it, but not for a platform and Python, the lock notes it as missing.
 """
 
 from __future__ import annotations
@@ -19,6 +19,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
+
+from scripts.needed import need
+
+need("numpy", "nox -s lock")
+need("packaging", "nox -s lock")
 
 from packaging.requirements import Requirement
 
@@ -75,22 +80,35 @@ def versions(constraints: Iterable[str], python: str, sys_platform: str) -> dict
 
 def locked(names: Sequence[str], platform: Platform | None, python: str, pinned: dict[str, str]) -> Lock:
     """The lock of the named packages; a platform of None is for pure Python. Raises BuildError where the
-    index has no such wheel, other than torch."""
+    index has no such wheel. Only torch may be missing, and only where the index has that version for another
+    platform or Python: else the network or an index is what is missing."""
     pins, missing = [], {}
     for name in names:
         if name not in pinned:
             raise BuildError(f"{name}: constraints.txt does not pin it for Python {python}; add it there")
         version = pinned[name]
         cpu_only = name == "torch" and platform is not None and platform.name == "linux-x64"
-        pin = resolved(name, f"{version}+cpu" if cpu_only else version, platform, python)
+        wanted = f"{version}+cpu" if cpu_only else version
+        pin = resolved(name, wanted, platform, python)
         if pin:
             pins.append(pin)
-        elif name == "torch":
+        elif name == "torch" and platform is not None and found_elsewhere(name, wanted, platform, python):
             kind = "CPU build" if cpu_only else "build"
             missing[name] = f"there is no {kind} of torch {version} for Python {python} on the package index"
         else:
-            raise BuildError(f"{name} {version}: the index has no wheel for {platform}, Python {python}")
+            target = f"{platform.name}, Python {python}" if platform else "all platforms"
+            raise BuildError(
+                f"{name} {wanted}: no wheel for {target} was found on the index; check the network and which "
+                "indexes pip uses (PIP_EXTRA_INDEX_URL for PyTorch's own of CPU builds)"
+            )
     return Lock(tuple(pins), missing)
+
+
+def found_elsewhere(name: str, version: str, platform: Platform, python: str) -> bool:
+    """Whether the index has a wheel of the version for any other platform and Python."""
+    others = [(platform_named(n), p) for n in PLATFORM_NAMES for p in PYTHONS]
+    others.sort(key=lambda other: other[0] != platform)  # the likeliest first
+    return any(resolved(name, version, *other) for other in others if other != (platform, python))
 
 
 def resolved(name: str, version: str, platform: Platform | None, python: str) -> Pin | None:

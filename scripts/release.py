@@ -5,22 +5,25 @@
 
     manient-VERSION-PLATFORM.zip            the add-on for each platform
     handfit_core-VERSION-py3-none-any.whl   the core alone, the same file as in the zips
-    manient-VERSION-source.tar.gz           the commit's files
+    manient-VERSION-source.tar              the commit's files
     manient-VERSION-PLATFORM.cdx.json       what is in each zip (SBOM, CycloneDX), the same file as in the zip
     RELEASE_NOTES.md                        the version's section of CHANGELOG.md
     SHA256SUMS                              of all of these: sha256sum -c SHA256SUMS
 
-The version is the manifest's; scripts/bump_version.py sets it. The same commit gives the same bytes.
+The version is the manifest's; scripts/bump_version.py sets it. All is made from the files of the commit, not
+from those that lie about, and the same commit gives the same bytes: nothing is compressed here, since the
+bytes would depend on the zlib of the Python at work. The folder is replaced once everything is there.
 """
 
 from __future__ import annotations
 
 import argparse
-import gzip
 import hashlib
-import shutil
+import re
 import subprocess
 import sys
+import tarfile
+import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +33,7 @@ if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
 from scripts.extension.targets import PLATFORM_NAMES
-from scripts.releasing.changelog import CHANGELOG, release_notes
+from scripts.releasing.changelog import changelog_text, release_notes
 from scripts.releasing.errors import ReleaseError
 from scripts.releasing.versions import current_version
 
@@ -38,6 +41,8 @@ CHECKSUMS = "SHA256SUMS"
 NOTES = "RELEASE_NOTES.md"
 SBOM = "sbom.cdx.json"
 """inside a zip"""
+_OURS = re.compile(r"manient-[^/]+(\.zip|\.tar(\.gz)?|\.cdx\.json)|handfit_core-[^/]+\.whl|RELEASE_NOTES\.md")
+"""Names of what a release publishes"""
 
 
 def main(argv: Sequence[str] | None = None, repository: Path = ROOT) -> int:
@@ -45,23 +50,48 @@ def main(argv: Sequence[str] | None = None, repository: Path = ROOT) -> int:
     parser = argparse.ArgumentParser(description="Make everything that a release publishes.")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "release", metavar="DIR")
     parser.add_argument(
-        "--allow-dirty", action="store_true", help="go on with changes that are not committed, to try it out"
+        "--allow-dirty",
+        action="store_true",
+        help="to try it out: build the zips from the working tree, with what is not committed; the source "
+        "archive holds the commit's files all the same, so that the two differ",
     )
     args = parser.parse_args(argv)
     try:
         version = current_version(repository)
         notes = checked_notes(repository, version, args.allow_dirty)
-        output = emptied(args.output)
-        build_zips(repository, output)
-        take_from_zips(output)
-        write_source_archive(repository, version, output)
+        sums = make(repository, args.output, version, notes, args.allow_dirty)
     except ReleaseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    (output / NOTES).write_text(notes, encoding="utf-8", newline="\n")
-    print(write_checksums(output).read_text(encoding="utf-8"), end="")
-    print(f"release {version} is in {output}")
+    print(sums.read_text(encoding="utf-8"), end="")
+    print(f"release {version} is in {args.output}")
     return 0
+
+
+def make(repository: Path, output: Path, version: str, notes: str, allow_dirty: bool = False) -> Path:
+    """Build everything beside the folder `output`, and put it in its place; returns the checksums' file.
+
+    What stands there is kept where anything fails. Raises ReleaseError.
+    """
+    refuse_foreign_files(output)
+    try:
+        output.absolute().parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".release-", dir=output.absolute().parent) as temporary:
+            made, source = Path(temporary) / "made", Path(temporary) / "source"
+            made.mkdir()
+            archive = write_source_archive(repository, version, made)
+            if not allow_dirty:
+                unpack_source(archive, source)
+            build_zips(repository if allow_dirty else source / f"manient-{version}", made)
+            take_from_zips(made)
+            (made / NOTES).write_text(notes, encoding="utf-8", newline="\n")
+            write_checksums(made)
+            put_in_place(made, output)
+    except OSError as error:
+        raise ReleaseError(
+            f"{error.filename or output}: cannot be written ({error.strerror}); name another folder with -o"
+        ) from error
+    return output / CHECKSUMS
 
 
 def checked_notes(repository: Path, version: str, allow_dirty: bool = False) -> str:
@@ -77,7 +107,7 @@ def checked_notes(repository: Path, version: str, allow_dirty: bool = False) -> 
             f"{changed[0][3:]}{more} changed or not in git; commit everything, or try the release out with "
             "--allow-dirty"
         )
-    notes = release_notes((repository / CHANGELOG).read_text(encoding="utf-8"), version)
+    notes = release_notes(changelog_text(repository), version)
     tag = f"v{version}"
     # A release of a public host runs on the tag itself.
     tagged = _git(repository, "tag", "--list", tag) and _git(repository, "rev-list", "-n", "1", tag)
@@ -89,21 +119,41 @@ def checked_notes(repository: Path, version: str, allow_dirty: bool = False) -> 
     return notes
 
 
-def emptied(output: Path) -> Path:
-    """The folder, with nothing of an earlier release in it.
+def refuse_foreign_files(output: Path) -> None:
+    """Raise ReleaseError where `output` is anything but a folder that holds a release and nothing else.
 
-    Raises ReleaseError where it holds anything else.
+    That is: every entry is a file by a name that a release gives, and stands in the folder's SHA256SUMS.
     """
-    if output.is_dir() and any(output.iterdir()):
-        if not (output / CHECKSUMS).is_file():
+    if output.is_symlink() or (output.exists() and not output.is_dir()):
+        raise ReleaseError(f"{output}: this is not a folder; name another with -o")
+    if not output.is_dir():
+        return
+    sums = output / CHECKSUMS
+    listed = set()
+    if sums.is_file():
+        text = sums.read_text(encoding="utf-8", errors="replace")
+        listed = {line.partition("  ")[2] for line in text.splitlines()}
+    for path in sorted(output.iterdir()):
+        ours = path == sums or (path.name in listed and _OURS.fullmatch(path.name))
+        if not ours or path.is_symlink() or not path.is_file():
             raise ReleaseError(
-                f"{output} holds files that no finished release wrote; empty it, or name another folder"
+                f"{path}: no release wrote this, and the folder would be replaced; move it elsewhere, or "
+                "name another folder with -o"
             )
-        shutil.rmtree(output)
-    output.mkdir(parents=True, exist_ok=True)
-    # Of a release that fails half-way, so that the next one may empty the folder.
-    (output / CHECKSUMS).touch()
-    return output
+
+
+def put_in_place(made: Path, output: Path) -> None:
+    """Move the folder `made` to `output`; an older release there goes. Raises ReleaseError, OSError."""
+    refuse_foreign_files(output)  # something may have come there meanwhile
+    old = made.with_name("old")
+    if output.is_dir():
+        output.rename(old)
+    try:
+        made.rename(output)
+    except OSError:
+        if old.is_dir():
+            old.rename(output)
+        raise
 
 
 def build_zips(repository: Path, output: Path) -> None:
@@ -118,16 +168,23 @@ def build_zips(repository: Path, output: Path) -> None:
 def take_from_zips(output: Path) -> list[Path]:
     """The core's wheel, and each zip's list of its parts, put beside the zips; returns where they are.
 
-    Both come out of the zips, so that they are the same files. Raises ReleaseError where one is missing.
+    Both come out of the zips, so that they are the same files. Raises ReleaseError where one is missing, or
+    two zips have different wheels of the core.
     """
-    taken = {}
+    taken: dict[Path, bytes] = {}
     for path in sorted(output.glob("*.zip")):
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             wheels = [name for name in names if name.startswith("wheels/handfit_core-")]
             if len(wheels) != 1 or SBOM not in names:
                 raise ReleaseError(f"{path} lacks handfit_core's wheel or {SBOM}; build it anew")
-            taken[output / Path(wheels[0]).name] = archive.read(wheels[0])
+            core, content = output / Path(wheels[0]).name, archive.read(wheels[0])
+            if any(other.suffix == ".whl" and (other, taken[other]) != (core, content) for other in taken):
+                raise ReleaseError(
+                    f"{path} has another wheel of handfit_core than the zips before it; the source was "
+                    "changed while they were built, so begin again"
+                )
+            taken[core] = content
             taken[path.with_suffix(".cdx.json")] = archive.read(SBOM)
     for path, content in taken.items():
         path.write_bytes(content)
@@ -135,13 +192,27 @@ def take_from_zips(output: Path) -> list[Path]:
 
 
 def write_source_archive(repository: Path, version: str, output: Path) -> Path:
-    """The files of the commit HEAD as .tar.gz; the same commit gives the same bytes."""
+    """The files of the commit HEAD as .tar; the same commit gives the same bytes. Raises ReleaseError."""
     name = f"manient-{version}"
-    command = ["git", "-c", "tar.umask=0022", "archive", "--format=tar", f"--prefix={name}/", "HEAD"]
-    archive = subprocess.run(command, cwd=repository, capture_output=True, check=True).stdout
-    path = output / f"{name}-source.tar.gz"
-    path.write_bytes(gzip.compress(archive, mtime=0))
+    path = output / f"{name}-source.tar"
+    # What a user's git is set to must not show in the bytes.
+    options = ["-c", "tar.umask=0022", "-c", "core.autocrlf=false"]
+    _git(
+        repository,
+        *options,
+        "archive",
+        "--format=tar",
+        f"--prefix={name}/",
+        f"--output={path.absolute()}",
+        "HEAD",
+    )
     return path
+
+
+def unpack_source(archive: Path, folder: Path) -> None:
+    """The commit's files as they are, without anything that git ignores or does not know."""
+    with tarfile.open(archive) as opened:
+        opened.extractall(folder, filter="data")
 
 
 def write_checksums(output: Path) -> Path:

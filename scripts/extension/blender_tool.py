@@ -19,7 +19,7 @@ def tool_command(blender: Path | None = None) -> list[str]:
     Raises BuildError.
     """
     if blender is not None:
-        executable = shutil.which(blender)
+        executable = shutil.which(str(blender))
         if executable is None:
             raise BuildError(f"{blender}: there is no such Blender; give its executable with --blender")
         return [executable, "--command", "extension"]
@@ -35,7 +35,10 @@ def tool_command(blender: Path | None = None) -> list[str]:
 
 def run_build(tool: list[str], folder: Path, path: Path) -> None:
     """Make the zip `path` of a staged folder. Raises BuildError with what the tool says."""
-    _run([*tool, "build", "--source-dir", str(folder), "--output-filepath", str(path)])
+    command = [*tool, "build", "--source-dir", str(folder), "--output-filepath", str(path)]
+    _run(command)
+    if not path.is_file():
+        raise BuildError(f"{command[0]}: this made no zip; give the executable of a Blender 4.2 or newer")
 
 
 def run_validate(tool: list[str], path: Path) -> None:
@@ -44,7 +47,12 @@ def run_validate(tool: list[str], path: Path) -> None:
 
 
 def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    except OSError as error:
+        raise BuildError(
+            f"{command[0]}: this cannot be run ({error.strerror}); give a Blender with --blender"
+        ) from error
     if done.returncode:
-        said = (done.stdout + done.stderr).strip()
+        said = (done.stdout + done.stderr).strip() or f"it ended with {done.returncode} and said nothing"
         raise BuildError(f"Blender's extension tool refused ({' '.join(command)}):\n{said}")

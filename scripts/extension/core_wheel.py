@@ -7,9 +7,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 
 from handfit_core.detect import landmark_model
+from scripts.extension import archive
 from scripts.extension.downloads import fetched
 from scripts.extension.errors import BuildError
 from scripts.extension.locks import BUILD_LOCK, read_lock
@@ -28,23 +30,21 @@ SAME_TIME = "1577836800"
 """Seconds since 1970 of the files in the wheel: 2020-01-01"""
 
 
-def core_wheel(folder: Path) -> WheelFile:
-    """Build the wheel into `folder`.
+def core_wheel(folder: Path, root: Path = ROOT) -> WheelFile:
+    """Build the wheel of the checkout `root` into `folder`.
 
     From a copy of the source: setuptools leaves files beside it, and takes in what it finds there the next
-    time. Raises BuildError, or LandmarkModelError where the landmark model is not to be had.
+    time. Raises BuildError, also where the source holds a file that is not the core's, or
+    LandmarkModelError where the landmark model is not to be had.
     """
+    files = source_files(root)
     tools = fetched(read_lock(BUILD_LOCK).pins, None, None)
     with tempfile.TemporaryDirectory() as temporary:
         source, tool_folder = Path(temporary) / "source", Path(temporary) / "tools"
-        without = shutil.ignore_patterns("__pycache__", ".*")
-        shutil.copytree(ROOT / "handfit_core", source / "handfit_core", ignore=without)
-        refuse_licensed_models(source / "handfit_core")
-        for name in BESIDE:
-            shutil.copy(ROOT / name, source)
-        model = source / "handfit_core" / LANDMARK_MODEL
-        model.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(checked_landmark_model(), model)
+        for name in (*files, *BESIDE):
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(root / name, source / name)
+        shutil.copyfile(checked_landmark_model(), source / "handfit_core" / LANDMARK_MODEL)
         for path in source.rglob("*"):
             path.chmod(0o755 if path.is_dir() else 0o644)
         # Only the locked setuptools, whatever else is installed or on an index: its version is in the wheel.
@@ -64,18 +64,48 @@ def core_wheel(folder: Path) -> WheelFile:
     built = sorted(folder.glob("handfit_core-*.whl"))
     if done.returncode or len(built) != 1:
         raise BuildError(f"handfit_core could not be built as a wheel:\n{done.stderr.strip()}")
-    return wheel_file(built[0])
+    archive.fix(built[0])
+    wheel = wheel_file(built[0])
+    expected = {*files, f"handfit_core/{LANDMARK_MODEL}"}
+    inside = {name for name in wheel.members if ".dist-info/" not in name}
+    if inside != expected:
+        raise BuildError(
+            f"handfit_core's wheel differs from its source in {', '.join(sorted(inside ^ expected))}; "
+            "list packages and data in pyproject.toml"
+        )
+    return wheel
 
 
-def refuse_licensed_models(folder: Path) -> None:
-    """Raise BuildError where somebody has put MANO's files, which must not be passed on, into `folder`."""
-    for path in sorted(folder.rglob("*")):
-        name = path.name.lower()
-        if name.endswith((".pkl", ".pickle")) or ("mano_" in name and not name.endswith(".py")):
+def data_files(root: Path = ROOT) -> set[str]:
+    """The core's files other than modules, as pyproject.toml lists them: POSIX paths from `root`."""
+    settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    return {
+        f"{package.replace('.', '/')}/{name}"
+        for package, names in settings["package-data"].items()
+        for name in names
+    }
+
+
+def source_files(root: Path = ROOT) -> list[str]:
+    """Modules and data of handfit_core, but for the landmark model: POSIX paths from `root`, sorted.
+
+    Raises BuildError where anything else lies there, such as MANO's files, which must not be passed on.
+    """
+    allowed = data_files(root)
+    found = []
+    for path in sorted((root / "handfit_core").rglob("*")):
+        name = path.relative_to(root).as_posix()
+        parts = name.split("/")
+        if path.is_dir() or "__pycache__" in parts or any(part.startswith(".") for part in parts):
+            continue
+        if path.suffix != ".py" and name not in allowed:
             raise BuildError(
-                f"handfit_core/{path.relative_to(folder).as_posix()}: this looks like a licensed hand model, "
-                "which must not go into the zip; move it elsewhere and name it in the add-on's preferences"
+                f"{name}: this is not one of the core's files, and must not go into the zip; move it "
+                "elsewhere (MANO's files are named in the add-on's preferences), or list it in pyproject.toml"
             )
+        if name != f"handfit_core/{LANDMARK_MODEL}":
+            found.append(name)
+    return found
 
 
 def checked_landmark_model() -> Path:

@@ -30,19 +30,30 @@ def fetched(pins: Sequence[Pin], platform: Platform | None, python: str | None) 
 
 def in_cache(pin: Pin) -> WheelFile | None:
     """The pinned wheel if the cache has it, whole."""
+    return next((wheel_file(path) for path in _named(pin) if sha256_of(path) == pin.sha256), None)
+
+
+def _named(pin: Pin) -> list[Path]:
+    """The cache's wheels of this package and version, whatever is in them."""
+    found = []
     for path in sorted(wheel_cache().glob("*.whl")):
         name, _, rest = path.name.partition("-")
-        named = normalized(name) == pin.name and rest.startswith(f"{pin.version}-")
-        if named and sha256_of(path) == pin.sha256:
-            return wheel_file(path)
-    return None
+        if normalized(name) == pin.name and rest.startswith(f"{pin.version}-"):
+            found.append(path)
+    return found
 
 
 def _download(pin: Pin, platform: Platform | None, python: str | None) -> WheelFile:
     cache = wheel_cache()
-    cache.mkdir(parents=True, exist_ok=True)
-    # Beside its place, so that the move is one step and no half a wheel is ever found in the cache.
-    with tempfile.TemporaryDirectory(prefix=".download-", dir=cache) as folder:
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        # Beside its place, so that the move is one step and no half a wheel is ever found in the cache.
+        temporary = tempfile.TemporaryDirectory(prefix=".download-", dir=cache)
+    except OSError as error:
+        raise BuildError(
+            f"{cache}: wheels cannot be kept here ({error.strerror}); name another folder with HANDFIT_CACHE"
+        ) from error
+    with temporary as folder:
         requirements = Path(folder) / "requirements.txt"
         requirements.write_text(pin.requirement + "\n", encoding="utf-8")
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
@@ -76,4 +87,11 @@ def _cannot_be_had(pin: Pin, platform: Platform | None, python: str | None, said
     advice = f"check the network and pip's index, or put the wheel into {wheel_cache()}"
     if pin.name == "torch":
         advice += ", or give it with --torch PATH, or build with --torch none"
-    return f"{pin.name} {pin.version}{target} could not be downloaded ({reason}); {advice}"
+    # Of a package and version there is one wheel per platform and Python; another's hash says nothing.
+    others = [path for path in _named(pin) if not platform or _fits(path, platform, python)]
+    there = "".join(f"; {path} has another hash than the lock, and may be damaged" for path in others)
+    return f"{pin.name} {pin.version}{target} could not be downloaded ({reason}){there}; {advice}"
+
+
+def _fits(path: Path, platform: Platform, python: str | None) -> bool:
+    return bool(wheel_file(path).fits(platform, [python] if python else []))

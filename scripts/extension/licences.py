@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,9 @@ from scripts.extension.wheel_file import WheelFile
 FILE_NAME = "THIRD_PARTY_LICENSES"
 CORE = "handfit-core"
 
-_TEXTS = r"[^/]+\.dist-info/(licen[cs]es/.*|(LICEN[CS]E|NOTICE|COPYING|AUTHORS)[^/]*)"
+_NAMES = r"(LICEN[CS]E|NOTICE|COPYING|AUTHORS)[^/]*(?<!\.py)(?<!\.pyc)(?<!\.pyi)"
+# SciPy keeps some beside the code that they are for.
+_TEXTS = rf"[^/]+\.dist-info/licen[cs]es/.*|(.*/)?{_NAMES}"
 _LONGEST_NAME = 60
 _CORE_FOLDER = Path(__file__).resolve().parents[2] / "handfit_core"
 
@@ -48,11 +51,42 @@ BUNDLED = (
 )
 
 
+_GCC = "GPL-3.0-or-later WITH GCC-exception-3.1"
+_OWN_LICENCE = {
+    "mediapipe": ("Apache-2.0",),
+    "opencv-python-headless": ("Apache-2.0",),
+    # Its OpenBLAS holds GCC's runtime on Windows, too, where it is no file of its own.
+    "scipy": ("BSD-3-Clause", _GCC),
+    "torch": ("BSD-3-Clause",),
+}
+"""Of packages whose metadata has no SPDX expression, as their licence files have it"""
+_LIBRARIES = (
+    (r"lib(gfortran|gcc)", _GCC),
+    (r"libquadmath", "LGPL-2.1-or-later"),
+    (r"libavcodec|opencv_videoio_ffmpeg", "LGPL-2.1-or-later"),  # FFmpeg
+    (r"libx26[45]\.", "GPL-2.0-or-later"),
+    (r"lib(ssl|crypto)\b.*\.1\.1$", "OpenSSL"),
+)
+"""Pattern of a library that comes inside a wheel, and its licence: those that ask for more than that their
+text is passed on"""
+
+
+def _expression(wheel: WheelFile) -> str:
+    """The SPDX expression of the wheel with the libraries in it; empty where none is known."""
+    if declared := wheel.metadata.get("License-Expression"):
+        return declared.strip()
+    if wheel.name not in _OWN_LICENCE:
+        return ""
+    files = [member.rpartition("/")[2] for member in wheel.members]
+    bundled = [term for pattern, term in _LIBRARIES if any(re.match(pattern, file) for file in files)]
+    return " AND ".join(dict.fromkeys((*_OWN_LICENCE[wheel.name], *bundled)))
+
+
 def licence_name(wheel: WheelFile) -> str:
-    """The wheel's licence in a few words: its SPDX expression if it has one, else what its metadata says."""
+    """The wheel's licence in a few words: its SPDX expression if one is known, else its metadata's."""
     metadata = wheel.metadata
-    if expression := metadata.get("License-Expression"):
-        return expression.strip()
+    if expression := _expression(wheel):
+        return expression
     named = (metadata.get("License") or "").strip()
     if named and "\n" not in named and len(named) <= _LONGEST_NAME:
         return named
@@ -63,7 +97,7 @@ def licence_name(wheel: WheelFile) -> str:
 
 def is_expression(wheel: WheelFile) -> bool:
     """Whether `licence_name` is an SPDX expression."""
-    return bool(wheel.metadata.get("License-Expression"))
+    return bool(_expression(wheel))
 
 
 def _texts(wheel: WheelFile) -> str:

@@ -56,12 +56,14 @@ def _wheel(wheel: WheelFile) -> dict[str, Any]:
     named = licence_name(wheel)
     version, file = (text.replace("+", "%2B") for text in (wheel.version, wheel.path.name))
     licence = {"expression": named} if is_expression(wheel) else {"license": {"name": named}}
+    # handfit_core is on no index, and somebody else could take its name there.
+    purl = {} if wheel.name == CORE else {"purl": f"pkg:pypi/{wheel.name}@{version}?file_name={file}"}
     return {
         "type": "library",
         "bom-ref": wheel.path.name,
         "name": wheel.name,
         "version": wheel.version,
-        "purl": f"pkg:pypi/{wheel.name}@{version}?file_name={file}",
+        **purl,
         "hashes": [{"alg": "SHA-256", "content": wheel.sha256}],
         "licenses": [licence],
     }

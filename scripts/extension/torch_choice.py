@@ -31,6 +31,8 @@ def own_torch(choice: str, platform: Platform, pythons: Sequence[str]) -> list[W
     Of a folder those wheels are taken that fit the platform and one of the Pythons, so that one folder
     serves several zips. Raises BuildError where none does, or a wheel is one that comes from elsewhere.
     """
+    if not choice.strip():
+        raise BuildError("--torch: expected cpu, none, or the path of a wheel or of a folder of wheels")
     path = Path(choice)
     if path.is_dir():
         found = [wheel_file(p) for p in sorted(path.glob("*.whl"))]

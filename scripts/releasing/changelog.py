@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import datetime
 import re
+from pathlib import Path
 
 from scripts.releasing.errors import ReleaseError
 
 CHANGELOG = "CHANGELOG.md"
 UNRELEASED = "Unreleased"
 _HEADING = re.compile(r"^## (?P<name>\S+)(?: - (?P<date>\S+))?[ \t]*$", re.MULTILINE)
+
+
+def changelog_text(repository: Path) -> str:
+    """The whole file. Raises ReleaseError where it cannot be read."""
+    try:
+        return (repository / CHANGELOG).read_text(encoding="utf-8")
+    except (OSError, UnicodeError) as error:
+        raise ReleaseError(
+            f"{repository / CHANGELOG} cannot be read ({error}); bring it back from git"
+        ) from error
 
 
 def release_notes(text: str, version: str) -> str:

@@ -13,8 +13,11 @@ _LINE = re.compile(r'^version = "[^"\n]*"$', re.MULTILINE)
 
 
 def current_version(repository: Path) -> str:
-    """As the manifest has it. Raises ReleaseError where it is not MAJOR.MINOR.PATCH."""
-    version = str(tomllib.loads(_text(repository)).get("version", ""))
+    """As the manifest has it. Raises ReleaseError where it is not MAJOR.MINOR.PATCH, or cannot be read."""
+    try:
+        version = str(tomllib.loads(_text(repository)).get("version", ""))
+    except tomllib.TOMLDecodeError as error:
+        raise ReleaseError(f"{repository / MANIFEST} is not TOML ({error}); mend this line") from error
     as_numbers(version)
     return version
 
@@ -38,4 +41,9 @@ def with_version(repository: Path, version: str) -> str:
 
 
 def _text(repository: Path) -> str:
-    return (repository / MANIFEST).read_text(encoding="utf-8")
+    try:
+        return (repository / MANIFEST).read_text(encoding="utf-8")
+    except (OSError, UnicodeError) as error:
+        raise ReleaseError(
+            f"{repository / MANIFEST} cannot be read ({error}); bring it back from git"
+        ) from error

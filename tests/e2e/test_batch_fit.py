@@ -19,6 +19,7 @@ pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 from handfit_core.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.take import HandTrack, Source, Take
+from tests.capturing import can_capture
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "scripts" / "batch_fit.py"
@@ -27,13 +28,6 @@ CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
 if CHROOT:
     CHROOT = str(Path(CHROOT).resolve())
 TIMEOUT = 1200
-
-
-def can_capture() -> bool:
-    """Whether the Python that captures has what it needs."""
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
-    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
 
 
 needs_capture = pytest.mark.skipif(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -101,16 +102,57 @@ def test_the_wheels_are_the_locked_ones_and_the_core(zipped):
     assert {wheel["name"] for wheel in inventory if wheel["sha256"] not in locked} == {"handfit-core"}
 
 
-def test_the_core_carries_models_but_nothing_licensed(light, tmp_path):
+def test_the_core_is_its_source_with_the_models_and_nothing_else(light, tmp_path):
     with zipfile.ZipFile(light.path) as archive:
         (name,) = [n for n in archive.namelist() if n.startswith("wheels/handfit_core-")]
         archive.extract(name, tmp_path)
     with zipfile.ZipFile(tmp_path / name) as wheel:
         content = wheel.read(f"handfit_core/{LANDMARK_MODEL}")
-        names = wheel.namelist()
+        names = {name for name in wheel.namelist() if ".dist-info/" not in name}
+        assert {entry.compress_type for entry in wheel.infolist()} == {zipfile.ZIP_STORED}
     assert hashlib.sha256(content).hexdigest() == LANDMARK_MODEL_SHA256
-    assert "handfit_core/hand_model/data/open_hand_right.npz" in names
-    assert not [name for name in names if "mano_" in name.lower() and name.endswith(".pkl")]
+    assert {name for name in names if not name.endswith(".py")} == {
+        "handfit_core/detect/data/LICENSE-landmark-model.txt",
+        "handfit_core/detect/data/hand_landmarker.task",
+        "handfit_core/evaluate/report/page.html.j2",
+        "handfit_core/hand_model/data/LICENSE-open-hand.md",
+        "handfit_core/hand_model/data/landmarks.npz",
+        "handfit_core/hand_model/data/open_hand_left.npz",
+        "handfit_core/hand_model/data/open_hand_right.npz",
+        "handfit_core/learned/data/landmark_network.npz",
+    }
+    modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "handfit_core").rglob("*.py")}
+    assert {name for name in names if name.endswith(".py")} == modules
+
+
+def test_every_licence_file_of_the_wheels_stands_in_the_list(built, zipped, tmp_path):
+    """SciPy and OpenCV have some outside of their metadata."""
+    text = zipped.read("THIRD_PARTY_LICENSES").decode()
+    names = {"license", "licence", "copying", "notice"}
+    beside_code = 0
+    for part in built.parts:
+        if part.file is None or part.name == "handfit-core":
+            continue
+        zipped.extract(f"wheels/{part.file}", tmp_path)
+        with zipfile.ZipFile(tmp_path / "wheels" / part.file) as wheel:
+            for name in wheel.namelist():
+                first = re.split(r"[^a-z]", name.rpartition("/")[2].lower())[0]
+                if first in names and not name.endswith((".py", "/")):
+                    assert f"--- {name} ---" in text, part.file
+                    assert wheel.read(name).decode(errors="replace").strip() in text, name
+                    beside_code += part.name == "scipy" and ".dist-info/" not in name
+    assert beside_code == 4 * sum(part.name == "scipy" for part in built.parts)
+
+
+def test_licences_of_the_parts_are_expressions(built, zipped):
+    """Also of those whose metadata has none, with what libraries inside them ask for."""
+    components = {c["bom-ref"]: c for c in json.loads(zipped.read("sbom.cdx.json"))["components"]}
+    for part in built.parts:
+        if part.file is not None:
+            assert components[part.file]["licenses"] == [{"expression": part.licence}]
+    licences = {part.name: part.licence for part in built.parts}
+    assert "LGPL-2.1-or-later" in licences["opencv-python-headless"]
+    assert "GPL-3.0-or-later WITH GCC-exception-3.1" in licences["scipy"]
 
 
 def test_same_input_same_bytes(light, tmp_path):
@@ -162,7 +204,7 @@ def test_a_torch_of_the_users_own_for_one_python(tmp_path):
     assert torch["sha256"] == hashlib.sha256(own.read_bytes()).hexdigest()
     assert inventory["torch"] == "2.13.0+cu126"
     assert inventory["missing"] == []
-    assert built.path.name.endswith("-py311-cu126.zip")
+    assert built.path.name.endswith("-py311-torch_2.13.0_cu126.zip")
 
 
 def test_a_wrong_hash_in_a_lock_is_refused(light, tmp_path):
@@ -188,6 +230,10 @@ def test_a_missing_lock_is_refused(tmp_path):
     [
         (["--platform", "amiga"], "amiga: there is no zip for this platform; choose from linux-x64"),
         (["--python", "3.9"], "3.9: no supported Blender has this Python; choose from 3.11, 3.13"),
+        (["--platform", "linux-x64, amiga"], "amiga: there is no zip for this platform; choose"),
+        (["--platform", ""], "no platform was named; choose from linux-x64"),
+        (["--python", ""], "no Python was named; choose from 3.11, 3.13"),
+        (["--torch", ""], "--torch: expected cpu, none, or the path of a wheel"),
         (["--torch", "gpu"], "gpu: expected cpu, none, or the path of a wheel"),
         (["--blender", "no/blender"], "no/blender: there is no such Blender"),
     ],

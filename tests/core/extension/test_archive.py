@@ -25,6 +25,6 @@ def test_order_times_and_modes_do_not_matter(tmp_path):
     with zipfile.ZipFile(fixed[0]) as archive:
         assert archive.testzip() is None
         assert {name: archive.read(name) for name in archive.namelist()} == content
-        assert archive.getinfo("wheels/x.whl").compress_type == zipfile.ZIP_STORED
-        assert archive.getinfo("b.py").compress_type == zipfile.ZIP_DEFLATED
+        # Compressed bytes would depend on the zlib of the Python at work.
+        assert {entry.compress_type for entry in archive.infolist()} == {zipfile.ZIP_STORED}
     assert [path.name for path in fixed[0].parent.glob("*.zip")] == ["made.zip"]

@@ -42,6 +42,28 @@ def test_a_hash_that_the_index_does_not_have(index):
     assert not list(wheel_cache().glob("*"))
 
 
+def test_a_damaged_wheel_in_the_cache_that_cannot_be_replaced(index, make_wheel):
+    """As without a network."""
+    pin = Pin("torch", "2.13.0+cpu", index.sha256)
+    wheel_cache().mkdir(parents=True)
+    damaged = wheel_cache() / NAME
+    damaged.write_bytes(index.path.read_bytes()[:-9])
+    index.path.unlink()
+    make_wheel(NAME.replace("cp311", "cp313"), folder=wheel_cache())
+    with pytest.raises(BuildError) as caught:
+        fetched([pin], LINUX, "3.11")
+    assert f"; {damaged} has another hash than the lock, and may be damaged; " in str(caught.value)
+    assert "cp313" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cache_that_cannot_be_written(index, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "file"))
+    with pytest.raises(BuildError, match=r"wheels cannot be kept here .*HANDFIT_CACHE"):
+        fetched([Pin("torch", "2.13.0+cpu", index.sha256)], LINUX, "3.11")
+
+
 def test_a_damaged_wheel_in_the_cache_is_replaced(index):
     wheel_cache().mkdir(parents=True)
     (wheel_cache() / NAME).write_bytes(index.path.read_bytes() + b"x")

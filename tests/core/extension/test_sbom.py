@@ -22,7 +22,8 @@ def test_every_part_is_a_component(contents):
     assert components["torch"]["hashes"] == [{"alg": "SHA-256", "content": torch.sha256}]
     assert components["torch"]["purl"].startswith("pkg:pypi/torch@2.13.0%2Bcpu?")
     assert components["torch"]["licenses"] == [{"expression": "MIT"}]
-    assert components["mediapipe"]["licenses"] == [{"license": {"name": "Apache 2.0"}}]
+    assert components["mediapipe"]["licenses"] == [{"expression": "Apache-2.0"}]
+    assert "purl" not in components["handfit-core"], "on an index that name could be somebody else's"
     references = {c["bom-ref"] for c in found["components"]}
     assert {ref for entry in found["dependencies"] for ref in entry["dependsOn"]} == references
 

@@ -99,6 +99,17 @@ def test_manifest_without_a_version_line_is_refused_before_anything_is_written(r
     assert files(repository) == before
 
 
+@pytest.mark.parametrize("name", ["CHANGELOG.md", "blender_manifest.toml"])
+def test_a_missing_file_is_a_sentence(
+    repository: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (repository / name).unlink()
+    assert main(["1.2.0"], repository) == 1
+    said = capsys.readouterr().err
+    assert f"{name} cannot be read" in said
+    assert said.count("\n") == 1
+
+
 def test_it_works_on_this_repositorys_own_files(tmp_path: Path) -> None:
     for name in ("blender_manifest.toml", "CHANGELOG.md"):
         shutil.copy(ROOT / name, tmp_path)
