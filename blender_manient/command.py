@@ -13,7 +13,7 @@ from typing import Any
 
 import bpy
 
-from . import verification
+from . import installation, verification
 from .batch.arguments import add_arguments
 from .batch.console import print_error, show_all_names, stopped_by_signals
 from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
@@ -32,7 +32,13 @@ def main(argv: Sequence[str]) -> int:
     except SystemExit as ended:  # --help, or wrong options; both have printed what there is to say
         return ended.code if isinstance(ended.code, int) else EXIT_USAGE
     show_all_names()
-    return args.run(args)
+    try:
+        return args.run(args)
+    except (ImportError, SyntaxError) as error:  # files that are needed first here are gone or damaged
+        print_error(installation.import_problem(error).sentence, args.debug)
+    except Exception as error:  # a defect of ours: still one line
+        print_error(f"unexpected {type(error).__name__}: {error}", args.debug)
+    return EXIT_SOME_FAILED
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -20,6 +20,7 @@ import shutil
 import sys
 import tomllib
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,15 @@ _SMALL = 20_000_000
 
 _SYSTEMS = {"linux": "Linux", "windows": "Windows", "macos": "macOS"}
 _MACHINES = {"x64": "", "arm64": " on ARM"}
+_PLATFORMS = ("linux-x64", "windows-x64", "macos-arm64")
+"""For which there are zips"""
+_NAMES = {"scipy": "SciPy", "opencv-python-headless": "OpenCV", "mediapipe": "MediaPipe"}
+"""Of packages, as their makers write them; others are as in wheels.json"""
+REQUIRED = {"torch": "torch", "scipy": "scipy", "opencv-python-headless": "cv2", "mediapipe": "mediapipe"}
+"""What a capture needs besides NumPy: name in wheels.json -> name to import"""
+IN_PREFERENCES = "in the add-on's preferences"
+"""Ends sentences; on the command line other words take its place"""
+CHOOSE = "choose a Python of your own that has torch, SciPy, OpenCV and MediaPipe"
 
 Kind = Literal[
     "copy",  # another copy of the add-on runs already
@@ -53,11 +63,13 @@ Kind = Literal[
     "not-unpacked",
     "unpacked-damaged",
     "module",  # what the add-on's own half needs cannot be imported
-    "core-version",  # handfit_core of another version of the add-on
+    "core-version",  # handfit_core of another version of the add-on, or of another zip of the same
     "other-version",  # another extension brings another version of a package
     "left-out",  # what the zip lacks on purpose
 ]
 """What is wrong, causes before their consequences"""
+DEEP: tuple[Kind, ...] = ("wheel-content", "unpacked-damaged")
+"""What only reading or looking for every file tells"""
 Stops = Literal["add-on", "capture", "nothing"]
 
 
@@ -151,13 +163,21 @@ def this_platform() -> str:
 
 
 def is_installed(folder: Path = ADDON_FOLDER) -> bool:
-    """Whether this copy came from a zip with wheels."""
-    return (folder / CONTENTS).is_file()
+    """Whether this copy came from a zip with wheels; also where the list of them was lost since."""
+    return (folder / CONTENTS).is_file() or _names_wheels(folder / MANIFEST)
 
 
 def read_contents(folder: Path = ADDON_FOLDER) -> Contents:
     """What wheels.json says. Raises OSError, and ValueError where it is damaged."""
-    return _as_contents(json.loads((folder / CONTENTS).read_text(encoding="utf-8")))
+    text = (folder / CONTENTS).read_bytes()
+    try:
+        data = json.loads(text)
+        schema = data["schema"]
+        if schema == _SCHEMA:
+            return _as_contents(data)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{CONTENTS} is damaged") from error
+    raise ValueError(f"{CONTENTS} has the unknown schema {schema}")
 
 
 def zip_name(contents: Contents, platform_name: str | None = None) -> str:
@@ -168,21 +188,20 @@ def zip_name(contents: Contents, platform_name: str | None = None) -> str:
 def examine(place: Place) -> list[Problem]:
     """What is wrong as far as a look at names, sizes and versions tells; the cause of the others first.
 
-    Reads two small files and the names of two folders; nothing where the copy is not an installed one.
+    Reads a few small files and the names of two folders; nothing where the copy is not an installed one.
     """
     if not is_installed(place.folder):
         return []
     try:
         contents = read_contents(place.folder)
-        version = str(tomllib.loads((place.folder / MANIFEST).read_text(encoding="utf-8"))["version"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        return [
-            Problem(
-                "unreadable",
-                f"a file that tells what the add-on consists of cannot be read ({_short(error)}): {_AGAIN}",
-                stops="add-on",
-            )
-        ]
+        version = str(_read_manifest(place.folder / MANIFEST)["version"])
+    except OSError as error:
+        name = Path(error.filename).name if error.filename else "a file"
+        return [_unreadable(f"{name} cannot be read: {_short(error)}")]
+    except KeyError:
+        return [_unreadable(f"{MANIFEST} is damaged")]
+    except ValueError as error:
+        return [_unreadable(str(error))]
     if version != contents.version:
         return [
             Problem(
@@ -265,8 +284,8 @@ def examine_unpacked(place: Place) -> Iterator[Problem | None]:
             yield Problem(
                 "unpacked-damaged",
                 f"unpacked files of {wheel.label} are missing or changed ({wrong[0]}{more}; "
-                "a virus scanner may have done it): disable the add-on, restart Blender and enable it again, "
-                "which unpacks its parts anew",
+                "a virus scanner may have done it, or another extension with files of the same names): "
+                "disable the add-on, restart Blender and enable it again, which unpacks its parts anew",
                 wheel.name,
             )
 
@@ -301,16 +320,22 @@ def unpacked_versions(site_packages: Path) -> dict[str, Unpacked]:
 
 def state_of(place: Place) -> dict[str, list[int]]:
     """Size and time of all that `examine_deeply` reads or goes by: unless this changes, its verdict holds."""
-    state: dict[str, list[int]] = {}
-    with contextlib.suppress(OSError, ValueError):
+    try:
         contents = read_contents(place.folder)
-        paths = [place.folder / CONTENTS]
-        paths += [_wheel_path(place, wheel) for wheel in _wheels_for(place, contents)]
-        unpacked = unpacked_versions(place.site_packages)
-        paths += [unpacked[w.name].record for w in _wheels_for(place, contents) if w.name in unpacked]
-        for path in paths:
+    except (OSError, ValueError):
+        return {}
+    paths = [place.folder / CONTENTS]
+    paths += [_wheel_path(place, wheel) for wheel in _wheels_for(place, contents)]
+    unpacked = unpacked_versions(place.site_packages)
+    paths += [unpacked[w.name].record for w in _wheels_for(place, contents) if w.name in unpacked]
+    state: dict[str, list[int]] = {}
+    for path in paths:
+        name = f"{path.parent.name}/{path.name}"
+        try:
             stat = path.stat()
-            state[f"{path.parent.name}/{path.name}"] = [stat.st_size, stat.st_mtime_ns]
+            state[name] = [stat.st_size, stat.st_mtime_ns]
+        except OSError:
+            state[name] = []
     return state
 
 
@@ -378,11 +403,12 @@ def _again(contents: Contents) -> str:
 def _unfit(place: Place, contents: Contents) -> Problem | None:
     """Whether the zip is for another system or other Pythons."""
     if contents.platform != place.platform:
-        return Problem(
-            "platform",
-            f"this is the zip for {_spoken(contents.platform)}, and this machine needs "
-            f"{zip_name(contents, place.platform)}: remove the add-on and install that one",
-        )
+        if place.platform in _PLATFORMS:
+            remedy = f"this machine needs {zip_name(contents, place.platform)}: remove the add-on and "
+            remedy += "install that one"
+        else:
+            remedy = f"there is none for this machine, {_spoken(place.platform)}: {CHOOSE} {IN_PREFERENCES}"
+        return Problem("platform", f"this is the zip for {_spoken(contents.platform)}, and {remedy}")
     if place.python not in contents.pythons:
         return Problem(
             "python",
@@ -395,19 +421,29 @@ def _unfit(place: Place, contents: Contents) -> Problem | None:
 
 def _left_out_problems(place: Place, contents: Contents) -> list[Problem]:
     """One problem for all that the zip lacks for this Python on purpose."""
-    left_out = [part for part in contents.left_out if part.python == place.python]
-    if not left_out:
+    names = _left_out(place, contents)
+    if not names:
         return []
-    first = left_out[0]
-    why = first.why.strip().rstrip(".")
-    return [
-        Problem(
-            "left-out",
-            f"{why}: choose a Python of your own that has torch, SciPy, OpenCV and MediaPipe in the add-on's "
-            "preferences",
-            first.name,
-        )
-    ]
+    spoken = _listed([_NAMES.get(name, name) for name in names if name in REQUIRED] or list(names))
+    everywhere = {(part.name, part.python) for part in contents.left_out}
+    if all((name, python) in everywhere for name in names for python in contents.pythons):
+        why = f"the zip was built without {spoken}"
+    else:
+        why = f"it has Python {place.python}, for which the zip has no {spoken}"
+    sentence = f"this Blender cannot capture by itself, since {why}: {CHOOSE} {IN_PREFERENCES}"
+    return [Problem("left-out", sentence, names[0])]
+
+
+def left_out(place: Place) -> tuple[str, ...]:
+    """Names of the packages that the zip lacks for this Python on purpose."""
+    try:
+        return _left_out(place, read_contents(place.folder))
+    except (OSError, ValueError):
+        return ()
+
+
+def _left_out(place: Place, contents: Contents) -> tuple[str, ...]:
+    return tuple(part.name for part in contents.left_out if part.python == place.python)
 
 
 def _wheels_for(place: Place, contents: Contents) -> list[Wheel]:
@@ -441,7 +477,7 @@ def _unreadable_wheel(contents: Contents, wheel: Wheel, error: OSError) -> Probl
 
 
 def _wrong_content(contents: Contents, wheel: Wheel) -> Problem:
-    sentence = f"the wheel of {wheel.label} is damaged (its sha256 is another): {_again(contents)}"
+    sentence = f"the wheel of {wheel.label} is damaged (its content has changed): {_again(contents)}"
     return Problem("wheel-content", sentence, wheel.name, _stopped_by(wheel))
 
 
@@ -453,7 +489,7 @@ def _unpacked_problem(
     if found is None:
         return _why_not_unpacked(place, contents, wheel)
     if _same_version(found.version, wheel.version):
-        return None
+        return _other_core_problem(place, wheel, found) if wheel.name == CORE else None
     if wheel.name == CORE:
         return core_version_problem(contents.version, found.version)
     return Problem(
@@ -462,6 +498,24 @@ def _unpacked_problem(
         "Blender keeps the newer one for both: if captures fail, disable the other extension",
         wheel.name,
         "nothing",
+    )
+
+
+def _other_core_problem(place: Place, wheel: Wheel, found: Unpacked) -> Problem | None:
+    """Whether what is unpacked is another zip's handfit_core: Blender goes by its version alone."""
+    try:
+        with zipfile.ZipFile(_wheel_path(place, wheel)) as archive:
+            packed = archive.read(f"{found.record.parent.name}/RECORD")
+        if packed == found.record.read_bytes():
+            return None
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
+        return None  # damaged, which a deep look tells
+    return Problem(
+        "core-version",
+        "Blender has kept the add-on's other half, handfit_core, of another zip with the same version: "
+        "remove every copy of the add-on, restart Blender and install the zip again",
+        CORE,
+        "add-on",
     )
 
 
@@ -485,6 +539,11 @@ def second_copy_problem(other: str) -> Problem:
         "one of the two and restart Blender",
         stops="add-on",
     )
+
+
+def _unreadable(what: str) -> Problem:
+    """For the files that tell what the add-on consists of."""
+    return Problem("unreadable", f"the add-on's files are damaged ({what}): {_AGAIN}", stops="add-on")
 
 
 def import_problem(error: Exception) -> Problem:
@@ -533,14 +592,14 @@ def _stopped_by(wheel: Wheel) -> Stops:
 def _recorded(record: Path) -> Iterator[tuple[str, int]]:
     """(path, bytes) of the files of an unpacked wheel, where its list names a size."""
     try:
-        rows = list(csv.reader(record.read_text(encoding="utf-8", errors="surrogateescape").splitlines()))
+        with record.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
+            for name, size in (row[::2] for row in csv.reader(file) if len(row) == 3):
+                # Scripts and the like lie elsewhere, and Blender moves some of them.
+                outside = name.startswith("..") or name.partition("/")[0].endswith(".data")
+                if not outside and size.isdigit():
+                    yield name, int(size)
     except (OSError, csv.Error):
         return
-    for row in rows:
-        # Scripts and the like lie elsewhere, and Blender moves some of them.
-        outside = len(row) < 3 or row[0].startswith("..") or row[0].partition("/")[0].endswith(".data")
-        if not outside and row[2].isdigit():
-            yield row[0], int(row[2])
 
 
 def _in_wheel(wheel: Path, names: list[str]) -> list[str]:
@@ -562,9 +621,16 @@ def _canonical(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
+def _listed(names: Sequence[str]) -> str:
+    """a, b and c."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
 def _spoken(platform_name: str) -> str:
     """windows-x64 -> Windows, macos-arm64 -> macOS on ARM."""
     system, _, machine = platform_name.partition("-")
+    if (system, machine) == ("macos", "x64"):
+        machine = "Intel"
     return f"{_SYSTEMS.get(system, system)}{_MACHINES.get(machine, f' on {machine}')}"
 
 
@@ -573,30 +639,41 @@ def _short(error: Exception) -> str:
 
 
 def _as_contents(data: Any) -> Contents:
-    """Raises ValueError."""
+    """Raises KeyError, TypeError or ValueError where it is not as the build writes it."""
+    return Contents(
+        version=str(data["version"]),
+        platform=str(data["platform"]),
+        pythons=tuple(map(str, data["pythons"])),
+        torch=str(data["torch"]),
+        wheels=tuple(
+            Wheel(
+                file=str(wheel["file"]),
+                name=_canonical(wheel["name"]),
+                version=str(wheel["version"]),
+                sha256=str(wheel["sha256"]),
+                size=int(wheel["size"]),
+                pythons=tuple(map(str, wheel["pythons"])),
+            )
+            for wheel in data["wheels"]
+        ),
+        left_out=tuple(
+            LeftOut(_canonical(part["name"]), str(part["python"]), str(part["why"]))
+            for part in data["missing"]
+        ),
+    )
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """Raises OSError, and ValueError where it is damaged."""
+    text = path.read_bytes()
     try:
-        if data["schema"] != _SCHEMA:
-            raise ValueError(f"{CONTENTS} has the unknown schema {data['schema']}")
-        return Contents(
-            version=str(data["version"]),
-            platform=str(data["platform"]),
-            pythons=tuple(map(str, data["pythons"])),
-            torch=str(data["torch"]),
-            wheels=tuple(
-                Wheel(
-                    file=str(wheel["file"]),
-                    name=_canonical(wheel["name"]),
-                    version=str(wheel["version"]),
-                    sha256=str(wheel["sha256"]),
-                    size=int(wheel["size"]),
-                    pythons=tuple(map(str, wheel["pythons"])),
-                )
-                for wheel in data["wheels"]
-            ),
-            left_out=tuple(
-                LeftOut(_canonical(part["name"]), str(part["python"]), str(part["why"]))
-                for part in data["missing"]
-            ),
-        )
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{CONTENTS} lacks {error}") from error
+        return tomllib.loads(text.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path.name} is damaged") from error
+
+
+def _names_wheels(manifest: Path) -> bool:
+    try:
+        return bool(_read_manifest(manifest).get("wheels"))
+    except (OSError, ValueError):
+        return False

@@ -21,6 +21,7 @@ from . import installation, screen
 from .installation import CORE, Place, Problem
 
 MEMORY = "verified.json"
+CORE_MODULE = "handfit_core"
 
 _FIRST = 3.0
 """seconds after registration until the timer begins"""
@@ -48,7 +49,7 @@ def problems() -> tuple[Problem, ...]:
 
 def refusal() -> Problem | None:
     """Look at the installation; returns why the add-on cannot run at all, None where it can."""
-    examined = installation.examine(place())
+    examined = _examine()
     _known[:] = installation.in_order([*examined, *_module_problems(examined)])
     # Of several, the cause: a wheel that Blender cannot open keeps it from unpacking all others.
     return _known[0] if _refused() else None
@@ -97,11 +98,11 @@ def begin(anew: bool = False) -> None:
         _verified = False
         if not _refused():
             _known.clear()
-            _take(installation.examine(place()))
+            _take(_examine())
     if _verified or not installation.is_installed():
         return
     memory = _memory()
-    if not anew and memory is not None and not _known and installation.is_verified(place(), memory):
+    if not anew and memory is not None and _seems_whole() and installation.is_verified(place(), memory):
         _verified = True
     elif _steps is None or anew:
         _steps = installation.examine_deeply(place())
@@ -117,7 +118,7 @@ def step(seconds: float = _SLICE) -> bool:
         except StopIteration:
             _steps, _verified = None, True
             memory = _memory()
-            if memory is not None and not _known:
+            if memory is not None and _seems_whole():
                 installation.remember_verified(place(), memory)
             break
         if found is not None:
@@ -142,22 +143,35 @@ def core_problem() -> Problem | None:
     """Whether the handfit_core that is loaded belongs to another version of the add-on."""
     if not installation.is_installed():
         return None
-    loaded = getattr(sys.modules.get("handfit_core"), "__version__", None)
+    loaded = getattr(sys.modules.get(CORE_MODULE), "__version__", None)
     version = installation.read_contents().version
     return None if loaded in (None, version) else installation.core_version_problem(version, str(loaded))
 
 
-def forget_other_core() -> None:
-    """Have handfit_core imported anew where the one of an earlier version of the add-on is still loaded: the
-    add-on was updated in a running Blender."""
-    if core_problem() is not None:
-        for name in [n for n in sys.modules if n == "handfit_core" or n.startswith("handfit_core.")]:
-            del sys.modules[name]
+def forget_core() -> None:
+    """Have handfit_core imported anew."""
+    for name in [n for n in sys.modules if n == CORE_MODULE or n.startswith(f"{CORE_MODULE}.")]:
+        del sys.modules[name]
+
+
+def _examine() -> list[Problem]:
+    """A look at names and sizes. What the zip lacks on purpose is no problem where this Python has it from
+    elsewhere, as from a Linux distribution's package."""
+    examined = installation.examine(place())
+    importlib.invalidate_caches()  # Blender may just have unpacked it
+    names = [installation.REQUIRED.get(n, n.replace("-", "_")) for n in installation.left_out(place())]
+    if all(_is_there(name) for name in names):
+        examined = [problem for problem in examined if problem.kind != "left-out"]
+    return examined
+
+
+def _seems_whole() -> bool:
+    """Whether nothing is known that a deep look finds; other problems do not change its verdict."""
+    return not any(problem.kind in installation.DEEP for problem in _known)
 
 
 def _module_problems(already: Sequence[Problem]) -> list[Problem]:
     """What the add-on's own half needs and Python does not find, unless the reason is known already."""
-    importlib.invalidate_caches()  # Blender may just have unpacked it
     found: list[Problem] = []
     if not _is_there("numpy"):
         found.append(
@@ -170,7 +184,7 @@ def _module_problems(already: Sequence[Problem]) -> list[Problem]:
             )
         )
     told = any(problem.wheel == CORE and problem.stops == "add-on" for problem in already)
-    if not told and not _is_there("handfit_core"):
+    if not told and not _is_there(CORE_MODULE):
         found.append(
             Problem(
                 "module",

@@ -7,11 +7,13 @@ docs/worker-protocol.md lists the messages.
 from __future__ import annotations
 
 import contextlib
+import shutil
 import signal
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from handfit_core import errors
@@ -20,7 +22,14 @@ from handfit_core.version import __version__
 from handfit_core.worker import protocol
 
 from .. import installation, verification
-from .interpreter import PYTHON_VARIABLE, find_python, is_blenders_own, worker_command, worker_environment
+from .interpreter import (
+    LAUNCHER,
+    PYTHON_VARIABLE,
+    find_python,
+    is_blenders_own,
+    worker_command,
+    worker_environment,
+)
 from .process import ChildProcess
 
 __all__ = [
@@ -72,11 +81,11 @@ class Advice:
     @property
     def python(self) -> str:
         """What to do about an unfit interpreter."""
-        return f"choose a Python that has handfit-core's requirements (torch, mediapipe, opencv) {self.where}"
+        return f"choose a Python that has torch, SciPy, OpenCV and MediaPipe {self.where}"
 
 
 IN_BLENDER = Advice(
-    where="in the add-on's preferences",
+    where=installation.IN_PREFERENCES,
     crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
 )
 
@@ -178,6 +187,10 @@ class Worker:
         self._collect()
         if self._child is not None:
             return
+        if Path(self.python).is_dir() and not shutil.which(self.python):
+            raise WorkerError(f"'{self.python}' is a folder, not a Python; {self._advice.python}")
+        if not LAUNCHER.is_file():
+            raise WorkerError(installation.import_problem(FileNotFoundError(f"no {LAUNCHER.name}")).sentence)
         command = worker_command(self.python)
         if self._threads:
             command += ["--threads", str(self._threads)]
@@ -200,6 +213,8 @@ class Worker:
         capture needs is known to be missing; ProtocolError for values that JSON cannot hold.
         """
         if kind == "capture" and self.blenders_own and (sentence := verification.before_capture()):
+            if sentence.endswith(installation.IN_PREFERENCES):
+                sentence = sentence.removesuffix(installation.IN_PREFERENCES) + self._advice.where
             raise WorkerError(sentence)
         line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
         self.start()
@@ -379,6 +394,11 @@ class Worker:
             return (
                 f"the worker process ended {_ending(code)}{said}; probably memory ran out: capture fewer "
                 "frames at a time"
+            )
+        if self._hello is None and not self.blenders_own:
+            return (
+                f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
+                f"{self._advice.python}"
             )
         return f"the worker process ended {_ending(code)}{said}; {self._advice.crash}"
 

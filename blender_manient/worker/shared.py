@@ -80,7 +80,9 @@ def _settings() -> _Settings:
 
 def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
-    if sentence := capture_sentence():
+    # Without a window a Python may still be named on the command line, and captures tell what they lack.
+    on_purpose = verification.problems()[:1] and verification.problems()[0].kind == "left-out"
+    if (sentence := capture_sentence()) and not (bpy.app.background and on_purpose):
         verification.print_sentence(sentence)
 
 

@@ -34,6 +34,8 @@ ASSEMBLED_MODEL_SHA256: Final = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf
 
 BUNDLED_VARIABLE: Final = "HANDFIT_BUNDLED"
 """Set in the environment where the packages come from the add-on's zip"""
+LEFT_OUT_VARIABLE: Final = "HANDFIT_LEFT_OUT"
+"""Names those, with commas, that this zip lacks for this Python on purpose"""
 
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
@@ -77,7 +79,7 @@ def _package(name: str) -> Callable[[], str]:
     def find() -> str:
         module_name, lowest = PACKAGES[name]
         wanted = ".".join(map(str, lowest))
-        remedy = _how_to_get(f"{name}>={wanted}")
+        remedy = _how_to_get(name, wanted)
         try:
             version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
         except ModuleNotFoundError as error:
@@ -93,11 +95,13 @@ def _package(name: str) -> Callable[[], str]:
     return find
 
 
-def _how_to_get(requirement: str) -> str:
+def _how_to_get(name: str, lowest: str) -> str:
     """Where the add-on's zip brings the packages, nobody is to install them into Blender's own Python."""
+    if name in os.environ.get(LEFT_OUT_VARIABLE, "").split(","):
+        return "the add-on's zip does not have it for this Python: choose a Python of your own"
     if os.environ.get(BUNDLED_VARIABLE):
-        return "install the add-on's zip again, or choose a Python of your own"
-    return f"install {requirement} into this Python, or choose another one"
+        return "remove the add-on, restart Blender and install its zip again, or choose a Python of your own"
+    return f"install {name}>={lowest} into this Python, or choose another one"
 
 
 def _numbers(version: str) -> tuple[int, ...]:

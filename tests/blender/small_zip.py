@@ -30,17 +30,22 @@ def small_zip(
     pythons: tuple[str, ...] = (PYTHON,),
     missing: tuple[dict[str, str], ...] = (),
     torch: str = "2.13.0+cpu",
+    mark: str = "",
 ) -> Path:
     """Write it; the wheels say that they are for `platform` and `pythons`.
 
+    `mark`: what MARK is in every module, to tell zips of one version from each other.
     `damage`: name of a package -> what becomes of its wheel after it was listed; None leaves it out.
     """
     tags = {p: f"cp{p.replace('.', '')}" for p in pythons}
     system = _TAGS[platform.partition("-")[0]]
-    wheels = [(_core_wheel(version), "handfit-core", version, pythons)]
+    last_line = f"MARK = {mark!r}\n".encode() if mark else b""
+    wheels = [(_core_wheel(version, last_line), "handfit-core", version, pythons)]
     wheels.append((_wheel("mediapipe", "0.10.31", f"py3-none-{system}"), "mediapipe", "0.10.31", pythons))
     for python, tag in tags.items():
         wheels.append((_wheel("torch", torch, f"{tag}-{tag}-{system}"), "torch", torch, (python,)))
+    left_out = {(part["name"], part["python"]) for part in missing}
+    wheels = [wheel for wheel in wheels if not all((wheel[1], python) in left_out for python in wheel[3])]
     listed = [
         {
             "file": name,
@@ -65,7 +70,8 @@ def small_zip(
         archive.writestr("blender_manifest.toml", _manifest(version, platform, [e["file"] for e in listed]))
         archive.writestr("wheels.json", json.dumps(contents))
         for file in sorted((ROOT / "blender_manient").rglob("*.py")):
-            archive.write(file, file.relative_to(ROOT / "blender_manient").as_posix())
+            name = file.relative_to(ROOT / "blender_manient").as_posix()
+            archive.writestr(name, file.read_bytes() + last_line)
         for (name, content), package, *_ in wheels:
             kept = (damage or {}).get(package, bytes)(content)
             if kept is not None:
@@ -98,9 +104,9 @@ def _manifest(version: str, platform: str, files: list[str]) -> str:
     return "\n".join([*kept, *lines, "\n[" + text.partition("\n[")[2]])
 
 
-def _core_wheel(version: str) -> tuple[str, bytes]:
+def _core_wheel(version: str, last_line: bytes) -> tuple[str, bytes]:
     files = {
-        path.relative_to(ROOT).as_posix(): path.read_bytes()
+        path.relative_to(ROOT).as_posix(): path.read_bytes() + (last_line if path.suffix == ".py" else b"")
         for path in sorted((ROOT / "handfit_core").rglob("*"))
         if path.is_file() and "__pycache__" not in path.parts
     }

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-import subprocess
 import sys
-from pathlib import Path
 
 import bpy
 import pytest
@@ -15,12 +13,7 @@ import blender_manient
 from blender_manient import details, preferences
 from blender_manient.operators import check_installation
 from handfit_core.version import __version__
-
-
-def can_capture() -> bool:
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
-    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
+from tests.capturing import needs_capture
 
 
 @pytest.fixture
@@ -35,9 +28,7 @@ def content(name: str) -> str:
     return bpy.data.texts[name].as_string()
 
 
-@pytest.mark.skipif(
-    not can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
-)
+@needs_capture
 def test_the_report_has_versions_files_and_a_self_test(registered):
     assert bpy.ops.manient.check_installation() == {"FINISHED"}
     text = content("Hand Capture Check")
@@ -129,4 +120,3 @@ def test_results_end_with_their_text(registered, tmp_path):
     assert check_installation.last_result() is not None
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert check_installation.last_result() is None
-    assert not Path(tmp_path / "cache").exists() or not list((tmp_path / "cache").rglob("*.npz"))

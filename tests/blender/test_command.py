@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import stat
 import subprocess
@@ -17,15 +16,10 @@ import blender_manient
 from blender_manient import command, preferences
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.take import Take
+from tests.capturing import needs_capture
 
 ROOT = Path(__file__).resolve().parents[2]
 needs_scripts = pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
-
-
-def can_capture() -> bool:
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
-    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
 
 
 @pytest.fixture(autouse=True)
@@ -148,9 +142,7 @@ def test_a_check_that_fails_says_why(tmp_path, capfd):
     assert said.err == ""
 
 
-@pytest.mark.skipif(
-    not can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
-)
+@needs_capture
 def test_a_check_that_succeeds(capfd):
     assert command.main(["check"]) == 0
     assert "Everything that a capture needs is there and works" in capfd.readouterr().out

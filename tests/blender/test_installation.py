@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
+import subprocess
 import sys
 import zipfile
 from dataclasses import replace
@@ -18,6 +20,7 @@ from tests.blender.small_zip import (
     FOREIGN,
     PLATFORM,
     PYTHON,
+    ROOT,
     cut_short,
     gone,
     one_byte_changed,
@@ -120,7 +123,7 @@ def test_a_wheel_of_the_wrong_size(install, package, stops):
 def test_a_small_wheel_with_another_byte_is_found_where_it_was_not_unpacked(install, package, stops):
     problem = only(installation.examine(install(damage={package: one_byte_changed})))
     assert (problem.kind, problem.wheel, problem.stops) == ("wheel-content", package, stops)
-    assert "sha256" in problem.sentence
+    assert "damaged (its content has changed)" in problem.sentence
 
 
 def test_a_byte_that_changed_later_is_found_by_the_deep_look(install):
@@ -158,13 +161,29 @@ def test_a_full_disk_is_told(install, monkeypatch):
     assert "disk is full (0 MB free): free some space" in first.sentence
 
 
-@pytest.mark.skipif(sys.platform == "win32" or os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such rights")
 def test_a_folder_that_cannot_be_written_is_told(install):
     place = install()
     for left in place.site_packages.glob("torch*"):
         shutil.rmtree(left)
-    place.site_packages.chmod(0o500)
-    assert "may not write" in only(installation.examine(place)).sentence
+    code = (
+        "from pathlib import Path\n"
+        "from blender_manient import installation\n"
+        f"place = installation.Place({place.folder!r}, {place.site_packages!r}, {PLATFORM!r}, {PYTHON!r})\n"
+        "print(*(problem.sentence for problem in installation.examine(place)))\n"
+    ).replace("PosixPath", "Path")
+    command = [sys.executable, "-c", code]
+    if os.geteuid() == 0:  # who may write everywhere, but to what is mounted for reading
+        site = shlex.quote(str(place.site_packages))
+        mount = f"mount --bind {site} {site} && mount -o remount,ro,bind {site}"
+        unshare = ["unshare", "--mount", "sh", "-c"]
+        if subprocess.run([*unshare, mount], capture_output=True, check=False).returncode:
+            pytest.skip("may not mount")
+        command = [*unshare, f"{mount} && {shlex.join(command)}"]
+    else:
+        place.site_packages.chmod(0o500)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "has not unpacked torch 2.13.0, where you may not write: get the right" in done.stdout
 
 
 def test_another_extensions_version_explains_but_stops_nothing(install):
@@ -188,9 +207,15 @@ def test_the_core_of_another_version_stops_the_addon(install):
 
 def test_what_the_zip_lacks_on_purpose_names_the_way_out(install):
     missing = ({"name": "torch", "python": PYTHON, "why": "there is no torch for it."},)
-    problem = only(installation.examine(install(missing=missing)))
+    place = install(missing=missing, pythons=(PYTHON, "3.12"))
+    problem = only(installation.examine(place))
     assert (problem.kind, problem.stops) == ("left-out", "capture")
-    assert problem.sentence.startswith("there is no torch for it: choose a Python of your own")
+    expected = (
+        f"cannot capture by itself, since it has Python {PYTHON}, for which the zip has no torch: choose"
+    )
+    assert expected in problem.sentence
+    assert installation.left_out(place) == ("torch",)
+    assert "there is no torch for it" in installation.report(place, [problem])
     other = ({"name": "torch", "python": "3.99", "why": "there is none"},)
     assert installation._left_out_problems(Place(Path(), Path(), PLATFORM, PYTHON), _contents(other)) == []
 
@@ -200,6 +225,33 @@ def _contents(missing) -> installation.Contents:
     return installation.Contents("0.1.0", PLATFORM, (PYTHON,), "cpu", (), parts)
 
 
+def test_a_zip_that_was_built_without_the_packages(install):
+    names = ("torch", "mediapipe")
+    missing = tuple({"name": name, "python": PYTHON, "why": "it was built so"} for name in names)
+    problem = only(installation.examine(install(missing=missing)))
+    assert "since the zip was built without torch and MediaPipe: choose" in problem.sentence
+
+
+def test_the_core_of_another_zip_with_the_same_version(install):
+    """Blender unpacks no wheel of which it has the name and version already."""
+    place = install()
+    record = next(place.site_packages.glob("handfit_core-*")) / "RECORD"
+    record.write_text(record.read_text().replace("handfit_core/take.py", "handfit_core/took.py"))
+    problem = only(installation.examine(place))
+    assert (problem.kind, problem.wheel, problem.stops) == ("core-version", "handfit-core", "add-on")
+    assert "of another zip with the same version" in problem.sentence
+
+
+@pytest.mark.parametrize(
+    ("machine", "spoken"), [("linux-arm64", "Linux on ARM"), ("macos-x64", "macOS on Intel")]
+)
+def test_a_machine_for_which_there_is_no_zip(install, machine, spoken):
+    first = installation.examine(replace(install(), platform=machine))[0]
+    assert first.kind == "platform"
+    assert f"there is none for this machine, {spoken}" in first.sentence
+    assert ".zip" not in first.sentence
+
+
 def test_unpacked_files_that_vanished(install):
     place = install()
     (place.site_packages / "torch" / "__init__.py").unlink()
@@ -207,16 +259,38 @@ def test_unpacked_files_that_vanished(install):
     problem = only(deep(place))
     assert (problem.kind, problem.wheel) == ("unpacked-damaged", "torch")
     assert "torch/__init__.py" in problem.sentence
+    assert "another extension" in problem.sentence
     assert "enable it again" in problem.sentence
 
 
 @pytest.mark.parametrize("name", ["wheels.json", "blender_manifest.toml"])
-def test_a_list_that_cannot_be_read(install, name):
+@pytest.mark.parametrize(
+    "content",
+    ['{"schema": 1', "[" * 100_000, "[]", "7", "\udcff", '{"schema": 1, "wheels": [3], "version": "1"}'],
+    ids=["half", "deep", "list", "number", "bytes", "entries"],
+)
+def test_a_list_that_is_damaged(install, name, content):
     place = install()
-    (place.folder / name).write_text('{"schema": 1')
+    (place.folder / name).write_text(content, encoding="utf-8", errors="surrogateescape")
     problem = only(installation.examine(place))
     assert (problem.kind, problem.stops) == ("unreadable", "add-on")
-    assert deep(place) == [] or name != "wheels.json"
+    assert f"the add-on's files are damaged ({name} is damaged): remove the add-on" in problem.sentence
+
+
+@pytest.mark.parametrize("name", ["wheels.json", "blender_manifest.toml"])
+def test_a_list_that_is_gone(install, name):
+    """An installation stays one, and is no checkout in which nothing is checked."""
+    place = install()
+    (place.folder / name).unlink()
+    problem = only(installation.examine(place))
+    assert (problem.kind, problem.stops) == ("unreadable", "add-on")
+    assert f"({name} cannot be read: No such file" in problem.sentence
+
+
+def test_a_list_that_cannot_be_read_ends_the_deep_look(install):
+    place = install()
+    (place.folder / "wheels.json").write_text("{")
+    assert deep(place) == []
 
 
 def test_a_list_of_another_schema(install):
@@ -250,6 +324,10 @@ def test_what_was_verified_is_remembered_until_something_changes(install, tmp_pa
     assert installation.is_verified(place, memory)
     wheel = next((place.folder / "wheels").glob("torch*"))
     os.utime(wheel, (1, 1))
+    assert not installation.is_verified(place, memory)
+    installation.remember_verified(place, memory)
+    assert installation.is_verified(place, memory)
+    wheel.unlink()
     assert not installation.is_verified(place, memory)
     memory.write_text("garbage")
     assert not installation.is_verified(place, memory)

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_manient.worker import interpreter
+from blender_manient.preferences import full_path
+from blender_manient.worker import client, interpreter
 from blender_manient.worker.client import Worker, WorkerError
 from blender_manient.worker.interpreter import (
     find_python,
@@ -71,6 +72,37 @@ def test_blenders_own_python_by_other_names(bare_python):
     assert not is_blenders_own("/nowhere/python")
 
 
+def test_paths_as_they_are_typed_and_copied(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    for typed in (f'"{sys.executable}"', f"  '{sys.executable}'", f" {sys.executable} "):
+        monkeypatch.setenv("HANDFIT_PYTHON", typed)
+        assert find_python() == find_python(typed) == full_path(typed) == sys.executable
+    monkeypatch.setenv("HANDFIT_PYTHON", "~/python")
+    assert Path(find_python()) == Path(full_path("~/python")) == tmp_path / "python"
+    assert (find_python("python3"), full_path('""')) == ("python3", "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows looks into the folder it is in, too")
+def test_a_name_without_a_folder_is_looked_up_as_programs_are(monkeypatch, tmp_path):
+    """Not in the folder in which Blender happens to have been started."""
+    name = "python-of-this-test"
+    (tmp_path / "here").mkdir()
+    (tmp_path / "programs").mkdir()
+    (tmp_path / "here" / name).symlink_to(sys.executable)
+    (tmp_path / "programs" / name).write_text("#!/bin/sh\n")
+    (tmp_path / "programs" / name).chmod(0o755)
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("PATH", str(tmp_path / "programs"), prepend=os.pathsep)
+    is_blenders_own.cache_clear()
+    assert not is_blenders_own(name)
+    assert not is_blenders_own("python-that-is-nowhere")
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    is_blenders_own.cache_clear()
+    assert is_blenders_own(Path(sys.executable).name)
+    is_blenders_own.cache_clear()
+
+
 def test_blenders_own_python_gets_all_packages(monkeypatch):
     monkeypatch.setenv("PYTHONHOME", "/blender/python")
     monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
@@ -95,7 +127,7 @@ def test_only_handfit_core_comes_from_the_shared_folder(shared_folder, own_pytho
 
 def test_blenders_own_python_takes_what_lies_in_the_shared_folder(shared_folder):
     """The other side of the same coin: the decoys above are real."""
-    with Worker() as worker, pytest.raises(WorkerError, match="numpy of another Python"):
+    with Worker(sys.executable) as worker, pytest.raises(WorkerError, match="numpy of another Python"):
         worker.wait(worker.request("check"), timeout=60)
 
 
@@ -105,6 +137,59 @@ def test_nothing_comes_from_the_folder_in_which_blender_was_started(tmp_path, mo
     monkeypatch.chdir(tmp_path)
     with Worker() as worker, pytest.raises(InputError, match=r"nowhere\.jpg"):
         worker.wait(worker.request("probe", input=[str(tmp_path / "nowhere.jpg")]), timeout=60)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has another folder for a user's packages")
+@pytest.mark.parametrize("isolated", [True, False], ids=["as Blender", "as a plain Python"])
+def test_the_users_own_packages_are_seen_where_they_are_here(tmp_path, isolated):
+    """Blender takes nothing from the folder where pip puts packages for one user."""
+    venv.create(tmp_path / "python", with_pip=False, system_site_packages=True)
+    python = tmp_path / "python" / "bin" / "python"
+    (site,) = (tmp_path / "python" / "lib").glob("python*/site-packages")
+    (site / "others.pth").write_text(str(Path(np.__file__).parents[1]))
+    users = tmp_path / "home" / ".local" / "lib" / site.parent.name / "site-packages"
+    users.mkdir(parents=True)
+    seen = tmp_path / "seen"
+    # Python imports it where it looks into the folder at all.
+    (users / "usercustomize.py").write_text(f"open({str(seen)!r}, 'w').close()\n")
+    code = (
+        f"import os, sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "import bpy; from blender_manient.worker import client\n"
+        f"os.environ['HOME'] = {str(tmp_path / 'home')!r}\n"
+        "with client.Worker() as worker:\n"
+        "    worker.start()\n"
+        "    while worker.alive and worker.ready is None: worker.poll()\n"
+        "    print('READY', worker.ready, worker.details())\n"
+        "sys.stdout.flush(); os._exit(0)\n"
+    )
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "HANDFIT"))}
+    env["HOME"] = str(tmp_path)
+    command = [str(python), *(["-I"] if isolated else []), "-c", code]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+    assert "READY {'event': 'ready'" in done.stdout, done.stdout + done.stderr
+    assert seen.exists() == (not isolated)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the programs are Unix's")
+@pytest.mark.parametrize(
+    ("program", "expected"),
+    [
+        ("/bin/true", "is not a Python that can capture (it ended with exit code 0); choose a Python"),
+        ("/bin/false", "is not a Python that can capture (it ended with exit code 1); choose a Python"),
+        ("/bin", "'/bin' is a folder, not a Python; choose a Python"),
+    ],
+)
+def test_what_is_no_python_is_named(program, expected):
+    with Worker(program) as worker, pytest.raises(WorkerError) as caught:
+        worker.wait(worker.request("check"), timeout=60)
+    assert expected in str(caught.value)
+    assert "torch, SciPy, OpenCV and MediaPipe in the add-on's preferences" in str(caught.value)
+
+
+def test_a_launcher_that_is_gone_is_not_the_pythons_fault(bare_python, monkeypatch, tmp_path):
+    monkeypatch.setattr(client, "LAUNCHER", tmp_path / "launch.py")
+    with Worker(bare_python) as worker, pytest.raises(WorkerError, match=r"add-on's files.*no launch\.py"):
+        worker.request("check")
 
 
 def test_a_python_without_packages_is_one_sentence(bare_python):

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -31,6 +30,7 @@ from blender_manient.worker.client import Worker
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
 from handfit_core.worker.protocol import PROTOCOL
+from tests.capturing import needs_capture
 
 ROOT = Path(__file__).resolve().parents[2]
 TIP = 8
@@ -41,16 +41,7 @@ FARTHER = np.array([25.0, -15.0])
 """pixels"""
 
 
-def can_capture() -> bool:
-    """Whether the Python that captures has what it needs."""
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
-    return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
-
-
-pytestmark = pytest.mark.skipif(
-    not can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
-)
+pytestmark = needs_capture
 
 
 @pytest.fixture(scope="module")
