@@ -20,6 +20,7 @@ from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_
 
 NAME = "manient"
 
+_DEFAULT_PYTHON = "the preferences', else $HANDFIT_PYTHON, else Blender's own"
 _handle: Any = None
 """What Blender gave for the registered command"""
 
@@ -51,13 +52,14 @@ def _parser() -> argparse.ArgumentParser:
         help="fit hands to photos, sequences, videos and folders of them",
         description="Fit hands to photos, sequences, videos and folders of them.",
     )
-    add_arguments(capture, default_python="the preferences', else $HANDFIT_PYTHON, else Blender's own")
+    add_arguments(capture, default_python=_DEFAULT_PYTHON)
     capture.set_defaults(run=_capture)
     check = commands.add_parser(
         "check",
         help="check the installation",
         description="Print versions, files and a self-test, for bug reports. Ends with 0 if all is well.",
     )
+    check.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {_DEFAULT_PYTHON})")
     check.add_argument("--debug", action="store_true", help="show tracebacks")
     check.set_defaults(run=_check)
     return parser
@@ -88,7 +90,7 @@ def _check(args: argparse.Namespace) -> int:
 
     with stopped_by_signals():
         try:
-            result, text = check()
+            result, text = check(args.python)
             print(text, end="")
             return EXIT_OK if result.ok else EXIT_SOME_FAILED
         except KeyboardInterrupt:

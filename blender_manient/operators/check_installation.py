@@ -13,6 +13,7 @@ from handfit_core.errors import HandfitError
 from .. import cache, details, preferences, verification
 from ..worker import shared
 from ..worker.client import PYTHON_VARIABLE, Event, Worker, as_error
+from ..worker.interpreter import find_python
 from . import check_mano
 
 TEXT_NAME = "Hand Capture Check"
@@ -132,10 +133,13 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def check() -> tuple[Result, str]:
-    """Check and wait for it. Returns what it came to, and the text for a bug report; raises nothing."""
+def check(python: str | None = None) -> tuple[Result, str]:
+    """Check and wait for it. Returns what it came to, and the text for a bug report; raises nothing.
+
+    `python` captures instead of the one that the preferences choose.
+    """
     verification.verify(anew=True)
-    worker = shared.make()
+    worker = shared.make(python)
     answer, problem = None, None
     try:
         answer = worker.wait(worker.request("check"), timeout=_LIMIT)
@@ -147,7 +151,7 @@ def check() -> tuple[Result, str]:
 
 
 def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None) -> tuple[Result, str]:
-    missing = shared.capture_sentence()
+    missing = shared.capture_sentence(worker.python)
     ok = bool(answer and answer.get("ok")) and not missing
     if missing:
         sentence = missing
@@ -180,7 +184,9 @@ def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
 
 def _settings_text(worker: Worker) -> str:
     chosen = preferences.get()
-    if chosen.python:
+    if worker.python != find_python(preferences.full_path(chosen.python) or None):
+        origin = "command line"
+    elif chosen.python:
         origin = "preferences"
     elif os.environ.get(PYTHON_VARIABLE):
         origin = f"${PYTHON_VARIABLE}"

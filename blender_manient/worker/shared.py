@@ -48,17 +48,17 @@ def current() -> Worker | None:
     return _worker
 
 
-def make() -> Worker:
-    """A worker of one's own, with the preferences' settings."""
+def make(python: str | None = None) -> Worker:
+    """A worker of one's own, with the preferences' settings, or with another `python`."""
     settings = _settings()
-    return Worker(settings.python, settings.threads, settings.debug)
+    return Worker(python or settings.python, settings.threads, settings.debug)
 
 
-def capture_sentence() -> str:
-    """Why the Python that the preferences choose cannot capture, as far as is known; empty where nothing is.
-    For labels: with a capital, and it costs nothing."""
+def capture_sentence(python: str | None = None) -> str:
+    """Why `python`, or the Python that the preferences choose, cannot capture, as far as is known; empty
+    where nothing is. For labels: with a capital, and it costs nothing."""
     sentence = verification.capture_sentence()
-    if not sentence or not is_blenders_own(find_python(_settings().python)):
+    if not sentence or not is_blenders_own(python or find_python(_settings().python)):
         return ""
     return sentence[:1].upper() + sentence[1:]
 

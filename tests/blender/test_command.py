@@ -142,6 +142,11 @@ def test_a_check_that_fails_says_why(tmp_path, capfd):
     assert said.err == ""
 
 
+def test_a_check_of_another_python(tmp_path, capfd):
+    assert command.main(["check", "--python", str(tmp_path / "no-python")]) == 1
+    assert f"Python that captures: {tmp_path / 'no-python'} (command line)" in capfd.readouterr().out
+
+
 @needs_capture
 def test_a_check_that_succeeds(capfd):
     assert command.main(["check"]) == 0
