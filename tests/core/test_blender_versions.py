@@ -16,6 +16,8 @@ ASKED_ELSEWHERE = {
     "details": "errors of ours",
     "manient": "whether the add-on is registered",
     "runs": "copies of the add-on",
+    "command": "copies of the add-on",
+    "_handle": "copies of the add-on",
     "__version__": "packages",
     "preferences": "an entry of Blender's that is not there while scripts register the add-on",
     "scenes": "bpy.data while Blender enables add-ons",
