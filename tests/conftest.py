@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-# Started in the background by a script, Ctrl-C is ignored here and in all children, and they are tested for it.
+# Started in the background by a script, Ctrl-C is ignored here and in all children, which are tested for it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parent.parent
