@@ -15,8 +15,8 @@ from blender_manient.scene.build import build_take, building
 from handfit_core.errors import BuildInterrupted
 
 LONGEST_SLICE = 0.1
-"""seconds of the main thread, which is what an artist would feel; the longest, some 40 ms with 10 000 frames, is
-one call of Blender's that cannot be cut"""
+"""seconds of the main thread, which is what an artist would feel. The longest, some 40 ms with 10 000 frames,
+is one call of Blender's that cannot be cut."""
 
 
 @pytest.fixture
