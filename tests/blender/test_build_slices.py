@@ -14,9 +14,8 @@ from blender_manient.scene.animation import CURVES
 from blender_manient.scene.build import build_take, building
 from handfit_core.errors import BuildInterrupted
 
-LONGEST_SLICE = 0.1
-"""seconds of the main thread, which is what an artist would feel. The longest, some 40 ms with 10 000 frames,
-is one call of Blender's that cannot be cut."""
+LONGEST_SLICE = 0.05
+"""seconds of the main thread, which is what an artist would feel"""
 
 
 @pytest.fixture
@@ -89,8 +88,12 @@ def test_no_slice_of_a_long_take_holds_the_window_up(make_take, imitation_mano, 
     """Two hands with 135 shape keys each. Processor time, so that a busy machine does not decide."""
     made = make_take(model=str(imitation_mano), frame_numbers=np.arange(1, frames + 1))
     data = made.take.to_bytes(compact=True)
-    # The quietest of three: processor time, too, is longer while others use the memory.
-    slices = min((slice_times(building(made.take, data=data)) for _ in range(3)), key=max)
+    # The quietest of three alike: processor time, too, is longer while others use the memory.
+    runs = []
+    for _ in range(3):
+        bpy.ops.wm.read_homefile(use_empty=True)
+        runs.append(slice_times(building(made.take, data=data)))
+    slices = min(runs, key=max)
     print(f"{len(slices)} slices, median {np.median(slices):.4f} s, worst {max(slices):.4f} s")
     assert max(slices) < LONGEST_SLICE
     assert np.median(slices) < 0.02
