@@ -33,6 +33,9 @@ _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 
 _MIDDLE_FINGER: Final = (0, 9, 10, 11, 12)
 """Keypoints from the wrist to the middle fingertip"""
 
+_KEPT: Final = 32
+"""Hands whose errors are remembered"""
+
 _errors: dict[tuple[str, int], np.ndarray] = {}
 """(digest of the take, hand's index) -> `bone_errors`"""
 
@@ -76,7 +79,8 @@ def _color(hand: CapturedHand, frame: float) -> None:
     row = _row_at(hand, frame)
     key = (hand.collection.manient.digest, hand.index)
     if key not in _errors:
-        _errors.clear()  # of takes that were corrected since
+        if len(_errors) >= _KEPT:
+            _errors.clear()  # most are of takes that were corrected since
         _errors[key] = bone_errors(hand.take, hand.track)
     errors = np.full(NUM_JOINTS, np.nan) if row is None else _errors[key][row]
     bones = hand.armature.pose.bones

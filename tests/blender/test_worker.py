@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import stat
+import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import blender_manient
 from blender_manient import preferences
-from blender_manient.worker import shared
+from blender_manient.worker import pipes, process, shared
 from blender_manient.worker.client import (
     CaptureOptions,
     Worker,
@@ -28,6 +31,9 @@ from handfit_core.worker import protocol
 needs_scripts = pytest.mark.skipif(
     sys.platform == "win32", reason="misbehaving peers are scripts with a #! line"
 )
+
+SLEEPS = 60
+"""seconds that a peer sleeps: nothing here may last as long"""
 
 PRELUDE = f"""#!{sys.executable}
 import json, os, signal, sys, time
@@ -191,24 +197,55 @@ def test_each_asker_gets_its_own_events(peer, start):
         worker.wait(first)
 
 
+@pytest.fixture
+def waited(monkeypatch):
+    """waited() -> the seconds that the client asked to wait for, since the last call. A call that waits
+    without a limit lasts as long as its peer sleeps."""
+    asked: list[float] = []
+
+    def counted(original, seconds_of):
+        def wait(*args, **kwargs):
+            asked.append(seconds_of(*args, **kwargs))
+            return original(*args, **kwargs)
+
+        return wait
+
+    def by_process(_process, timeout=None):
+        return float("inf") if timeout is None else timeout
+
+    for place, name, seconds_of in (
+        (process, "wait_for", lambda _readers, _writer, seconds: seconds),
+        (pipes, "wait_for", lambda _readers, _writer, seconds: seconds),
+        (subprocess.Popen, "wait", by_process),
+        (time, "sleep", lambda seconds: seconds),
+    ):
+        monkeypatch.setattr(place, name, counted(getattr(place, name), seconds_of))
+
+    def so_far() -> float:
+        total = sum(asked)
+        asked.clear()
+        return total
+
+    return so_far
+
+
 @needs_scripts
-def test_poll_and_request_never_wait(peer, start):
+def test_poll_and_request_never_wait(peer, start, waited):
     """A peer that reads nothing and says nothing, and a request larger than any pipe."""
-    worker = start(peer("ready()\ntime.sleep(60)"))
-    took = []
-    array = protocol.pack(np.zeros((300, 1000)))
-    for call in [lambda: worker.request("refit", data=array), worker.poll, worker.poll, worker.stop]:
-        began = time.perf_counter()
-        call()
-        took.append(time.perf_counter() - began)
-    assert took[0] < 0.15  # encoding 3 MB, starting a process
-    assert max(took[1:3]) < 0.03
-    assert took[3] < 0.1
+    worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
+    began = time.monotonic()
+    worker.request("refit", data=protocol.pack(np.zeros((300, 1000))))
+    for _ in range(10):
+        worker.poll()
+    assert waited() < 0.01  # a child that has just read gets a moment to read on
+    worker.stop()
+    assert 0.0 < waited() < 0.1
+    assert time.monotonic() - began < SLEEPS
 
 
 @needs_scripts
 @pytest.mark.parametrize("where", ["stdout", "stderr"])
-def test_a_flood_is_taken_in_parts(peer, start, where):
+def test_a_flood_is_taken_in_parts(peer, start, where, monkeypatch):
     """A peer that prints as fast as it can: each call ends all the same, and the answer is heard."""
     code = (
         "ready()\n"
@@ -221,13 +258,20 @@ def test_a_flood_is_taken_in_parts(peer, start, where):
     deadline = time.monotonic() + 20
     while "noise" not in worker.details() and time.monotonic() < deadline:
         worker.poll()
-    took = []
-    for _ in range(30):
-        began = time.perf_counter()
-        worker.poll()
-        took.append(time.perf_counter() - began)
-    assert sorted(took)[15] < 0.02
     assert "noise" in worker.details()
+
+    # By a clock on which each chunk takes a millisecond, a call takes no more chunks than it has time for.
+    clock, read = itertools.count(0.0, 0.001), pipes.ReadEnd.read
+    chunks = []
+    slow = SimpleNamespace(perf_counter=clock.__next__, monotonic=time.monotonic)
+    monkeypatch.setattr(process, "time", slow)
+    monkeypatch.setattr(pipes.ReadEnd, "read", lambda end, most: chunks.append(most) or read(end, most))
+    for _ in range(30):
+        time.sleep(0.002)  # the peer fills the pipe
+        before = len(chunks)
+        worker.poll()
+        assert 0 < len(chunks) - before < 20
+    assert max(chunks) <= 1 << 16
 
 
 @needs_scripts
@@ -432,31 +476,31 @@ def test_much_stderr_does_not_block_and_is_cut(peer, start):
 
 @needs_scripts
 def test_time_limit_kills(peer, start):
-    worker = start(peer("ready()\ntime.sleep(60)"))
+    worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
     request, other = worker.request("capture"), worker.request("refit")
     pid = worker.pid
     assert pid is not None
     began = time.monotonic()
     with pytest.raises(WorkerError, match=r"capture took longer than 0\.5 seconds.*fewer frames"):
         worker.wait(request, timeout=0.5)
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < SLEEPS
     assert gone(pid)
     assert [e["id"] for e in worker.poll()] == [other]
 
 
 @needs_scripts
-def test_stop_answers_what_is_open_and_kills_what_hangs(peer, start):
+def test_stop_answers_what_is_open_and_kills_what_hangs(peer, start, waited):
     """A peer that ignores the end of its stdin and every signal that can be ignored."""
-    worker = start(peer("signal.signal(signal.SIGTERM, signal.SIG_IGN)\nready()\ntime.sleep(60)"))
+    worker = start(peer(f"signal.signal(signal.SIGTERM, signal.SIG_IGN)\nready()\ntime.sleep({SLEEPS})"))
     request = worker.request("capture")
     while worker.ready is None:
         worker.poll()
         time.sleep(0.01)
     pid = worker.pid
     assert pid is not None
-    began = time.perf_counter()
+    waited()
     worker.stop()
-    assert time.perf_counter() - began < 0.1
+    assert waited() < 0.1
     (event,) = worker.poll()
     assert (event["id"], event["type"]) == (request, "Cancelled")
     assert gone(pid)

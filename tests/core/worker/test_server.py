@@ -8,7 +8,6 @@ import queue
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -45,7 +44,8 @@ class Worker:
             cwd=ROOT,
         )
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
         self.hello = self.next()
 
     def _read(self) -> None:
@@ -72,6 +72,11 @@ class Worker:
             if event["event"] in ("done", "error") and event["id"] == number:
                 return event, before
             before.append(event)
+
+    def rest(self) -> list[Event]:
+        """What an ended worker had said that nobody took yet."""
+        self._reader.join(PATIENCE)
+        return [decode(self._lines.get()) for _ in range(self._lines.qsize())]
 
     def ask(self, number: int, kind: str, **fields: Any) -> Event:
         self.send(id=number, request=kind, **fields)
@@ -115,9 +120,7 @@ def test_says_who_it_is(fresh: Worker) -> None:
     assert hello["pid"] == fresh.process.pid
     assert (hello["event"], hello["protocol"], hello["version"]) == ("ready", PROTOCOL, __version__)
     assert hello["python"].startswith("3.")
-    started = time.monotonic()
     assert fresh.close() == 0
-    assert time.monotonic() - started < 2.0
 
 
 def test_captures(warm: Worker, tmp_path: Path) -> None:
@@ -408,13 +411,14 @@ def test_ends_in_the_middle_of_a_capture(how: str, tmp_path: Path) -> None:
         worker.send(id=1, request="capture", **capture_of(tmp_path))
         while worker.next()["event"] != "progress":
             pass
-        started = time.monotonic()
         if how == "end":
             worker.send(request="end")
             assert worker.process.wait(PATIENCE) == 0
         else:
             assert worker.close() == 0
-        assert time.monotonic() - started < 3.0
+        events = worker.rest()
+        assert "done" not in [event["event"] for event in events]
+        assert all(event["done"] < event["total"] for event in events if event["event"] == "progress")
         assert list(tmp_path.iterdir()) == []
     finally:
         worker.end()

@@ -10,6 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from scenarios import redraws
 from scenarios.capturing import capture, hands, keys_of, pose_of
 from scenarios.traces import workers
 
@@ -93,7 +94,7 @@ def live_latency(stage, source, steps=60):
     return {
         "waits_ms": waits,
         "latencies_ms": [1000 * s for s in operator().latencies()],
-        "redraw_ms": (yield from _redraws(stage)),
+        "redraw_ms": (yield from redraws.timed(stage)),
     }
 
 
@@ -150,18 +151,6 @@ def dragged(stage, path):
     stage.window.event_simulate(type="LEFTMOUSE", value="RELEASE", x=x, y=y)
     yield 0.1
     return waits
-
-
-def _redraws(stage):
-    """Milliseconds of a few turns of the main loop in which the view is drawn."""
-    times = []
-    for _ in range(10):
-        stage.area().tag_redraw()
-        began = time.perf_counter()
-        yield 0.0
-        yield 0.0
-        times.append(1000 * (time.perf_counter() - began))
-    return times
 
 
 def operator():

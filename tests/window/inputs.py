@@ -1,0 +1,82 @@
+"""What the scenarios are given to capture and to build."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.hand_model import load_model
+from handfit_core.skeleton import SIDES
+from handfit_core.take import HandTrack, Source, Take
+
+RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
+
+
+def write_clip(python: str, path: Path, frames: int, blank_from: int | None = None) -> None:
+    """A video of the bundled hand, to and fro; its frames from `blank_from` on show nothing. `python` has
+    OpenCV."""
+    blank = frames if blank_from is None else blank_from
+    arguments = [str(RENDERED_HAND), str(path), str(frames), str(blank)]
+    subprocess.run([python, "-c", _WRITE_CLIP, *arguments], check=True, timeout=120)
+
+
+def write_long_take(path: Path, frames: int) -> Path:
+    """Two hands, as a take file: again and again the same hundred frames. `frames`: hundreds."""
+    t = np.linspace(0.0, 2 * np.pi, 100)
+    camera = Intrinsics.assumed(1280, 720)
+    tracks, digests = [], {}
+
+    def again(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values] * (frames // len(t)))
+
+    for side in SIDES:
+        hand = load_model("open-hand", side)
+        orient = np.stack([0.3 * np.sin(t), 0.2 * np.cos(t), t * 0], axis=-1)
+        bend = 0.4 + 0.4 * np.sin(t)
+        pose = np.tile([0.0, 0.0, 1.0 if side == "right" else -1.0], 15) * bend[:, None]
+        transl = np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0.6 + 0 * t], axis=-1)
+        posed = hand.posed(None, orient, pose, transl)
+        digests[side] = hand.digest
+        track = HandTrack(
+            side=side,
+            betas=np.zeros(10),
+            global_orient=again(orient),
+            hand_pose=again(pose),
+            transl=again(transl),
+            joints_3d=again(posed.keypoints),
+            keypoints_2d=again(camera.project(posed.keypoints)),
+            reprojection_error=np.full(frames, 2.0),
+            detected=np.ones(frames, dtype=bool),
+            score=np.ones(frames),
+        )
+        tracks.append(track)
+    take = Take(
+        source=Source("video", ("gone.mp4",)),
+        fps=25.0,
+        frame_numbers=np.arange(1, frames + 1),
+        width=1280,
+        height=720,
+        intrinsics=camera,
+        solver="test",
+        model="open-hand",
+        model_digests=digests,
+        hands=tuple(tracks),
+    )
+    return take.save(path)
+
+
+_WRITE_CLIP = """
+import pathlib, sys
+import cv2, numpy as np
+folder, output, frames, blank = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+pictures = [cv2.imread(str(p)) for p in sorted(pathlib.Path(folder).glob("*.jpg"))]
+pictures += pictures[-2:0:-1]
+height, width = pictures[0].shape[:2]
+writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (width, height))
+for i in range(frames):
+    writer.write(pictures[i % len(pictures)] if i < blank else np.full_like(pictures[0], 90))
+writer.release()
+"""
