@@ -37,6 +37,8 @@ BUNDLED_VARIABLE: Final = "HANDFIT_BUNDLED"
 LEFT_OUT_VARIABLE: Final = "HANDFIT_LEFT_OUT"
 """Names those, with commas, that this zip lacks for this Python on purpose"""
 
+_ZIP_AGAIN: Final = "remove the add-on, restart Blender and install its zip again"
+
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
 
@@ -100,8 +102,13 @@ def _how_to_get(name: str, lowest: str) -> str:
     if name in os.environ.get(LEFT_OUT_VARIABLE, "").split(","):
         return "the add-on's zip does not have it for this Python: choose a Python of your own"
     if os.environ.get(BUNDLED_VARIABLE):
-        return "remove the add-on, restart Blender and install its zip again, or choose a Python of your own"
+        return f"{_ZIP_AGAIN}, or choose a Python of your own"
     return f"install {name}>={lowest} into this Python, or choose another one"
+
+
+def _again(remedy: str) -> str:
+    """What to do about a part that is there and does not work."""
+    return _ZIP_AGAIN if os.environ.get(BUNDLED_VARIABLE) else remedy
 
 
 def _numbers(version: str) -> tuple[int, ...]:
@@ -137,7 +144,7 @@ def _detector() -> str:
 
     count = blank_picture_hands()
     if count:
-        raise _Remedy(f"it saw {count} hands in a blank picture; fetch the landmark model again")
+        raise _Remedy(f"it saw {count} hands in a blank picture; {_again('fetch the landmark model again')}")
     return "no hand in a blank picture"
 
 
@@ -147,7 +154,8 @@ def _solver() -> str:
     worst = max(synthetic_fit_error_mm(side) for side in SIDES)
     # Written so that NaN fails.
     if not worst < WORST_FIT_MM:
-        raise _Remedy(f"a hand came out {worst:.1f} mm off; install torch and handfit-core again")
+        again = _again("install torch and handfit-core again")
+        raise _Remedy(f"a hand came out {worst:.1f} mm off; {again}")
     return f"{worst:.1f} mm off a known hand"
 
 

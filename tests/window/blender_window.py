@@ -144,7 +144,9 @@ class BlenderWindow:
                 )
             if time.monotonic() > end:
                 self.stop()
-                raise WindowFailure(f"{scenario} was not through after {PATIENCE * timeout:g} s\n{self.log()}")
+                raise WindowFailure(
+                    f"{scenario} was not through after {PATIENCE * timeout:g} s\n{self.log()}"
+                )
             time.sleep(0.02)
         self._keep_screenshots()
         return json.loads(path.read_text(encoding="utf-8"))
