@@ -153,6 +153,8 @@ def test_a_photo_is_captured_by_pressing_the_button(life):
     assert (hand["mesh"], hand["camera"] is not None) == (OPEN_HAND_VERTICES, True)
     assert hand["keys"] > 0
     assert played["workers"] == 1
+    assert "Cube" in played["begun_with"]
+    assert played["in_the_way"] == []
 
 
 def test_all_of_it_came_from_the_profile(life):

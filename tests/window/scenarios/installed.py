@@ -12,7 +12,11 @@ from scenarios.traces import workers
 
 
 def photo_by_the_button(stage, source):
-    """The panel, the button Capture, the hand; and where all of it came from."""
+    """In the scene that Blender starts with: the panel, the button Capture, the hand; and where all of it
+    came from."""
+    bpy.ops.wm.read_homefile()
+    yield 0.5
+    begun_with = set(bpy.data.objects.keys())
     yield from stage.open_sidebar()
     yield from stage.screenshot("installed-panel")
     bpy.context.scene.manient.source = source
@@ -29,6 +33,10 @@ def photo_by_the_button(stage, source):
     return {
         "addons": [name for name in bpy.context.preferences.addons.keys() if "manient" in name],  # noqa: SIM118
         "hands": summary(),
+        "begun_with": sorted(begun_with),
+        "in_the_way": [
+            o.name for o in bpy.data.objects if o.name in begun_with and o.type == "MESH" and o.visible_get()
+        ],
         "workers": len(workers()),
         "files": sorted({str(getattr(module, "__file__", None)) for module in modules.values()}),
     }
