@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -191,3 +192,20 @@ def joint_heads(armature, side: Side) -> np.ndarray:
     armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
     heads = [armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)]
     return np.array(heads)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    session.config.stash[_SESSION] = session
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """bpy 4.2 as a module crashes while Python ends, once glTF was exported, also without the add-on."""
+    session = config.stash.get(_SESSION, None)
+    if session is not None and bpy.app.version < (4, 3):
+        config.get_terminal_writer().flush()
+        os._exit(int(session.exitstatus))
+
+
+_SESSION = pytest.StashKey[pytest.Session]()
