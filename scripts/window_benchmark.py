@@ -30,6 +30,7 @@ CLIP = 60
 LONG_CLIP = 1500
 LONG = 10_000
 """frames of a take"""
+REDRAW = "a redraw of the window"
 
 
 def main() -> int:
@@ -53,9 +54,6 @@ def main() -> int:
         median = statistics.median(times)
         print(f"{what:{width}}  {median:6.0f}  {min(times):4.0f}-{max(times):<5.0f}  {median / redraw:7.1f}")
     return 0
-
-
-REDRAW = "a redraw of the window"
 
 
 def measure(window: BlenderWindow, folder: Path, runs: int) -> dict[str, list[float]]:

@@ -270,7 +270,7 @@ def test_a_flood_is_taken_in_parts(peer, start, where, monkeypatch):
         time.sleep(0.002)  # the peer fills the pipe
         before = len(chunks)
         worker.poll()
-        assert 0 < len(chunks) - before < 20
+        assert 0 < len(chunks) - before <= 10
     assert max(chunks) <= 1 << 16
 
 
@@ -475,15 +475,14 @@ def test_much_stderr_does_not_block_and_is_cut(peer, start):
 
 
 @needs_scripts
-def test_time_limit_kills(peer, start):
+def test_time_limit_kills(peer, start, waited):
     worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
     request, other = worker.request("capture"), worker.request("refit")
     pid = worker.pid
     assert pid is not None
-    began = time.monotonic()
     with pytest.raises(WorkerError, match=r"capture took longer than 0\.5 seconds.*fewer frames"):
         worker.wait(request, timeout=0.5)
-    assert time.monotonic() - began < SLEEPS
+    assert 0.4 < waited() < 5
     assert gone(pid)
     assert [e["id"] for e in worker.poll()] == [other]
 

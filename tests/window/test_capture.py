@@ -8,6 +8,8 @@ CLIP = 60
 """frames"""
 LONG_CLIP = 240
 VERY_LONG_CLIP = 1500
+FRAMES_AFTER_ESCAPE = 15
+"""about half a second's work of the worker"""
 
 
 def test_photo(blender, photo):
@@ -38,12 +40,12 @@ def test_video_with_progress(blender, make_clip):
 
 
 def test_escape_stops_and_keeps_what_is_finished(blender, make_clip):
-    played = blender.play("capture.cancelled", source=make_clip(VERY_LONG_CLIP)).value
+    played = blender.play("capture.cancelled", source=make_clip(LONG_CLIP)).value
+    assert played["looked_at"] - played["done_then"] <= FRAMES_AFTER_ESCAPE
     assert played["state"] == "done"
     assert "stopped" in played["message"]
     (hand,) = played["hands"]
-    # How many are looked at until the key is noticed depends on the machine.
-    assert played["done_then"] - 2 <= hand["detected"] < VERY_LONG_CLIP / 5
+    assert played["done_then"] - 2 <= hand["detected"] < LONG_CLIP / 2
 
 
 def test_the_panels_buttons_by_mouse(blender, make_clip):

@@ -11,16 +11,16 @@ from collections.abc import Callable
 
 CLIP = 60
 """frames"""
-LONGEST_CALL = 3.0
+LONGEST_CALL = 2.4
 """redraws of the small window without a graphics card"""
-LONGEST_PART = 0.1
+LONGEST_PART = 0.12
 """of building ten thousand frames: Blender copies the whole action, and writes an undo step of 1.4 million
 keys, in one go each"""
 SLICED = 2.0
 """what building in slices takes, over building at once"""
-TEN_TIMES_THE_FRAMES = 20.0
+TEN_TIMES_THE_FRAMES = 15.0
 """what ten times as many frames take; a hundred where some step looks at all frames for each frame"""
-LATENCY = 4.0
+LATENCY = 2.4
 """redraws"""
 RUNS = 3
 

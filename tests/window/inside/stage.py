@@ -24,8 +24,6 @@ HOVER = 0.06
 """seconds until the button under the mouse lights up"""
 BUTTON_STEP = 12
 """pixels; a button is at least 20 high"""
-PATIENCE = 4.0
-"""what waiting may take over what is asked for: this machine may be a slow one, and a busy one"""
 STEP = 0.01
 """seconds between looks at a condition"""
 
@@ -83,11 +81,11 @@ class Stage:
 
     def until(self, condition: Callable[[], Any], timeout: float, what: str | Callable[[], str]) -> Steps:
         """Wait until condition() is true; returns its value, or fails saying what did not come."""
-        end = time.monotonic() + PATIENCE * timeout
+        end = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > end:
                 what = what if isinstance(what, str) else what()
-                raise AssertionError(f"waited {PATIENCE * timeout:g} s in vain for {what}")
+                raise AssertionError(f"waited {timeout:g} s in vain for {what}")
             yield STEP
         return value
 

@@ -110,6 +110,7 @@ def cancelled(stage, source):
         "fitted_s": fitted,
         "built_s": built,
         "done_then": frames,
+        "looked_at": looked_at,
         "total": job.total,
         "hands": summary(),
     }
