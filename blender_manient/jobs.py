@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 import traceback
+import uuid
 from collections.abc import Generator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,6 +77,8 @@ class Job:
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
     """Names of the armatures that came of it"""
+    key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
+    """What scenes know it by"""
     _request: int = 0
     _stage_began: float = 0.0
     _stage_first: int = 0
@@ -92,6 +95,11 @@ class Job:
     def finished(self) -> bool:
         """Whether nothing more happens to it."""
         return self.state in ("done", "failed", "cancelled")
+
+    @property
+    def undone(self) -> bool:
+        """Whether an undo has taken back what came of it."""
+        return self.state == "done" and not any(self.key in _captured(scene) for scene in bpy.data.scenes)
 
     @property
     def rate(self) -> float:
@@ -276,6 +284,7 @@ def _build(job: Job) -> bool:
         job.warnings += warnings
         job.state, job.fraction = "done", 1.0
         _make_active(job.hands)
+        _note(job)
         bpy.ops.ed.undo_push(message="Capture Hands")
     except BuildInterrupted:
         job._builder = None  # an undo took away what was half built: from the start
@@ -323,6 +332,18 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         warnings,
         _summary(job, take),
     )
+
+
+def _captured(scene: bpy.types.Scene) -> list[str]:
+    return scene.manient.captured.split()
+
+
+def _note(job: Job) -> None:
+    """Have the open scene say that this capture is in it, so that undo and redo change that as well."""
+    scene = bpy.context.scene
+    assert scene is not None
+    listed = {other.key for other in _queue}
+    scene.manient.captured = " ".join([*(key for key in _captured(scene) if key in listed), job.key])
 
 
 def _pack_cached_pictures(take: Take) -> None:

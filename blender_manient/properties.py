@@ -184,6 +184,11 @@ class ManientSettings(bpy.types.PropertyGroup):
         default="NEW",
     )
 
+    captured: StringProperty(  # type: ignore
+        description="Keys of the listed captures that are in this scene: undo and redo take them along",
+        options={"HIDDEN"},
+    )
+
     # Refine
     spread: IntProperty(  # type: ignore
         name="Spread",

@@ -55,10 +55,14 @@ _previews: Any = None
 def of(settings) -> SourceInfo:
     """What is known of the panel's source; cheap enough for drawing."""
     global _known
-    other = _known is None or (_known.path, _known.as_sequence) != (settings.source, settings.as_sequence)
-    if _known is None or other or _known.is_gone:
+    if _known is None or not _is_known(settings) or _known.is_gone:
         _known = _look(settings.source, settings.as_sequence)
     return _known
+
+
+def _is_known(settings) -> bool:
+    wanted = (settings.source, settings.as_sequence)
+    return _known is not None and (_known.path, _known.as_sequence) == wanted
 
 
 def source_changed(settings, _context) -> None:
@@ -132,13 +136,26 @@ def _take_in(info: SourceInfo, event: dict[str, Any]) -> None:
     info.first, info.last = int(event["first"]), int(event["last"])
 
 
+@bpy.app.handlers.persistent
+def _on_undo(*_args) -> None:
+    """Undo and redo change the source without telling."""
+    scene = bpy.context.scene
+    if scene is not None and _known is not None and not _is_known(scene.manient):
+        source_changed(scene.manient, bpy.context)
+
+
 def register() -> None:
-    """Nothing to add."""
+    """Follow undo and redo."""
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        handlers.append(_on_undo)
 
 
 def unregister() -> None:
     """Free the thumbnails, and stop waiting."""
     global _previews, _known
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        if _on_undo in handlers:
+            handlers.remove(_on_undo)
     if bpy.app.timers.is_registered(_await_answer):
         bpy.app.timers.unregister(_await_answer)
     if _previews is not None:

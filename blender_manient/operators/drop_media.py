@@ -60,6 +60,9 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
                 self.report({"ERROR"}, str(error))
         if not started:
             return {"CANCELLED"}
+        # The chosen source is a step of its own, as if it had been chosen in the panel: undoing the capture
+        # leaves it. As this operator's own step it would offer to be adjusted, which would capture again.
+        bpy.ops.ed.undo_push(message="Choose Source")
         return bpy.ops.manient.capture(
             "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", queued=True
         )

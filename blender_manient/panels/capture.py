@@ -58,6 +58,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row = box.row(align=True)
                 row.label(text=f"{job.name}: Waiting", icon=_ICONS["waiting"], translate=False)
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
+            elif job.undone:
+                sentence(box, context, f"{job.name}: Undone", "LOOP_BACK")
             else:
                 text = f"{job.name}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from scenarios.capturing import begin, capture, done, finish, hands, jobs, summary
+from scenarios.capturing import begin, capture, done, finish, hands, jobs, part, summary
 from scenarios.traces import workers
 
 
@@ -117,21 +117,24 @@ def cancelled(stage, source):
 
 
 def queued(stage, sources):
-    """Several captures, one after the other."""
+    """Several captures, one after the other. All are asked for in one turn of the main loop, so that the
+    first cannot be over before the last is there."""
     yield from stage.open_sidebar()
-    waited, states, most = [], [], 0
     for source in sources:
-        waited.append((yield from begin(stage, source)))
-        states.append(waited[-1].state)
-    yield from stage.screenshot("queued")
+        bpy.context.scene.manient.source = source
+        with stage.override():
+            bpy.ops.manient.capture("INVOKE_DEFAULT")
+    waited, seen = jobs(), set()
     while not all(job.finished for job in waited):
-        most = max(most, sum(job.running for job in waited))
+        seen.add(tuple(job.state for job in waited))
+        if len(seen) == 2:
+            yield from stage.screenshot("queued")
         yield 0.0
     yield 0.3
     for job in waited:
         done(job)
     yield from stage.screenshot("queue-done")
-    return {"states": states, "at_once": most, "hands": [hand["name"] for hand in summary()]}
+    return {"seen": sorted(seen), "hands": [hand["name"] for hand in summary()]}
 
 
 def worker_killed(stage, source):
@@ -168,6 +171,9 @@ def undo_in_the_middle(stage, source):
         yield 0.05
     yield 0.2
     done(job)
+    if not hands():
+        # The capture ended between the last cube and its undo, which therefore took back the capture.
+        yield from stage.redo()
     first = summary()
     yield from stage.undo()
     return {"hands": first, "undone": len(hands())}
@@ -206,9 +212,31 @@ def dropped(stage, source):
     job = yield from stage.until(
         lambda: next((j for j in jobs() if j.name == name), None), 5.0, "the dropped file's capture"
     )
+    yield from stage.open_sidebar()
     yield from finish(stage, job)
     done(job)
-    return summary()
+    captured = summary()
+    said = [said_of(job)]
+    for step in (stage.undo, stage.undo, stage.redo, stage.redo):
+        yield from step()
+        shown = part("source_info").of(bpy.context.scene.manient)
+        if shown.path:
+            yield from stage.until(lambda: shown.width, 10.0, "the size of the source")  # noqa: B023
+        said.append(said_of(job))
+        if step == stage.undo:
+            yield from stage.screenshot(f"dropped-undone-{len(said) - 1}")
+    return {"hands": captured, "said": said}
+
+
+def said_of(job) -> dict:
+    """What the panel says of a capture, and what is true."""
+    settings = bpy.context.scene.manient
+    return {
+        "hands": len(hands()),
+        "undone": job.undone,
+        "source": Path(settings.source).name,
+        "shown": Path(part("source_info").of(settings).path).name,
+    }
 
 
 def fails(stage, source, shot="", **settings):
