@@ -52,6 +52,7 @@ class Building:
     """The scene frame of POSE"""
     pose_correctives: bool = True
     match_scene: bool = True
+    render_setup: bool = True
     camera: Remembered | None = None
     """An existing camera to look through instead of a new one"""
 
@@ -321,6 +322,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         data=data,
         pose_correctives=plan.pose_correctives,
         match_scene=plan.match_scene and not warnings,
+        render_setup=plan.render_setup,
         camera=plan.camera.find() if plan.camera else None,
     )
     _pack_cached_pictures(take)

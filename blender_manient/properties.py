@@ -168,6 +168,12 @@ class ManientSettings(bpy.types.PropertyGroup):
         description="Give the scene the footage's frame rate, frame range, size and camera",
         default=True,
     )
+    render_setup: BoolProperty(  # type: ignore
+        name="Ready to Render",
+        description="Where the scene is matched, add lights if it has none and show the picture behind the "
+        "hands in renders. Your own lights and world stay as they are",
+        default=True,
+    )
     pose_correctives: BoolProperty(  # type: ignore
         name="Pose Correctives",
         description="Shape keys that fill out bent joints, for hand models that have them",
@@ -212,10 +218,10 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
 
 
-def _betas_changed(hand: bpy.types.PropertyGroup, _context) -> None:
+def _shape_changed(hand: bpy.types.PropertyGroup, _context) -> None:
     from .scene import reshape
 
-    reshape.betas_changed(hand.id_data)
+    reshape.shape_changed(hand.id_data)
 
 
 def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
@@ -244,7 +250,17 @@ class ManientHand(bpy.types.PropertyGroup):
         soft_max=3.0,
         min=-10.0,
         max=10.0,
-        update=_betas_changed,
+        update=_shape_changed,
+    )
+    forearm: BoolProperty(  # type: ignore
+        name="Forearm",
+        description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
+        "Exports have what is shown",
+        default=False,
+        update=_shape_changed,
+    )
+    wrist: StringProperty(  # type: ignore
+        default="open", description="How the mesh ends now: open, cap or forearm"
     )
     corrections: StringProperty(  # type: ignore
         description="Corrected frames, as JSON (scene/corrections.py)"

@@ -81,7 +81,7 @@ def row(take: Take, count: int, height: int, turned: float | None = None) -> np.
     from blender_manient.scene.preview import preview_rows, spread_frames, turned_rows
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    built = build_take(take, picture=False)
+    built = build_take(take, picture=False, render_setup=False)
     frames = spread_frames(take, max(1, count))
     views = preview_rows(built, take, frames)
     if turned is not None:

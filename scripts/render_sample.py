@@ -59,7 +59,7 @@ def main() -> int:
     bpy.ops.wm.read_factory_settings(use_empty=True)
 
     take = truth()
-    built = build_take(take, picture=False)
+    built = build_take(take, picture=False, wrist="open", render_setup=False)
     furnish(built)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"

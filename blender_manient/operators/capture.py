@@ -210,6 +210,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
             match_scene=settings.match_scene,
+            render_setup=settings.render_setup,
             camera=Remembered.of("objects", camera) if camera else None,
         ),
     )

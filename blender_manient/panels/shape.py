@@ -17,9 +17,9 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
 
     def draw(self, context):
         """Poses."""
-        layout = self.layout
+        layout, hand = self.layout, active_hand(context)
         assert layout is not None
-        if active_hand(context) is None:
+        if hand is None:
             sentence(layout, context, "Select a captured hand to shape or pose it", "INFO")
             return
         column = layout.column(align=True)
@@ -27,6 +27,8 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
         column.operator("manient.mirror_hand", icon="MOD_MIRROR")
         column.operator("manient.apply_take", icon="IMPORT")
         column.operator("manient.save_pose_asset", icon="ASSET_MANAGER")
+        if hand.armature.manient.wrist != "open":
+            layout.prop(hand.armature.manient, "forearm")
 
 
 class MANIENT_PT_proportions(Section, bpy.types.Panel):

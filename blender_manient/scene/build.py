@@ -19,6 +19,7 @@ import bpy
 
 from handfit_core.errors import BuildInterrupted, OptionError
 from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, Side
 from handfit_core.take import HandTrack, Take
 
@@ -30,6 +31,7 @@ from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
 from .mesh import build_mesh
 from .plate import Plate, load_plate
+from .render_setup import set_up, show_true_colors
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
 from .timing import Timing, set_timing, timing_in
 
@@ -68,16 +70,19 @@ def build_take(
     pose_correctives: bool = True,
     picture: bool = True,
     match_scene: bool = True,
+    render_setup: bool = True,
+    wrist: Wrist = "forearm",
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
 ) -> BuiltTake:
     """Build a take's hands, their animation and the camera that saw them, in a collection of their own.
 
     `scene` is the current one or None. With `match_scene` it gets the take's frame rate, frame range,
-    picture size and camera; else it stays as it is, and the take starts at its current frame, at its
-    rate. `model` replaces `take.model`, for takes whose model file has moved. `camera` is one that is
-    there already: the hands hang on it, and its lens and the scene's size stay. `data` are the bytes of
-    the take's file, where the caller has them. Hands are life-size in any unit of length: in scenes whose
+    picture size and camera, and with `render_setup` lights and the picture in its renders too; else it
+    stays as it is, and the take starts at its current frame, at its rate. `wrist` is how the meshes end.
+    `model` replaces `take.model`, for takes whose model file has moved. `camera` is one that is there
+    already: the hands hang on it, and its lens and the scene's size stay. `data` are the bytes of the
+    take's file, where the caller has them. Hands are life-size in any unit of length: in scenes whose
     unit is not the metre their armatures are scaled. Building twice makes a second set and leaves the
     first alone. Raises HandModelError and OptionError.
     """
@@ -88,6 +93,8 @@ def build_take(
         pose_correctives=pose_correctives,
         picture=picture,
         match_scene=match_scene,
+        render_setup=render_setup,
+        wrist=wrist,
         camera=camera,
         data=data,
     )
@@ -102,6 +109,8 @@ def building(
     pose_correctives: bool = True,
     picture: bool = True,
     match_scene: bool = True,
+    render_setup: bool = True,
+    wrist: Wrist = "forearm",
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
 ) -> Generator[float, None, BuiltTake]:
@@ -117,7 +126,17 @@ def building(
         with _Watch() as watch:
             open_scene = _checked_scene(scene)
             steps = _steps(
-                made, take, open_scene, model, pose_correctives, picture, match_scene, camera, data
+                made,
+                take,
+                open_scene,
+                model,
+                pose_correctives,
+                picture,
+                match_scene,
+                render_setup,
+                wrist,
+                camera,
+                data,
             )
             done = 0.0
             while True:
@@ -148,6 +167,8 @@ def _steps(
     pose_correctives: bool,
     picture: bool,
     match_scene: bool,
+    render_setup: bool,
+    wrist: Wrist,
     own_camera: bpy.types.Object | None,
     data: bytes | None,
 ) -> Generator[float | None, None, BuiltTake]:
@@ -157,9 +178,11 @@ def _steps(
     models: dict[Side, HandModel] = {}
     warnings: list[str] = []
     for track in take.hands:
-        models[track.side] = load_model(model or take.model, track.side)
+        loaded = load_model(model or take.model, track.side)
+        warnings += _digest_warning(take, loaded)
         yield None
-        warnings += _digest_warning(take, models[track.side])
+        models[track.side] = with_wrist(loaded, wrist)
+        yield None
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
     timing = Timing() if match_scene else timing_in(scene, take)
     units = 1.0 / scene.unit_settings.scale_length
@@ -182,6 +205,14 @@ def _steps(
         camera = keep(build_camera(f"{name} camera", take, plate, scene=unmatched, units_per_metre=units))
         keep(camera.data)
         collection.objects.link(camera)
+    stage = []
+    if render_setup and match_scene and own_camera is None:
+        stage = set_up(scene, camera, take, plate)
+        for thing in stage:
+            keep(thing)
+            keep(thing.data)
+            made.extend(getattr(thing.data, "materials", ()))
+            collection.objects.link(thing)
 
     hands = []
     for track, shaped in zip(take.hands, shapes, strict=True):
@@ -223,7 +254,7 @@ def _steps(
     # From here on the artist sees it.
     describe_capture(collection, camera, timing)
     for index, armature in enumerate(hand.armature for hand in hands):
-        describe_hand(armature, collection, take, index)
+        describe_hand(armature, collection, take, index, wrist)
     if own_camera is not None and plate is not None:
         warnings += _show_behind_own(own_camera, plate, take, scene)
     scene.collection.children.link(collection)
@@ -234,6 +265,7 @@ def _steps(
         if own_camera is None:
             frame_scene(scene, take)
             scene.camera = camera
+            show_true_colors(scene, stage)
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)

@@ -6,10 +6,11 @@ import bpy
 import numpy as np
 
 from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model.nails import nail_polygons
 
 from .. import axes
-from ..blender_versions import use_nodes
 from .armature import bone_names
+from .materials import hand_materials
 
 _LEAST_WEIGHT = 1e-6
 """Weights below this move nothing visibly; they would only make every export larger"""
@@ -25,7 +26,10 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand) -> bpy.types.Obj
     mesh.from_pydata(axes.points_to_rest(shaped.vertices).tolist(), [], polygons.tolist())
     mesh.polygons.foreach_set("use_smooth", np.ones(len(polygons), dtype=bool))
     _set_uvs(mesh, *_texture_coordinates(model))
-    mesh.materials.append(_skin_material())
+    nails = nail_polygons(model)
+    for material in hand_materials(nails=bool(nails.any())):
+        mesh.materials.append(material)
+    mesh.polygons.foreach_set("material_index", nails.astype(np.int32))
     mesh.update()
 
     obj = bpy.data.objects.new(name, mesh)
@@ -61,23 +65,3 @@ def _palm_and_back(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 def _set_uvs(mesh: bpy.types.Mesh, uv: np.ndarray, uv_faces: np.ndarray) -> None:
     layer = mesh.uv_layers.new(name="UVMap")
     layer.data.foreach_set("uv", uv[uv_faces].astype(np.float32).ravel())
-
-
-def _skin_material() -> bpy.types.Material:
-    """A plain skin; the user's own material of that name is left alone."""
-    material = bpy.data.materials.new("Hand Skin")
-    nodes = use_nodes(material).nodes
-    material.diffuse_color = (0.80, 0.56, 0.45, 1.0)  # seen in Solid shading
-    shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
-    wanted = {
-        "Base Color": (0.62, 0.32, 0.22, 1.0),
-        "Roughness": 0.5,
-        "Subsurface Weight": 0.15,  # "Subsurface" before Blender 4.0
-        "Subsurface Radius": (1.0, 0.35, 0.2),
-        "Subsurface Scale": 0.004,
-    }
-    for name, value in wanted.items():
-        socket = shader.inputs.get(name)
-        if socket is not None:
-            socket.default_value = value
-    return material

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from handfit_core.hand_model import HandModel
+from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.skeleton import NUM_JOINTS, Side, other_side
 from handfit_core.take import HandTrack
 
@@ -54,7 +55,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     for from_bone, to_bone in zip(bone_names(hand.side), bone_names(side), strict=True):
         armature.pose.bones[to_bone].rotation_mode = source.pose.bones[from_bone].rotation_mode
     if hand.mesh is not None:
-        _add_mesh(hand.mesh, armature, model, betas)
+        _add_mesh(hand.mesh, armature, with_wrist(model, source.manient.wrist), betas)
 
     # What the rig shows and what its keys say, about the new bones.
     old, new = rest_frames(source, hand.side), rest_frames(armature, side)
@@ -213,4 +214,4 @@ def _keep(
     )
     describe(armature, take, mirrored)
     keep_take(hand.collection, take)
-    describe_hand(armature, hand.collection, take, len(take.hands) - 1)
+    describe_hand(armature, hand.collection, take, len(take.hands) - 1, hand.armature.manient.wrist)

@@ -26,6 +26,7 @@ from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
 from .plate import Plate, load_plate
+from .render_setup import SUNS, picture_card, sun
 
 LONGEST_SIDE = 1200
 """pixels of one half of a preview"""
@@ -36,9 +37,6 @@ _CLAY = (0.12, 0.42, 0.62, 1.0)
 """The hands' colour in previews: nothing in a photo of a hand has it, so that the two stay apart"""
 _MISSING = (0.18, 0.18, 0.18)
 """Shown where the picture file is gone"""
-
-# Degrees from the camera's axis (to the right, up), then strength in W/m2.
-_SUNS = ((-35.0, 45.0, 3.0), (50.0, 15.0, 1.2), (0.0, -40.0, 0.5))
 
 
 def render_preview(built: BuiltTake, take: Take, frame: int, path: Path) -> Path:
@@ -107,7 +105,7 @@ def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarr
     """
     with _scene(take, scale) as scene:
         camera = build_camera("preview plate", take, None)
-        card = _card(plate, take)
+        card = picture_card("preview card", plate, take, 1.0)
         try:
             for obj in (camera, card):
                 scene.collection.objects.link(obj)
@@ -154,7 +152,7 @@ def _render_hands(
     alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
     with _scene(take, scale) as scene:
-        lights = [_sun(*sun) for sun in _SUNS]
+        lights = [sun("preview light", *placed) for placed in SUNS]
         clay = bpy.data.materials.new("preview clay")
         use_nodes(clay).nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
         try:
@@ -215,43 +213,6 @@ def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:
         finally:
             bpy.data.images.remove(image)
     return pixels.reshape(height, width, 4)[::-1]
-
-
-def _card(plate: Plate, take: Take) -> bpy.types.Object:
-    """A glowing card, one metre in front of the camera, that fills its view with the picture."""
-    corners = np.array([[0, take.height], [take.width, take.height], [take.width, 0], [0, 0]], dtype=float)
-    mesh = bpy.data.meshes.new("preview card")
-    mesh.from_pydata(axes.points_to_world(take.intrinsics.rays(corners)).tolist(), [], [(0, 1, 2, 3)])
-    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
-    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.ravel())
-
-    material = bpy.data.materials.new("preview card")
-    tree = use_nodes(material)
-    tree.nodes.clear()
-    texture = tree.nodes.new("ShaderNodeTexImage")
-    texture.image = plate.image
-    texture.interpolation = "Closest"
-    texture.extension = "EXTEND"
-    plate.apply_timing(texture.image_user)
-    glow = tree.nodes.new("ShaderNodeEmission")
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(texture.outputs["Color"], glow.inputs["Color"])
-    tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
-    mesh.materials.append(material)
-    return bpy.data.objects.new("preview card", mesh)
-
-
-def _sun(right: float, up: float, strength: float) -> bpy.types.Object:
-    light = bpy.data.lights.new("preview light", "SUN")
-    light.energy = strength
-    light.angle = math.radians(20.0)
-    obj = bpy.data.objects.new("preview light", light)
-    azimuth, elevation = math.radians(right), math.radians(up)
-    # Shines from behind the camera, which looks along +Y.
-    towards = Vector((-math.sin(azimuth), math.cos(azimuth) * math.cos(elevation), -math.sin(elevation)))
-    obj.rotation_mode = "QUATERNION"
-    obj.rotation_quaternion = towards.to_track_quat("-Z", "Y")
-    return obj
 
 
 def _remove_with_data(*objects: bpy.types.Object) -> None:

@@ -1,9 +1,10 @@
 """A hand's shape follows its sliders: mesh, corrective shape keys, rest bones and keys together.
 
-What a shape is made from lies on the armature: `manient.betas` is what the artist wants, the custom property
-`betas` what the rig has. Whenever the two differ the hand is reshaped: at once in the background, else a
-moment later, so that a dragged slider does not wait for every step. Undo and redo bring back whole
-states of the file; should one lie in that moment, the same rule makes it whole again.
+What a shape is made from lies on the armature: `manient.betas` and `manient.forearm` are what the artist
+wants, the custom property `betas` and `manient.wrist` what rig and mesh have. Whenever these differ the hand
+is reshaped: at once in the background, else a moment later, so that a dragged slider does not wait for every
+step. Undo and redo bring back whole states of the file; should one lie in that moment, the same rule makes it
+whole again.
 
 Fingers keep their rotations and the wrist keeps its place: bones change their axes with the shape, so all
 keys are written anew about the new axes. What the artist did to the mesh stays on it, since vertices are
@@ -25,6 +26,7 @@ from mathutils import Vector
 
 from handfit_core.errors import HandfitError, HandModelError, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import Side
 
 from .. import axes
@@ -50,8 +52,9 @@ _troubles: dict[int, str] = {}
 _last_seconds = 0.0
 
 
-def betas_changed(armature: bpy.types.Object) -> None:
-    """Called whenever `armature.manient.betas` changes: reshape the hand now (background) or very soon."""
+def shape_changed(armature: bpy.types.Object) -> None:
+    """Called whenever the hand is to have other betas, or a forearm or none: reshape it now (background) or
+    very soon."""
     if is_current(armature):
         _troubles.pop(armature.session_uid, None)
         return
@@ -69,7 +72,15 @@ def is_current(armature: bpy.types.Object) -> bool:
     applied = armature.get(APPLIED)
     if not armature.manient.is_hand or applied is None:
         return True
-    return bool(np.allclose(list(applied), list(armature.manient.betas), rtol=0.0, atol=1e-6))
+    same = bool(np.allclose(list(applied), list(armature.manient.betas), rtol=0.0, atol=1e-6))
+    return same and _wanted_wrist(armature) == armature.manient.wrist
+
+
+def _wanted_wrist(armature: bpy.types.Object) -> Wrist:
+    """An open wrist has no vertices for a cap or a forearm."""
+    if armature.manient.wrist == "open":
+        return "open"
+    return "forearm" if armature.manient.forearm else "cap"
 
 
 def trouble(armature: bpy.types.Object) -> str | None:
@@ -78,7 +89,7 @@ def trouble(armature: bpy.types.Object) -> str | None:
 
 
 def reshape(armature: bpy.types.Object) -> None:
-    """Give mesh and rig the shape of `armature.manient.betas`, now.
+    """Give mesh and rig the shape of `armature.manient`, now.
 
     Data shared with other objects (linked duplicates) is made this hand's own first. Mode, active object and
     selection stay as they are. Raises HandModelError, OptionError and TakeError, and then changes nothing.
@@ -91,7 +102,9 @@ def reshape(armature: bpy.types.Object) -> None:
         raise OptionError(
             f"the bones of {armature.name!r} are linked from another file; make them local first"
         )
-    model = kept_model(hand.take.model, hand.side)
+    plain = kept_model(hand.take.model, hand.side)
+    wrist = _wanted_wrist(armature)
+    old_model, model = with_wrist(plain, armature.manient.wrist), with_wrist(plain, wrist)
     mesh = hand.mesh
     if mesh is not None and len(mesh.data.vertices) != len(model.v_template):
         raise HandModelError(
@@ -99,7 +112,7 @@ def reshape(armature: bpy.types.Object) -> None:
             f"{len(model.v_template)}; undo what changed them, or move the modifiers that you applied back"
         )
     field = corrections_of(armature)  # before anything is changed: they may not be readable
-    before = model.shaped(np.array(armature[APPLIED]))
+    before = old_model.shaped(np.array(armature[APPLIED]))
     betas = np.array(armature.manient.betas, dtype=np.float64)
     after = model.shaped(betas)
     with object_mode():
@@ -107,9 +120,11 @@ def reshape(armature: bpy.types.Object) -> None:
         old_frames = rest_frames(armature, hand.side)
         _reshape_rig(armature, hand.side, after)
         if mesh is not None:
-            _reshape_mesh(mesh, model, before, after, old_frames, rest_frames(armature, hand.side))
+            old, new = (old_model, before, old_frames), (model, after, rest_frames(armature, hand.side))
+            _reshape_mesh(mesh, old, new)
     _turn_corrections(armature, field, old_frames, rest_frames(armature, hand.side))
     armature[APPLIED] = [float(b) for b in betas]
+    armature.manient.wrist = wrist
     armature.update_tag()
     _troubles.pop(armature.session_uid, None)
 
@@ -162,7 +177,7 @@ def _after_time_travel(*_: Any) -> None:
     """Undo, redo and loading may end between a slider's change and the hand's."""
     for armature in [o for o in bpy.data.objects if o.type == "ARMATURE" and o.library is None]:
         if not is_current(armature):
-            betas_changed(armature)
+            shape_changed(armature)
 
 
 def _reshape_rig(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> None:
@@ -275,19 +290,18 @@ def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None
 
 def _reshape_mesh(
     obj: bpy.types.Object,
-    model: HandModel,
-    before: ShapedHand,
-    after: ShapedHand,
-    old_frames: np.ndarray,
-    frames: np.ndarray,
+    old: tuple[HandModel, ShapedHand, np.ndarray],
+    new: tuple[HandModel, ShapedHand, np.ndarray],
 ) -> None:
+    """`old` and `new`: the model with its wrist, its shape, and the bones' axes (16, 3, 3)."""
+    (old_model, before, old_frames), (model, after, frames) = old, new
     mesh = obj.data
     moved = axes.points_to_rest(after.vertices - before.vertices)
     _move(mesh.vertices, moved)
     if mesh.shape_keys is not None:
         turned = {}
         if model.has_pose_blendshapes:
-            change = _offsets(model, frames.tobytes()) - _offsets(model, old_frames.tobytes())
+            change = _offsets(model, frames.tobytes()) - _offsets(old_model, old_frames.tobytes())
             turned = _by_key_name(change, model.side)
         for key in mesh.shape_keys.key_blocks:
             _move(key.data, moved + turned.get(key.name, 0.0))

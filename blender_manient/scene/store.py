@@ -19,6 +19,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
+from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 
@@ -200,13 +201,15 @@ def describe_capture(
 
 
 def describe_hand(
-    armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int
+    armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int, wrist: Wrist
 ) -> None:
-    """Note on an armature, whose mesh is there already, which hand of which take it is."""
+    """Note on an armature which hand of which take it is; its mesh is there already and ends in `wrist`."""
     if kept_here():
         hand = armature.manient
         # The shape first: as long as this is no captured hand, its change rebuilds nothing.
         hand.betas = [float(b) for b in take.hands[index].betas]
+        hand.wrist = wrist
+        hand.forearm = wrist == "forearm"
         hand.side = take.hands[index].side
         hand.capture = collection
         hand.mesh = next(iter(_deformed_by(armature)), None)
@@ -236,8 +239,9 @@ def _mesh_of(armature: bpy.types.Object, take: Take, side: Side) -> bpy.types.Ob
         return found[0]
     if found:  # a copy of the hand's mesh, or only a glove over it
         with contextlib.suppress(HandModelError):
-            count = len(kept_model(take.model, side).v_template)
-            return next((o for o in found if len(o.data.vertices) == count), None)
+            model = kept_model(take.model, side)
+            counts = {len(m.v_template) for m in (model, with_wrist(model, "cap"))}
+            return next((o for o in found if len(o.data.vertices) in counts), None)
     return None
 
 

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.hand_model import ShapedHand
+from handfit_core.hand_model.forearm import wrist_ring
 from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import Side
 
@@ -34,20 +35,6 @@ class Arm:
     sleeve: Mesh | None
 
 
-def wrist_ring(side: Side) -> np.ndarray:
-    """Vertices of the mesh's open edge, in order around the wrist."""
-    polygons = model_of(side).polygons
-    ahead = np.roll(polygons, -1, axis=1)
-    edges = set(zip(polygons.ravel().tolist(), ahead.ravel().tolist(), strict=True))
-    # An open edge is one that no neighbour walks the other way.
-    following = {a: b for a, b in edges if (b, a) not in edges}
-    start = min(following)
-    ring = [start]
-    while (after := following[ring[-1]]) != start:
-        ring.append(after)
-    return np.array(ring)
-
-
 def forearm_direction(flexion: float, deviation: float, side: Side) -> np.ndarray:
     """(3,) unit vector from the wrist to the elbow, model frame; angles in radians, as a right hand's."""
     turn = rotvec_to_rotmat(np.array([0.0, deviation, 0.0])) @ rotvec_to_rotmat(np.array([0.0, 0.0, flexion]))
@@ -62,7 +49,7 @@ def build_arm(
 
     sleeve: where it starts behind the wrist and how wide it stands off, metres; None is a bare arm.
     """
-    edge = shaped.vertices[wrist_ring(side)]
+    edge = shaped.vertices[wrist_ring(model_of(side).polygons)]
     centre = edge.mean(axis=0)
     back = np.array([1.0 if side == "right" else -1.0, 0.0, 0.0])
     s = np.concatenate([np.linspace(0.0, _BEND, 9), np.linspace(_BEND, LENGTH, 12)[1:]])

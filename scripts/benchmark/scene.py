@@ -28,7 +28,7 @@ def build_scene(shot: Shot, samples: int) -> BuiltTake:
     """Replace the open file by the shot, ready to render; frame numbers are rows of the key frames."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     rng = np.random.default_rng(shot.look_seed)
-    built = build_take(shot.take(), picture=False)
+    built = build_take(shot.take(), picture=False, wrist="open", render_setup=False)
     scene = bpy.context.scene
     tone = skin_tone(rng)
     skin_material = skin(tone, rng)

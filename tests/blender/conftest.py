@@ -12,7 +12,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from handfit_core.camera import Intrinsics  # noqa: E402
-from handfit_core.hand_model import load_model, save_model_npz  # noqa: E402
+from handfit_core.hand_model import HandModel, load_model, save_model_npz  # noqa: E402
+from handfit_core.hand_model.forearm import with_wrist  # noqa: E402
 from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
 from handfit_core.take import HandTrack, Source, Take  # noqa: E402
@@ -102,11 +103,11 @@ def make_take(picture):
         intrinsics = fields.get("intrinsics", OFF_CENTRE)
         tracks, vertices, joints, digests = [], {}, {}, {}
         for side in sides:
-            hand = load_model(model, side)
+            hand = built_model(model, side)
             track, posed = _track(hand, side, len(frames), intrinsics, rng)
             tracks.append(track)
             vertices[side], joints[side] = posed.vertices, posed.joints
-            digests[side] = hand.digest
+            digests[side] = load_model(model, side).digest
         values = {
             "source": Source("photo", (str(picture),)),
             "fps": 30.0,
@@ -122,6 +123,11 @@ def make_take(picture):
         return Made(Take(**{**values, **fields}), vertices, joints)
 
     return make
+
+
+def built_model(model: str, side: Side) -> HandModel:
+    """The model with the forearm that hands are built with."""
+    return with_wrist(load_model(model, side), "forearm")
 
 
 def _track(hand, side: Side, count: int, intrinsics: Intrinsics, rng: np.random.Generator):

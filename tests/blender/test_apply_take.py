@@ -15,10 +15,9 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import corrections_of, keep_field
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
 from handfit_core.errors import OptionError
-from handfit_core.hand_model import load_model
 from handfit_core.take import Source
 
-from .conftest import evaluated_vertices, joint_heads, world
+from .conftest import built_model, evaluated_vertices, joint_heads, world
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
@@ -43,12 +42,12 @@ def active(hand):
 def expected_vertices(take, track, betas, mirrored: bool) -> np.ndarray:
     """(T, V, 3) the target's shape with the track's pose, its wrist where the source's is."""
     side = track.side
-    model = load_model(take.model, side)
+    model = built_model(take.model, side)
     moved = model.shaped(track.betas).joints[0] - model.shaped(betas).joints[0]
     if not mirrored:
         posed = model.posed(betas, track.global_orient, track.hand_pose, track.transl + moved)
         return world(posed.vertices)
-    other = load_model(take.model, "left" if side == "right" else "right")
+    other = built_model(take.model, "left" if side == "right" else "right")
     turn = np.array([1.0, -1.0, -1.0])
     place = (model.shaped(track.betas).joints[0] + track.transl) * MIRROR
     posed = other.posed(

@@ -66,7 +66,7 @@ def worst_joint_error(made, sides=("left", "right")) -> float:
 def worst_vertex_error(made) -> float:
     """Largest distance in metres from an imported vertex to the model's vertex nearest to it."""
     worst = 0.0
-    meshes = [o for o in bpy.data.objects if o.type == "MESH"]
+    meshes = [o for o in bpy.data.objects if o.type == "MESH" and not o.hide_viewport]
     assert len(meshes) == len(made.vertices)
     for row, frame in made.seen:
         bpy.context.scene.frame_set(frame)

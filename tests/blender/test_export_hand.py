@@ -15,10 +15,9 @@ from blender_manient.scene import export
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from handfit_core.hand_model import load_model
 from handfit_core.take import Take
 
-from .conftest import UNSEEN, evaluated_vertices, joint_heads, world
+from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world
 from .fbx_file import read_fbx
 
 BETAS = np.array([1.0, -1.0, 0.5, 0.0, 1.5, -0.5, 0.3, 0.0, -1.0, 0.8])
@@ -334,7 +333,7 @@ def test_the_take_has_the_artists_shape_and_keys(make_take, tmp_path):
     take = Take.load(write(tmp_path / "mine.npz", file_format="npz"))
     (track,) = take.hands
     np.testing.assert_allclose(track.betas, BETAS, atol=1e-6)
-    model = load_model("open-hand", "right")
+    model = built_model("open-hand", "right")
     row, frame = made.seen[4]
     bpy.context.scene.frame_set(frame)
     posed = model.posed(track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row])
@@ -502,7 +501,7 @@ def test_frames_that_the_artist_posed_count_as_filled(make_take, tmp_path):
     assert np.isnan(track.reprojection_error[UNSEEN])
     bpy.context.scene.frame_set(int(frame))
     shown = evaluated_vertices(built.hands[0].mesh)
-    model = load_model("open-hand", "right")
+    model = built_model("open-hand", "right")
     posed = model.posed(
         track.betas, track.global_orient[UNSEEN], track.hand_pose[UNSEEN], track.transl[UNSEEN]
     )

@@ -19,9 +19,8 @@ from blender_manient.scene.corrections import clear_corrections, correct_frame, 
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
-from handfit_core.hand_model import load_model
 
-from .conftest import evaluated_vertices, joint_heads, world
+from .conftest import built_model, evaluated_vertices, joint_heads, world
 
 BETAS = np.array([1.5, -2.0, 1.0, 0.5, -1.0, 2.0, -0.5, 1.0, -1.5, 0.7])
 
@@ -35,7 +34,7 @@ def registered(empty_file):
 
 def expected_vertices(made, side, betas) -> np.ndarray:
     """(T, V, 3) the model with another shape, the same pose, and its wrist where it was."""
-    model = load_model(made.take.model, side)
+    model = built_model(made.take.model, side)
     track = next(t for t in made.take.hands if t.side == side)
     moved = model.shaped(track.betas).joints[0] - model.shaped(betas).joints[0]
     posed = model.posed(betas, track.global_orient, track.hand_pose, track.transl + moved)
@@ -125,7 +124,7 @@ def test_an_undo_step_between_slider_and_hand_is_made_whole(make_take, monkeypat
     name = built.hands[0].armature.name
     bpy.ops.ed.undo_push(message="captured")
     with monkeypatch.context() as later:
-        later.setattr(reshape, "betas_changed", lambda _armature: None)
+        later.setattr(reshape, "shape_changed", lambda _armature: None)
         bpy.data.objects[name].manient.betas = BETAS
     bpy.ops.ed.undo_push(message="slider")
     assert not reshape.is_current(bpy.data.objects[name])
@@ -206,8 +205,8 @@ def test_what_the_artist_did_to_the_mesh_stays(make_take, model):
     for owner in (hand.mesh.data.vertices, points):
         if owner is not None:
             owner[7].co.x += 0.02
-    before = load_model(made.take.model, "right").shaped(made.take.hands[0].betas).vertices
-    after = load_model(made.take.model, "right").shaped(BETAS).vertices
+    before = built_model(made.take.model, "right").shaped(made.take.hands[0].betas).vertices
+    after = built_model(made.take.model, "right").shaped(BETAS).vertices
     hand.armature.manient.betas = BETAS
     expected = after @ REST_FROM_MODEL.T
     expected[7, 0] += 0.02

@@ -13,7 +13,7 @@ from blender_manient.scene.build import build_take
 from handfit_core.hand_model import load_model
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, PARENTS
 
-from .conftest import HEIGHT, WIDTH, evaluated_vertices, joint_heads, world
+from .conftest import HEIGHT, WIDTH, built_model, evaluated_vertices, joint_heads, world
 
 
 def test_evaluated_mesh_is_the_posed_model(make_take, model, record_property):
@@ -171,7 +171,7 @@ def test_two_hands_are_two_rigs(make_take):
 def test_mesh_has_uvs_smooth_faces_and_skin(make_take, model):
     made = make_take(model=model, sides=("right",))
     mesh = build_take(made.take).hands[0].mesh.data
-    polygons = load_model(model, "right").polygons
+    polygons = built_model(model, "right").polygons
     assert len(mesh.polygons) == len(polygons)
     assert all(p.use_smooth for p in mesh.polygons)
     uv = np.empty((len(mesh.loops), 2), dtype=np.float32)

@@ -109,7 +109,7 @@ def test_frame_rate(make_take, fps):
 
 
 def test_scene_gets_range_size_and_camera(make_take):
-    built = build_take(make_take().take)
+    built = build_take(make_take().take, render_setup=False)
     scene = bpy.context.scene
     assert (scene.frame_start, scene.frame_end, scene.frame_current) == (3, 18, 3)
     assert (scene.render.resolution_x, scene.render.resolution_y) == (160, 120)

@@ -19,7 +19,7 @@ from tests.window.blender_window import BlenderWindow, shader_cache
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
 ADDON = "bl_ext.user_default.manient"
 HARNESS = ("inside", "scenarios", "start_blender.sh")
-OPEN_HAND_VERTICES = 1609
+OPEN_HAND_VERTICES = 1810
 BLENDERS_OWN = (
     "cache/blender/gl-shader-cache/*",
     "cache/thumbnails/*",

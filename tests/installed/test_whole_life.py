@@ -12,7 +12,7 @@ import pytest
 from tests.installed.sealed import MARK, ROOT, Finished, Sealed
 
 FRAMES = (1, 40)
-OPEN_HAND_VERTICES = 1609
+OPEN_HAND_VERTICES = 1810
 BLENDERS_OWN = {
     "cache/thumbnails/fail/blender/",
     "cache/thumbnails/large/",

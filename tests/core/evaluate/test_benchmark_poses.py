@@ -10,7 +10,6 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, TIP_KEYPOINTS
-from scripts.benchmark.arm import wrist_ring
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.contact import penetration, segment_distance
 from scripts.benchmark.grasp import random_grasp
@@ -238,18 +237,6 @@ def test_what_stands_before_a_point_hides_it() -> None:
     assert hidden_by(points, start, end, np.array([0.05])) == 1
     square = np.array([[0.0, 0.0], [10, 0], [10, 10], [0, 10], [5, 5]])
     assert covered_by(np.array([[5.0, 9.0], [11, 5], [1, 1]]), square) == 2
-
-
-def test_the_wrist_ring_is_the_mesh_s_open_edge() -> None:
-    model = load_model(None, "right")
-    edges: dict[tuple[int, ...], int] = {}
-    for polygon in model.polygons.tolist():
-        for pair in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-            key = tuple(sorted(pair))
-            edges[key] = edges.get(key, 0) + 1
-    ring = wrist_ring("right").tolist()
-    around = {tuple(sorted(pair)) for pair in zip(ring, ring[1:] + ring[:1], strict=True)}
-    assert around == {key for key, count in edges.items() if count == 1}
 
 
 def test_clips_move_smoothly_and_at_a_hand_s_speed(clip: Shot) -> None:

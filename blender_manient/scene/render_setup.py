@@ -1,0 +1,123 @@
+"""What makes a capture's first render show the hands, lit, in their picture.
+
+The picture glows on a card far behind the hands rather than in the compositor: that works alike in every
+engine and every Blender, follows clips as the camera's background does, and leaves the artist's compositing
+alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from handfit_core.take import Take
+
+from .. import axes
+from ..blender_versions import use_nodes
+from .camera import put_before
+from .plate import Plate
+
+SUNS = ((-35.0, 45.0, 3.0), (50.0, 15.0, 1.2), (0.0, -40.0, 0.5))
+"""Degrees from the camera's axis (to the right, up), then strength in W/m2"""
+_CARD = "hand_picture"
+"""Custom property of the cards, by which a later capture finds an earlier one's"""
+_CARD_PLACE = 0.9
+"""of the camera's far clip distance"""
+_START_UP_LIGHT = (4.07625, 1.00545, 5.90386)
+
+
+def set_up(
+    scene: bpy.types.Scene, camera: bpy.types.Object, take: Take, plate: Plate | None
+) -> list[bpy.types.Object]:
+    """Lights and a card with the picture, hung on the capture's camera; linked to no collection yet.
+
+    There are no lights where the scene has its own, and no card without a plate. Call `show_true_colors` for
+    the scene that gets them.
+    """
+    made = []
+    if not _is_lit(scene):
+        made = [sun(f"{camera.name} light", *placed) for placed in SUNS]
+    if plate is not None:
+        card = picture_card(f"{camera.name} picture", plate, take, _CARD_PLACE * camera.data.clip_end)
+        card[_CARD] = True
+        card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
+        # It is a picture, not a thing: it neither lights the hands nor stands in a light's way.
+        card.visible_diffuse = card.visible_glossy = card.visible_transmission = False
+        card.visible_volume_scatter = card.visible_shadow = False
+        made.append(card)
+    for thing in made:
+        put_before(thing, camera)
+    return made
+
+
+def show_true_colors(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
+    """Where `made` has a card, hide those of earlier captures, and show its picture with its own colours if
+    nobody has chosen how the scene shows colours: what Blender starts with washes pictures out."""
+    if not any(_CARD in thing for thing in made):
+        return
+    for thing in scene.objects:
+        if _CARD in thing and thing not in made:
+            thing.hide_render = True
+    view = scene.view_settings
+    untouched = view.look == "None" and view.exposure == 0.0 and view.gamma == 1.0
+    if view.view_transform == "AgX" and untouched:
+        view.view_transform = "Standard"
+
+
+def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.types.Object:
+    """A glowing card that fills the view of a camera at the world's origin with the picture, at that distance
+    before it."""
+    corners = np.array([[0, take.height], [take.width, take.height], [take.width, 0], [0, 0]], dtype=float)
+    mesh = bpy.data.meshes.new(name)
+    points = distance * axes.points_to_world(take.intrinsics.rays(corners))
+    mesh.from_pydata(points.tolist(), [], [(0, 1, 2, 3)])
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.ravel())
+
+    material = bpy.data.materials.new(name)
+    tree = use_nodes(material)
+    tree.nodes.clear()
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = plate.image
+    texture.interpolation = "Closest"
+    texture.extension = "EXTEND"
+    plate.apply_timing(texture.image_user)
+    glow = tree.nodes.new("ShaderNodeEmission")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(texture.outputs["Color"], glow.inputs["Color"])
+    tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
+    mesh.materials.append(material)
+    return bpy.data.objects.new(name, mesh)
+
+
+def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object:
+    """A soft sun from behind a camera at the world's origin that looks along +Y; see `SUNS`."""
+    light = bpy.data.lights.new(name, "SUN")
+    light.energy = strength
+    light.angle = math.radians(20.0)
+    obj = bpy.data.objects.new(name, light)
+    azimuth, elevation = math.radians(right), math.radians(up)
+    towards = Vector((-math.sin(azimuth), math.cos(azimuth) * math.cos(elevation), -math.sin(elevation)))
+    obj.rotation_mode = "QUATERNION"
+    obj.rotation_quaternion = towards.to_track_quat("-Z", "Y")
+    return obj
+
+
+def _is_lit(scene: bpy.types.Scene) -> bool:
+    """Whether the artist has seen to light: with a lamp, or a sky or a picture as world."""
+    if any(o.type == "LIGHT" and not _is_start_up_light(o) for o in scene.objects):
+        return True
+    tree = scene.world.node_tree if scene.world is not None else None
+    return tree is not None and any(n.type in ("TEX_ENVIRONMENT", "TEX_SKY") for n in tree.nodes)
+
+
+def _is_start_up_light(thing: bpy.types.Object) -> bool:
+    """Whether nobody has done anything to it yet; it stands too far off to light a hand."""
+    light = thing.data
+    moved = (thing.matrix_world.translation - Vector(_START_UP_LIGHT)).length > 1e-3
+    if moved or thing.animation_data is not None:
+        return False
+    return thing.name == "Light" and light.type == "POINT" and light.energy == 1000.0
