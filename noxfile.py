@@ -53,7 +53,7 @@ def fetch_landmark_model(session: nox.Session) -> None:
 
 @nox.session(python=PYTHON)
 def demo(session: nox.Session) -> None:
-    """Capture the bundled sample, or the files given after `--`, into out/demo/."""
+    """Capture the bundled samples, or the files given after `--`, into out/demo/."""
     install(session, *RUN_TIME, DEMO_BPY)
     fetch_landmark_model(session)
     session.run("python", "scripts/demo.py", *session.posargs)

@@ -9,15 +9,15 @@ import bpy
 from ..blender_versions import use_nodes
 
 _SKIN = {
-    "Base Color": (0.60, 0.335, 0.235, 1.0),
+    "Base Color": (0.54, 0.28, 0.185, 1.0),
     "Roughness": 0.48,
-    "Subsurface Weight": 0.12,
+    "Subsurface Weight": 0.1,
     "Subsurface Radius": (1.0, 0.35, 0.2),
     "Subsurface Scale": 0.004,
     "Specular IOR Level": 0.4,
 }
 _NAILS = {
-    "Base Color": (0.68, 0.42, 0.345, 1.0),
+    "Base Color": (0.58, 0.335, 0.26, 1.0),
     "Roughness": 0.22,
     "Subsurface Weight": 0.1,
     "Subsurface Radius": (1.0, 0.45, 0.35),

@@ -31,38 +31,46 @@ from .render_setup import SUNS, picture_card, sun
 LONGEST_SIDE = 1200
 """pixels of one half of a preview"""
 _SAMPLES = 16
+_SKIN_SAMPLES = 64
+"""Skin scatters light, which clay does not"""
 _OPACITY = 0.85
-"""How much of the hand covers the picture; the rest lets its outline be compared"""
+"""How much of a hand of clay covers the picture; the rest lets its outline be compared"""
 _CLAY = (0.12, 0.42, 0.62, 1.0)
-"""The hands' colour in previews: nothing in a photo of a hand has it, so that the two stay apart"""
+"""The hands' colour where fits are compared: nothing in a photo of a hand has it, so that the two stay apart"""
 _MISSING = (0.18, 0.18, 0.18)
 """Shown where the picture file is gone"""
 
 
 def render_preview(built: BuiltTake, take: Take, frame: int, path: Path) -> Path:
-    """Write a PNG: left the picture, right the same with the hands over it through the solved camera.
+    """Write a PNG: left the picture, right the same with the hands over it through the solved camera, opaque
+    and in their own materials.
 
     `frame` is a source frame number. The longer side of each half is at most `LONGEST_SIDE` pixels.
     Raises OutputError.
     """
-    rows = preview_rows(built, take, [frame])[0]
+    rows = preview_rows(built, take, [frame], clay=False)[0]
     return write_png(rows, path)
 
 
-def preview_rows(built: BuiltTake, take: Take, frames: Sequence[int]) -> list[np.ndarray]:
-    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
+def preview_rows(
+    built: BuiltTake, take: Take, frames: Sequence[int], *, clay: bool = True
+) -> list[np.ndarray]:
+    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top.
+
+    The hands are of clay that lets some of the picture through, or opaque and in their own materials.
+    """
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
     plate, _ = load_plate(take)
     previews = []
     try:
         for frame in frames:
-            hands = _render_hands(built, take, frame, scale)
+            hands = _render_hands(built, take, frame, scale, clay=clay)
             height, width = hands.shape[:2]
             if plate is None:
                 picture = np.broadcast_to(np.array(_MISSING), (height, width, 3))
             else:
                 picture = render_plate(plate, take, frame, scale)[..., :3]
-            alpha = hands[..., 3:] * _OPACITY
+            alpha = hands[..., 3:] * (_OPACITY if clay else 1.0)
             previews.append(np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1))
     finally:
         if plate is not None:
@@ -146,15 +154,21 @@ def spread_frames(take: Take, count: int) -> list[int]:
 
 
 def _render_hands(
-    built: BuiltTake, take: Take, frame: int, scale: float, camera: bpy.types.Object | None = None
+    built: BuiltTake,
+    take: Take,
+    frame: int,
+    scale: float,
+    camera: bpy.types.Object | None = None,
+    *,
+    clay: bool = True,
 ) -> np.ndarray:
     """The hands of that frame over nothing, through the solved camera or another: rows (H, W, 4), straight
     alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
     with _scene(take, scale) as scene:
         lights = [sun("preview light", *placed) for placed in SUNS]
-        clay = bpy.data.materials.new("preview clay")
-        use_nodes(clay).nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
+        material = bpy.data.materials.new("preview clay")
+        use_nodes(material).nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
         try:
             for light in lights:
                 scene.collection.objects.link(light)
@@ -165,14 +179,14 @@ def _render_hands(
             if camera is not None:
                 scene.collection.objects.link(camera)
             scene.camera = camera or built.camera
-            scene.view_layers[0].material_override = clay
+            scene.view_layers[0].material_override = material if clay else None
             scene.render.film_transparent = True
-            scene.cycles.samples = _SAMPLES
+            scene.cycles.samples = _SAMPLES if clay else _SKIN_SAMPLES
             scene.cycles.max_bounces = 2
             return _render(scene, frame)
         finally:
             _remove_with_data(*lights)
-            bpy.data.materials.remove(clay)
+            bpy.data.materials.remove(material)
 
 
 @contextlib.contextmanager

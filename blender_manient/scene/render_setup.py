@@ -20,8 +20,8 @@ from ..blender_versions import use_nodes
 from .camera import put_before
 from .plate import Plate
 
-SUNS = ((-35.0, 45.0, 3.0), (50.0, 15.0, 1.2), (0.0, -40.0, 0.5))
-"""Degrees from the camera's axis (to the right, up), then strength in W/m2"""
+SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
+"""Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
 _CARD = "hand_picture"
 """Custom property of the cards, by which a later capture finds an earlier one's"""
 _CARD_PLACE = 0.9

@@ -1,0 +1,119 @@
+"""Models with a closed wrist: watertight, the model's own where it was, and shaped as the model is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model.forearm import with_wrist, wrist_ring
+from handfit_core.skeleton import SIDES
+
+
+@pytest.fixture(params=["quads", "triangles"])
+def model(request) -> HandModel:
+    """The open hand; and as MANO's files are, of triangles without texture, with pose directions."""
+    hand = load_model(None, "right")
+    if request.param == "quads":
+        return hand
+    posedirs = np.random.default_rng(0).normal(scale=1e-3, size=hand.posedirs.shape)
+    return replace(hand, quads=None, uv=None, uv_faces=None, posedirs=posedirs)
+
+
+def walked_edges(polygons: np.ndarray) -> list[tuple[int, int]]:
+    return list(zip(polygons.ravel().tolist(), np.roll(polygons, -1, axis=1).ravel().tolist(), strict=True))
+
+
+def test_the_wrist_ring_is_the_open_edge(model):
+    edges = set(walked_edges(model.polygons))
+    ring = wrist_ring(model.polygons).tolist()
+    around = set(zip(ring, ring[1:] + ring[:1], strict=True))
+    assert around == {(a, b) for a, b in edges if (b, a) not in edges}
+
+
+@pytest.mark.parametrize("wrist", ["cap", "forearm"])
+def test_the_mesh_is_closed_and_faces_outward(model, wrist):
+    closed = with_wrist(model, wrist)
+    for polygons in (closed.polygons, closed.faces):
+        edges = walked_edges(polygons)
+        assert len(edges) == len(set(edges))
+        assert {(b, a) for a, b in edges} == set(edges), "every edge is walked once in each direction"
+    corners = closed.v_template[closed.faces]
+    volume = np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    assert 2e-4 < volume < 8e-4, "cubic metres of a hand, counted positive if faces look outward"
+    assert wrist_ring(closed.polygons).size == 0
+    assert with_wrist(closed, wrist) is closed, "there is nothing to close"
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_what_is_the_models_stays_as_it_is(side):
+    own = load_model(None, side)
+    count = len(own.v_template)
+    rng = np.random.default_rng(1)
+    pose = (rng.normal(size=10), rng.normal(size=3), rng.normal(scale=0.3, size=45), rng.normal(size=3))
+    for closed in (with_wrist(own, "cap"), with_wrist(own, "forearm")):
+        posed, expected = closed.posed(*pose), own.posed(*pose)
+        np.testing.assert_allclose(posed.vertices[:count], expected.vertices, atol=1e-9)
+        np.testing.assert_allclose(posed.keypoints, expected.keypoints, atol=1e-9)
+        np.testing.assert_array_equal(closed.polygons[: len(own.polygons)], own.polygons)
+        np.testing.assert_array_equal(closed.faces[: len(own.faces)], own.faces)
+    assert with_wrist(own, "open") is own
+
+
+@pytest.mark.parametrize("wrist", ["cap", "forearm"])
+def test_shape_and_pose_directions_carry_over(model, wrist):
+    """Closing a shaped hand and shaping a closed one are the same."""
+    betas = np.array([1.5, -2.0, 1.0, 0.5, -1.0, 2.0, -0.5, 1.0, -1.5, 0.7])
+    first_shaped = with_wrist(replace(model, v_template=model.shaped(betas).vertices), wrist)
+    np.testing.assert_allclose(
+        with_wrist(model, wrist).shaped(betas).vertices, first_shaped.v_template, atol=1e-12
+    )
+    moved = model.v_template + model.posedirs[..., 7]
+    first_moved = with_wrist(replace(model, v_template=moved), wrist).v_template
+    closed = with_wrist(model, wrist)
+    np.testing.assert_allclose(closed.v_template + closed.posedirs[..., 7], first_moved, atol=1e-12)
+
+
+def test_the_forearm_is_a_wrist_and_no_pipe(model):
+    closed = with_wrist(model, "forearm")
+    size = len(wrist_ring(model.polygons))
+    rings = closed.v_template[len(model.v_template) : -1].reshape(-1, size, 3)
+    thickness, breadth = np.ptp(rings[..., 1], axis=1), np.ptp(rings[..., 2], axis=1)
+    edge = closed.v_template[wrist_ring(model.polygons)]
+    whole = slice(0, 7)  # the last rings round off the end
+    assert (breadth[whole] > 1.2 * thickness[whole]).all(), "a wrist is broader than thick"
+    narrowest = int(breadth[whole].argmin())
+    assert 0 < narrowest < 6, "it is narrowest between the hand and the forearm"
+    assert breadth[6] > 1.05 * breadth[narrowest]
+    assert 0.05 < np.ptp(closed.v_template[:, 0]) - np.ptp(model.v_template[:, 0]) < 0.08
+    assert np.abs(rings[0] - edge).max() < 0.008, "it goes on where the hand ends"
+
+
+def test_the_cap_stays_close_to_the_wrist(model):
+    cap, open_ = with_wrist(model, "cap"), with_wrist(model, "open")
+    assert np.ptp(cap.v_template[:, 0]) - np.ptp(open_.v_template[:, 0]) < 0.012
+
+
+def test_the_left_wrist_mirrors_the_right(model):
+    right, left = (with_wrist(load_model(None, side), "forearm") for side in ("right", "left"))
+    flipped = right.v_template * np.array([-1.0, 1.0, 1.0])
+    distance = np.linalg.norm(left.v_template[:, None] - flipped[None], axis=-1).min(axis=1)
+    assert distance.max() < 1e-3
+
+
+def test_the_texture_goes_on_from_the_edge():
+    model = load_model(None, "right")
+    closed = with_wrist(model, "forearm")
+    added = closed.uv[closed.uv_faces[len(model.quads) :]]
+    assert added.min() >= 0.0
+    assert added.max() <= 1.0
+    first = added[: len(wrist_ring(model.quads)), :2]  # the side of each polygon that lies at the edge
+    distance = np.linalg.norm(first[:, :, None] - model.uv[None, None], axis=-1).min(axis=-1)
+    np.testing.assert_allclose(distance, 0.0, atol=1e-12)
+
+
+def test_vertices_behind_the_wrist_follow_the_wrist_alone(model):
+    weights = with_wrist(model, "forearm").weights[len(model.v_template) :]
+    np.testing.assert_array_equal(weights, np.eye(16)[np.zeros(len(weights), dtype=int)])
