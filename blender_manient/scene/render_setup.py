@@ -26,6 +26,8 @@ _CARD = "hand_picture"
 """Custom property of the cards, by which a later capture finds an earlier one's"""
 _CARD_PLACE = 0.9
 """of the camera's far clip distance"""
+_BEYOND = 0.05
+"""of the picture's width and height"""
 _START_UP_LIGHT = (4.07625, 1.00545, 5.90386)
 
 
@@ -69,13 +71,13 @@ def show_true_colors(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> No
 
 def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.types.Object:
     """A glowing card that fills the view of a camera at the world's origin with the picture, at that distance
-    before it."""
-    corners = np.array([[0, take.height], [take.width, take.height], [take.width, 0], [0, 0]], dtype=float)
+    before it. It reaches a little beyond the view, since a render's outermost pixels see beyond it too."""
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1.0 + 2.0 * _BEYOND) - _BEYOND
+    corners = (uv * [1.0, -1.0] + [0.0, 1.0]) * [take.width, take.height]
     mesh = bpy.data.meshes.new(name)
     points = distance * axes.points_to_world(take.intrinsics.rays(corners))
     mesh.from_pydata(points.tolist(), [], [(0, 1, 2, 3)])
-    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
-    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.ravel())
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.astype(np.float32).ravel())
 
     material = bpy.data.materials.new(name)
     tree = use_nodes(material)

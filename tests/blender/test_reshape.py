@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.axes import REST_FROM_MODEL
+from blender_manient.axes import REST_FROM_MODEL, points_to_rest
 from blender_manient.blender_versions import channels
 from blender_manient.correction_field import Correction, CorrectionField
 from blender_manient.scene import reshape
@@ -17,8 +17,11 @@ from blender_manient.scene.armature import bone_names, rest_frames
 from blender_manient.scene.build import BuiltHand, BuiltTake, build_take
 from blender_manient.scene.corrections import clear_corrections, correct_frame, corrections_of, keep_field
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
+from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.forearm import with_wrist
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 
@@ -387,3 +390,55 @@ def test_fields_of_corrections_turn_with_the_bones(make_take):
     found = corrections_of(armature).corrections[4]
     np.testing.assert_allclose(new[5] @ found.rotation[5], old[5] @ rotation[5], atol=1e-6)
     np.testing.assert_allclose(new[0] @ found.location, old[0] @ [0.01, 0.0, 0.02], atol=1e-6)
+
+
+@pytest.mark.parametrize("with_correctives", [False, True])
+def test_the_forearm_can_be_hidden(make_take, with_correctives):
+    """Hidden, a cap closes the wrist in the same vertices; shown again, all is
+    as it was."""
+    made = make_take(sides=("right",))
+    (hand,) = build_take(made.take).hands
+    if with_correctives:  # shape keys are moved along
+        hand.mesh.shape_key_add(name="Basis")
+        hand.mesh.shape_key_add(name="mine").value = 1.0
+    before = evaluated_vertices(hand.mesh)
+    plain = load_model("open-hand", "right")
+    count = len(plain.v_template)
+    hand.armature.manient.forearm = False
+    row, frame = made.seen[0]
+    track = made.take.hands[0]
+    cap = with_wrist(plain, "cap").posed(
+        track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row]
+    )
+    bpy.context.scene.frame_set(frame)
+    np.testing.assert_allclose(evaluated_vertices(hand.mesh), world(cap.vertices), atol=1e-5)
+    hand.armature.manient.betas = BETAS  # the shape of what is shown now
+    hand.armature.manient.betas = track.betas
+    np.testing.assert_allclose(evaluated_vertices(hand.mesh), world(cap.vertices), atol=1e-5)
+    hand.armature.manient.forearm = True
+    np.testing.assert_allclose(evaluated_vertices(hand.mesh), before, atol=1e-5)
+    assert np.abs(before[count:] - world(cap.vertices)[count:]).max() > 0.04
+    np.testing.assert_allclose(before[:count], world(cap.vertices)[:count], atol=1e-5)
+
+
+def test_hands_with_an_open_wrist_stay_open(make_take):
+    """As every hand of a file from before there were forearms."""
+    made = make_take(sides=("right",))
+    (hand,) = build_take(made.take, wrist="open").hands
+    hand.armature.manient.forearm = True
+    hand.armature.manient.betas = BETAS
+    assert reshape.is_current(hand.armature)
+    assert len(hand.mesh.data.vertices) == len(load_model("open-hand", "right").v_template)
+
+
+def test_the_mirror_image_has_the_wrist_that_is_shown(make_take):
+    made = make_take(sides=("right",))
+    (hand,) = build_take(made.take).hands
+    hand.armature.manient.forearm = False
+    mirrored = mirror_hand(hand_of(hand.armature))
+    assert (mirrored.manient.wrist, mirrored.manient.forearm) == ("cap", False)
+    mirrored.manient.forearm = True
+    model = with_wrist(load_model("open-hand", "left"), "forearm")
+    found = np.array([v.co for v in hand_of(mirrored).mesh.data.vertices])
+    shaped = model.shaped(made.take.hands[0].betas)
+    np.testing.assert_allclose(found, points_to_rest(shaped.vertices), atol=1e-6)

@@ -17,3 +17,12 @@ def test_buttons(blender, photo):
     assert len(played["assets"]) == 1
     assert played["exported"][0] == "FINISHED"
     assert played["exported"][1] > 10_000
+
+
+def test_the_first_render_shows_the_hand_in_the_picture(blender, photo):
+    played = blender.play("shaping.first_render", source=str(photo)).value
+    assert played["engine"].startswith("BLENDER_EEVEE")
+    assert played["lights"] == 3
+    assert played["like the photo"] > 0.5
+    assert 0.02 < played["hand"] < 0.5
+    assert played["forearm"] > 0.002, "the forearm can be hidden"

@@ -56,6 +56,48 @@ def buttons(stage, source):
     }
 
 
+def first_render(stage, source):
+    """F12 after a first capture, in the engine that Blender starts with; then the same without a forearm."""
+    yield from stage.open_sidebar()
+    yield from capture(stage, source)
+    (armature,) = hands()
+    scene = bpy.context.scene
+    scene.render.resolution_percentage = 50
+    scene.eevee.taa_render_samples = 8
+    shown = {}
+    for name, forearm in (("forearm", True), ("cap", False)):
+        armature.manient.forearm = forearm
+        yield 0.5
+        yield from stage.screenshot(f"wrist-{name}")
+        path = Path(source).with_name(f"{name}.png")
+        scene.render.filepath = str(path)
+        with stage.override():
+            bpy.ops.render.render(write_still=True)
+        shown[name] = _pixels(path)
+    photo = _pixels(Path(source))
+    height, width = shown["cap"].shape[:2]
+    rows, columns = (
+        np.linspace(0, s - 1, n).astype(int) for s, n in zip(photo.shape, (height, width), strict=False)
+    )
+    off = np.abs(shown["cap"] - photo[np.ix_(rows, columns)]).mean(axis=-1)
+    return {
+        "engine": scene.render.engine,
+        "lights": len([o for o in scene.objects if o.type == "LIGHT" and o.name != "Light"]),
+        "like the photo": float((off < 0.05).mean()),
+        "hand": float((off > 0.1).mean()),
+        "forearm": float((np.abs(shown["forearm"] - shown["cap"]).mean(axis=-1) > 0.1).mean()),
+    }
+
+
+def _pixels(path: Path) -> np.ndarray:
+    """Rows (H, W, 3) of a file's own values 0..1."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    image.colorspace_settings.name = "Non-Color"
+    pixels = np.empty(len(image.pixels), dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(image.size[1], image.size[0], 4)[..., :3]
+
+
 def _mesh(armature) -> np.ndarray:
     mesh = next(child for child in armature.children if child.type == "MESH").data
     points = np.empty((len(mesh.vertices), 3), dtype=np.float32)

@@ -1,0 +1,185 @@
+"""The first F12 after a capture: the hands, lit, in their picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from blender_manient.scene import render_setup
+from blender_manient.scene.build import build_take
+from handfit_core.take import Source
+
+from .conftest import HEIGHT, WIDTH, world, write_png
+
+
+@pytest.fixture
+def start_up() -> bpy.types.Scene:
+    """The scene that Blender starts with; its cube, in which the camera will stand, is out of the way."""
+    bpy.ops.wm.read_factory_settings()
+    bpy.data.objects["Cube"].hide_render = True
+    return bpy.context.scene
+
+
+def rendered(scene: bpy.types.Scene, path: Path) -> np.ndarray:
+    """Press F12, few samples: rows (H, W, 3) of sRGB values 0..1, the first row on top."""
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = 8
+    scene.cycles.use_denoising = False
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path), check_existing=False)
+    image.colorspace_settings.name = "Non-Color"
+    pixels = np.empty(len(image.pixels), dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
+
+
+def ramp() -> np.ndarray:
+    """The picture of conftest: red grows to the right, green downwards."""
+    rows = np.full((HEIGHT, WIDTH, 3), 0.25)
+    rows[..., 0] = np.linspace(0, 1, WIDTH)
+    rows[..., 1] = np.linspace(0, 1, HEIGHT)[:, None]
+    return rows
+
+
+def hand_pixels(made, row: int) -> np.ndarray:
+    """(N, 2) columns and rows of the hands' vertices."""
+    pixels = np.concatenate([made.take.intrinsics.project(v[row]) for v in made.vertices.values()])
+    return np.floor(pixels).astype(int)
+
+
+def own(collection: bpy.types.Collection, kind: str) -> list[bpy.types.Object]:
+    return [o for o in collection.all_objects if o.type == kind]
+
+
+def test_the_first_render_shows_lit_hands_in_their_picture(make_take, start_up, tmp_path):
+    made = make_take()
+    build_take(made.take)
+    row, frame = made.seen[2]
+    start_up.frame_set(frame)
+    shown = rendered(start_up, tmp_path / "f12.png")
+    assert shown.shape == (HEIGHT, WIDTH, 3)
+    off = np.abs(shown - ramp()).max(axis=-1)
+    pixels = hand_pixels(made, row)
+    columns, rows = pixels[((pixels > 0) & (pixels < [WIDTH - 1, HEIGHT - 1])).all(-1)].T
+    assert (off[rows, columns] > 0.04).mean() > 0.85, "there are hands where the hands are"
+    # Further than the mesh reaches between its vertices there is the picture, with its own colours.
+    near = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    for column, line in pixels.tolist():
+        near[max(0, line - 7) : max(0, line + 8), max(0, column - 7) : max(0, column + 8)] = True
+    assert (~near).mean() > 0.2
+    assert off[~near].max() < 0.03
+    # Lit skin: redder than blue, and mostly far from black.
+    skin = shown[rows, columns]
+    assert np.median(skin[:, 0]) > 0.35
+    assert np.median(skin[:, 0] - skin[:, 2]) > 0.08
+
+
+def test_the_picture_moves_with_the_clip(make_take, start_up, tmp_path):
+    files = []
+    for number in (3, 4, 5):
+        rows = np.full((HEIGHT, WIDTH, 4), number / 10.0)
+        rows[..., 3] = 1.0
+        files.append(str(write_png(tmp_path / f"frame.{number:04d}.png", rows)))
+    take = make_take(source=Source("sequence", tuple(files)), frame_numbers=np.array([3, 4, 5])).take
+    build_take(take)
+    for number in (5, 3, 4):
+        start_up.frame_set(number)
+        shown = rendered(start_up, tmp_path / "f12.png")
+        assert abs(float(np.median(shown)) - number / 10.0) < 0.02, "frame by frame as behind the camera"
+
+
+def test_the_card_is_in_nobodys_way(make_take, start_up):
+    built = build_take(make_take().take)
+    (card,) = [o for o in own(built.collection, "MESH") if o.name.endswith("picture")]
+    assert card.hide_viewport
+    assert card.hide_select
+    assert not card.visible_shadow
+    assert not card.visible_diffuse
+    bpy.context.view_layer.update()
+    assert card.matrix_world.to_translation().length < 1e-6
+    depth = min((card.matrix_world @ v.co).y for v in card.data.vertices)
+    assert depth > max(world(v)[..., 1].max() for v in make_take().vertices.values())
+    assert depth < built.camera.data.clip_end
+
+
+def test_lights_go_where_the_camera_goes(make_take, start_up):
+    built = build_take(make_take().take)
+    lights = own(built.collection, "LIGHT")
+    assert len(lights) == len(render_setup.SUNS)
+    bpy.context.view_layer.update()
+    before = [o.matrix_world.to_3x3() for o in lights]
+    built.camera.rotation_euler.z = 1.0
+    bpy.context.view_layer.update()
+    for light, was in zip(lights, before, strict=True):
+        turned = Matrix.Rotation(1.0, 3, "Z") @ was
+        np.testing.assert_allclose(np.array(light.matrix_world.to_3x3()), np.array(turned), atol=1e-5)
+
+
+@pytest.mark.parametrize("what", ["lamp", "moved start-up lamp", "sky"])
+def test_an_artists_light_stays_alone(make_take, start_up, what):
+    if what == "lamp":
+        start_up.collection.objects.link(bpy.data.objects.new("mine", bpy.data.lights.new("mine", "AREA")))
+    elif what == "sky":
+        start_up.world.use_nodes = True
+        start_up.world.node_tree.nodes.new("ShaderNodeTexSky")
+    else:
+        bpy.data.objects["Light"].location.x += 1.0
+        bpy.context.view_layer.update()
+    lamps = {o.name: o.data.energy for o in start_up.objects if o.type == "LIGHT"}
+    world_ = start_up.world
+    built = build_take(make_take().take)
+    assert own(built.collection, "LIGHT") == []
+    assert {o.name: o.data.energy for o in start_up.objects if o.type == "LIGHT"} == lamps
+    assert start_up.world == world_
+    assert any(o.name.endswith("picture") for o in own(built.collection, "MESH"))
+
+
+@pytest.mark.parametrize("how", ["opted out", "not matched", "own camera"])
+def test_scenes_that_are_not_matched_get_nothing(make_take, start_up, how):
+    options = {
+        "opted out": {"render_setup": False},
+        "not matched": {"match_scene": False},
+        "own camera": {"camera": bpy.data.objects["Camera"]},
+    }[how]
+    built = build_take(make_take().take, **options)
+    assert own(built.collection, "LIGHT") == []
+    assert len(own(built.collection, "MESH")) == 2
+    assert start_up.view_settings.view_transform == "AgX"
+
+
+def test_colours_that_somebody_chose_stay(make_take, start_up):
+    start_up.view_settings.exposure = 0.5
+    build_take(make_take().take)
+    assert start_up.view_settings.view_transform == "AgX"
+
+
+def test_without_a_picture_there_is_light_alone(make_take, start_up):
+    built = build_take(make_take().take, picture=False)
+    assert len(own(built.collection, "LIGHT")) == len(render_setup.SUNS)
+    assert len(own(built.collection, "MESH")) == 2
+    assert start_up.view_settings.view_transform == "AgX"
+
+
+def test_a_later_capture_shows_its_own_picture(make_take, start_up):
+    first, second = (build_take(make_take(seed=seed).take) for seed in (1, 2))
+    cards = [[o for o in own(b.collection, "MESH") if o.name.endswith("picture")] for b in (first, second)]
+    assert [[card.hide_render for card in each] for each in cards] == [[True], [False]]
+    assert own(second.collection, "LIGHT") == [], "the first one's light both"
+
+
+def test_skin_and_nails_are_two_slots(make_take, model):
+    mesh = build_take(make_take(model=model, sides=("right",)).take).hands[0].mesh.data
+    slots = np.empty(len(mesh.polygons), dtype=np.int32)
+    mesh.polygons.foreach_get("material_index", slots)
+    if model == "open-hand":
+        assert [m.name.partition(".")[0] for m in mesh.materials] == ["Hand Skin", "Hand Nails"]
+        assert np.bincount(slots).tolist() == [len(slots) - 46, 46]
+    else:
+        assert [m.name.partition(".")[0] for m in mesh.materials] == ["Hand Skin"]
+        assert not slots.any()
