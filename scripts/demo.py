@@ -3,7 +3,8 @@
 
     python scripts/demo.py [INPUT ...] [options of batch_fit.py]
 
-Writes to out/demo/, per input: .blend, .glb, .fbx, the take and a preview. The first one's is called preview.png.
+Writes to out/demo/, per input: .blend, .glb, .fbx, the take and a preview, of which the first is called
+preview.png.
 """
 
 from __future__ import annotations

@@ -53,6 +53,8 @@ class Stage:
     pixel_aspect: tuple[float, float] = (1.0, 1.0)
     metres_per_unit: float = 1.0
     """of the scene that the hands are in"""
+    view_transform: str = "Standard"
+    """How colours are shown: the picture behind the hands keeps its own in `Standard`"""
 
     @classmethod
     def of_scene(cls, scene: bpy.types.Scene, first: int | None = None, last: int | None = None) -> Stage:
@@ -67,14 +69,18 @@ class Stage:
             render.resolution_y,
             (render.pixel_aspect_x, render.pixel_aspect_y),
             scene.unit_settings.scale_length,
+            scene.view_settings.view_transform,
         )
 
     @classmethod
     def of_take(cls, take: Take) -> Stage:
-        """What a scene gets that is matched to the take; the unit of length is the open scene's."""
+        """What a scene gets that is matched to the take; the unit of length and how colours are shown are the
+        open scene's."""
         metres_per_unit = _open_scene().unit_settings.scale_length
+        view_transform = _open_scene().view_settings.view_transform
         with own_scene("take") as scene:
             scene.unit_settings.scale_length = metres_per_unit
+            scene.view_settings.view_transform = view_transform
             set_timing(scene, take)
             frame_scene(scene, take)
             return cls.of_scene(scene)
@@ -87,6 +93,7 @@ class Stage:
         render.resolution_x, render.resolution_y = self.width, self.height
         render.resolution_percentage = 100
         render.pixel_aspect_x, render.pixel_aspect_y = self.pixel_aspect
+        scene.view_settings.view_transform = self.view_transform
 
 
 @dataclass(frozen=True)

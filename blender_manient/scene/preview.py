@@ -36,7 +36,7 @@ _SKIN_SAMPLES = 64
 _OPACITY = 0.85
 """How much of a hand of clay covers the picture; the rest lets its outline be compared"""
 _CLAY = (0.12, 0.42, 0.62, 1.0)
-"""The hands' colour where fits are compared: nothing in a photo of a hand has it, so that the two stay apart"""
+"""The hands' colour where fits are compared: nothing in a photo of a hand has it, so the two stay apart"""
 _MISSING = (0.18, 0.18, 0.18)
 """Shown where the picture file is gone"""
 

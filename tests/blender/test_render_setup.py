@@ -11,6 +11,7 @@ from mathutils import Matrix
 
 from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
+from blender_manient.scene.export import export_take
 from handfit_core.take import Source
 
 from .conftest import HEIGHT, WIDTH, world, write_png
@@ -183,3 +184,15 @@ def test_skin_and_nails_are_two_slots(make_take, model):
     else:
         assert [m.name.partition(".")[0] for m in mesh.materials] == ["Hand Skin"]
         assert not slots.any()
+
+
+def test_an_exported_file_renders_alike(make_take, start_up, tmp_path):
+    made = make_take()
+    (path,) = export_take(build_take(made.take), made.take, tmp_path, "hands", "blend")
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    shown = rendered(bpy.data.scenes["photo of a hand"], tmp_path / "f12.png")
+    pixels = hand_pixels(made, 0)
+    top = max(0, int(pixels[:, 1].min()) - 8)
+    assert top > 10
+    assert np.abs(shown - ramp())[:top].max() < 0.03
+    assert np.median(shown[top:] - ramp()[top:]) != 0.0
