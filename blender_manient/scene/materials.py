@@ -37,6 +37,8 @@ def _material(
     material = bpy.data.materials.new(name)
     material.diffuse_color = in_solid
     shader = next(n for n in use_nodes(material).nodes if n.type == "BSDF_PRINCIPLED")
-    for socket, value in inputs.items():
-        shader.inputs[socket].default_value = value
+    for name_of_socket, value in inputs.items():
+        socket = shader.inputs.get(name_of_socket)
+        if socket is not None:  # their names have changed between Blenders before
+            socket.default_value = value
     return material
