@@ -1,0 +1,60 @@
+"""scripts/demo.py as `nox -s demo` runs it: the first picture that anybody sees."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
+
+from tests.capturing import can_capture  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+TIMEOUT = 1200
+
+
+@pytest.mark.skipif(not can_capture(), reason="needs torch, OpenCV and MediaPipe in HANDFIT_PYTHON")
+def test_the_mona_lisa_s_hand_is_captured_and_drawn_over_hers(tmp_path):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "demo.py"), "--output", str(tmp_path), "--format", "glb"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "HANDFIT_PYTHON": os.environ.get("HANDFIT_PYTHON", sys.executable)},
+        timeout=TIMEOUT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    painting, clip = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["inputs"]
+    assert [(h["side"], h["detected"]) for h in painting["hands"]] == [("right", 1)]
+    assert [(h["side"], h["detected"]) for h in clip["hands"]] == [("right", 24)]
+    assert sorted(painting["files"]) == ["mona_lisa.glb", "mona_lisa.take.npz", "preview.png"]
+    assert sorted(clip["files"]) == ["hand.glb", "hand.preview.png", "hand.take.npz"]
+
+    halves = np.split(pixels(tmp_path / "preview.png"), 2, axis=1)
+    off = np.abs(halves[0] - halves[1]).max(axis=-1) > 0.05
+    rows, columns = np.nonzero(off)
+    # Her right hand, and nothing else.
+    assert 0.03 < off.mean() < 0.08
+    assert rows.min() > 0.68 * len(off)
+    assert 0.15 * off.shape[1] < columns.min() < columns.max() < 0.75 * off.shape[1]
+
+
+def test_what_is_bundled_is_small_and_says_where_it_is_from():
+    painting = ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg"
+    assert painting.stat().st_size < 300_000
+    assert "public domain" in (ROOT / "samples" / "README.md").read_text(encoding="utf-8")
+
+
+def pixels(path: Path) -> np.ndarray:
+    """Rows (H, W, 3) of sRGB values 0..1, the first row on top."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    image.colorspace_settings.name = "Non-Color"
+    values = np.empty(len(image.pixels), dtype=np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
