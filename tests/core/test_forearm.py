@@ -106,10 +106,13 @@ def test_the_left_wrist_mirrors_the_right(model):
 def test_the_texture_goes_on_from_the_edge():
     model = load_model(None, "right")
     closed = with_wrist(model, "forearm")
-    added = closed.uv[closed.uv_faces[len(model.quads) :]]
+    assert closed.uv is not None
+    assert closed.uv_faces is not None
+    assert model.uv is not None
+    added = closed.uv[closed.uv_faces[len(model.polygons) :]]
     assert added.min() >= 0.0
     assert added.max() <= 1.0
-    first = added[: len(wrist_ring(model.quads)), :2]  # the side of each polygon that lies at the edge
+    first = added[: len(wrist_ring(model.polygons)), :2]  # the side of each polygon that lies at the edge
     distance = np.linalg.norm(first[:, :, None] - model.uv[None, None], axis=-1).min(axis=-1)
     np.testing.assert_allclose(distance, 0.0, atol=1e-12)
 

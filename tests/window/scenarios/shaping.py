@@ -69,7 +69,7 @@ def first_render(stage, source):
         armature.manient.forearm = forearm
         yield 0.5
         yield from stage.screenshot(f"wrist-{name}")
-        path = Path(source).with_name(f"{name}.png")
+        path = stage.screenshots / f"f12-{name}.png"
         scene.render.filepath = str(path)
         with stage.override():
             bpy.ops.render.render(write_still=True)
