@@ -94,7 +94,5 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
         column.prop(settings, "match_scene", text="Match Scene")
-        row = column.row()
-        row.active = settings.match_scene
-        row.prop(settings, "render_setup")
+        column.prop(settings, "render_setup")
         column.prop(settings, "pose_correctives")
