@@ -156,6 +156,17 @@ def test_a_scene_that_is_deleted_meanwhile_costs_neither_the_hands_nor_the_open_
 
 
 @needs_capture
+@pytest.mark.parametrize("ready", [True, False])
+def test_the_first_render_is_set_up_unless_the_artist_opts_out(settings, photo, ready):
+    settings.source = str(photo)
+    settings.render_setup = ready
+    bpy.ops.manient.capture()
+    kinds = [o.type for o in _hands()[0].collection.all_objects]
+    assert kinds.count("LIGHT") == (3 if ready else 0)
+    assert kinds.count("MESH") == (2 if ready else 1)
+
+
+@needs_capture
 def test_dropped_pictures(settings):
     def dropped(*names, **options):
         files = [{"name": name} for name in names]
