@@ -42,10 +42,11 @@ _CAP: Final = 0.1
 def wrist_ring(polygons: np.ndarray) -> np.ndarray:
     """The vertices (R,) of a mesh's open edge, in the order in which its polygons (P, 3 or 4) walk it; empty
     where the mesh has no open edge, or more than one."""
-    ahead = np.roll(polygons, -1, axis=1)
-    edges = set(zip(polygons.ravel().tolist(), ahead.ravel().tolist(), strict=True))
+    start, end = polygons.ravel(), np.roll(polygons, -1, axis=1).ravel()
+    count = int(polygons.max()) + 1
     # An open edge is one that no neighbour walks the other way.
-    following = {a: b for a, b in edges if (b, a) not in edges}
+    is_open = ~np.isin(end * count + start, start * count + end)
+    following = dict(zip(start[is_open].tolist(), end[is_open].tolist(), strict=True))
     if not following:
         return np.zeros(0, dtype=np.int64)
     ring = [min(following)]
