@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,32 @@ def check_writable(path: str | os.PathLike[str]) -> None:
             pass
     except OSError as error:
         raise OutputError(_cannot_write(path, error)) from error
+
+
+def read_file(path: str | os.PathLike[str], most: int) -> bytes:
+    """The bytes of a file of at most `most` bytes.
+
+    Raises OSError, with a reason in words, also for larger ones and for what is no file: a pipe would be
+    waited for, and a device has no end. Raises ValueError for names that no file can have.
+    """
+    # Looked at before it is opened, as opening a device can do something, and again after, as another may
+    # have come in its place.
+    _checked_size(Path(path).stat(), most)
+    flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, _flags: os.open(name, flags)) as stream:
+        size = _checked_size(os.fstat(stream.fileno()), most)
+        return stream.read(size)  # no more of a file that grows
+
+
+def _checked_size(found: os.stat_result, most: int) -> int:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is no file, but a pipe, a device or the like")
+    if found.st_size > most:
+        size, largest = found.st_size // 1_000_000, most // 1_000_000
+        raise OSError(errno.EFBIG, f"it is too large: {size} MB, and at most {largest} MB are read")
+    return found.st_size
 
 
 _NO_NAME = (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)

@@ -28,7 +28,7 @@ def test_arrays_as_numpy_reads_them(array: np.ndarray, protocol: int) -> None:
 
 
 def test_plain_containers_are_plain() -> None:
-    content = {"a": [1, 2.5, None, True], 3: ("text", b"bytes"), "nested": {"x": []}}
+    content = {"a": [1, 2.5, None, True], "b": ("text", b"bytes"), "nested": {"x": []}}
     assert safe_pickle.load(pickle.dumps(content)) == content
 
 
@@ -42,7 +42,7 @@ def test_anything_else_is_no_array(value: object) -> None:
 
 @pytest.mark.parametrize("value", [Exception, open, np.load, pickle.loads, range(3), slice(1)])
 def test_any_other_name_is_refused(value: object) -> None:
-    with pytest.raises(safe_pickle.Refused, match=r"^[\w.]+$"):
+    with pytest.raises(safe_pickle.Refused, match=r"^asks to run [\w.]+$"):
         safe_pickle.load(pickle.dumps(value))
 
 

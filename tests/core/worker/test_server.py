@@ -473,7 +473,7 @@ def test_threads_reach_torch_and_the_others() -> None:
 
 
 def test_a_line_without_an_end_is_refused_and_the_next_understood() -> None:
-    code = "from handfit_core.worker import server\nserver.LONGEST_LINE = 4096\nserver.serve()\n"
+    code = "from handfit_core.worker import server\nserver.LONGEST_REQUEST = 4096\nserver.serve()\n"
     worker = Worker(code=code)
     try:
         for length in (4096, 4097, 3_000_000):
