@@ -30,6 +30,7 @@ import numpy as np
 
 from handfit_core.errors import TakeError
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS
+from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
@@ -110,7 +111,7 @@ class Correction:
         object.__setattr__(self, "spread", float(self.spread))
         for name, shape in _ARRAYS.items():
             array = np.round(np.asarray(getattr(self, name), dtype=np.float64), _DECIMALS)
-            if array.shape != shape or not np.all(np.isfinite(array)):
+            if array.shape != shape or not np.all(np.abs(array) <= LARGEST):
                 raise ValueError(f"{name} of a correction is finite and of the shape {shape}")
             object.__setattr__(self, name, array)
 
@@ -269,7 +270,7 @@ class CorrectionField:
             version = int(content["version"])
             if version <= FORMAT_VERSION:
                 return cls({_frame(frame): _correction(c) for frame, c in content["frames"].items()})
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
             raise TakeError(
                 "the hand's corrections cannot be read; undo what changed them, or clear all corrections"
             ) from error

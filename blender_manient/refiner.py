@@ -206,9 +206,9 @@ class Refiner:
 
         return fields
 
-    def poses(self, done: Mapping[str, Any]) -> BonePoses:
-        """What a `done` event says, as the bones have it. Raises ProtocolError."""
-        result = result_from_message(done)
+    def poses(self, done: Mapping[str, Any], count: int = 1) -> BonePoses:
+        """What a `done` event says of `count` frames, as the bones have it. Raises ProtocolError."""
+        result = result_from_message(done, count)
         count = len(result.transl)
         quats = np.full((count, NUM_JOINTS, 4), np.nan)
         locations = np.full((count, 3), np.nan)

@@ -79,6 +79,19 @@ def shown(path: str | os.PathLike[str]) -> str:
 _LONGEST_SHOWN = 300
 
 
+def storable(text: str) -> str:
+    """A text with a question mark for what is no UTF-8, such as in the names of some files on Linux."""
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is such a regular file; also False for names that no file can have."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def why(error: OSError | ValueError) -> str:
     """What the system says is wrong with a path."""
     if isinstance(error, OSError):

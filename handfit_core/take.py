@@ -18,11 +18,11 @@ import numpy as np
 
 from handfit_core.camera import Intrinsics
 from handfit_core.errors import OptionError, OutputError, TakeError
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import read_file, shown, storable, why, written_whole
 from handfit_core.keypoints import HandDetection
 from handfit_core.npz import NotNpz, NpzArchive
 from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
-from handfit_core.values import LARGEST_WHOLE, number, shortly, text, whole
+from handfit_core.values import LARGEST_WHOLE, number, path, shortly, text, whole
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
@@ -41,6 +41,7 @@ _MOST_PACKED: Final = 50
 LARGEST: Final = 1e9
 """Metres, pixels, radians: what is beyond in either direction was not measured"""
 _LARGEST_BETA: Final = 1e3
+_SMALLEST_FPS: Final = 1e-3
 _LARGEST_FPS: Final = 1e6
 _LARGEST_SIDE: Final = 1 << 24
 """pixels of a picture"""
@@ -83,11 +84,12 @@ class Source:
 
     @property
     def name(self) -> str:
-        """A short name for people: the file's stem, or for a sequence the part before the number."""
-        stem = Path(self.files[0]).stem
+        """A short name for people: the file's stem, or for a sequence the part before the number. In it, what
+        is no UTF-8 in the file's name is a question mark."""
+        stem = storable(Path(self.files[0]).stem)
         if self.kind != "sequence":
             return stem
-        return stem.rstrip("0123456789").rstrip("._- ") or Path(self.files[0]).parent.name
+        return stem.rstrip("0123456789").rstrip("._- ") or storable(Path(self.files[0]).parent.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,8 @@ class HandTrack:
             flags = getattr(self, name)
             if flags is None and name in _TRACK_FLAGS:
                 continue
-            if np.shape(flags) != (count,) or np.asarray(flags).dtype != bool:
+            flags = np.asarray(flags)
+            if flags.shape != (count,) or flags.dtype != bool:
                 raise TakeError(f"the {self.side} hand's {name} has the wrong shape or type")
         self._check_numbers("betas", (NUM_BETAS,), np.ones(NUM_BETAS, dtype=bool), _LARGEST_BETA)
         detected = np.asarray(self.detected)
@@ -240,7 +243,9 @@ class Take:
         if not self.source.files:
             raise TakeError("a take must name the pictures that it was made from")
         sizes = (self.width, self.height)
-        if not (0 < self.fps <= _LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)):
+        if not (
+            _SMALLEST_FPS <= self.fps <= _LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)
+        ):
             raise TakeError(
                 f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
                 f"{self.width}x{self.height} pixels"
@@ -385,7 +390,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "source": Source(
             kind=source["kind"],
-            files=tuple(text("files", file) for file in files),
+            files=tuple(path("files", file) for file in files),
             orientation=whole("orientation", source.get("orientation", 1), 1, 8),
         ),
         "fps": number("fps", header.get("fps")),
@@ -393,7 +398,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
         "height": whole("height", header.get("height")),
         "intrinsics": Intrinsics(**{name: number(name, value) for name, value in camera.items()}),
         "solver": text("solver", header.get("solver"), 100),
-        "model": text("model", header.get("model")),
+        "model": path("model", header.get("model")),
         "model_digests": {
             side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES
         },

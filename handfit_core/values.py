@@ -36,11 +36,21 @@ def whole(name: str, value: Any, least: int = -LARGEST_WHOLE, most: int = LARGES
     raise Unfit(f"{name} must be a whole number{_between(least, most)}, not {shortly(value)}")
 
 
-def text(name: str, value: Any, longest: int = LONGEST_PATH) -> str:
-    """A text of at most `longest` characters, none of which is the NUL that ends texts elsewhere."""
+def text(name: str, value: Any, longest: int, errors: str = "strict") -> str:
+    """A text of at most `longest` characters that UTF-8 can hold, without the NUL that ends texts elsewhere."""
     if isinstance(value, str) and len(value) <= longest and "\0" not in value:
-        return value
-    raise Unfit(f"{name} must be a text of at most {longest} characters without NUL, not {shortly(value)}")
+        try:
+            value.encode("utf-8", errors)
+        except UnicodeEncodeError:
+            pass
+        else:
+            return value
+    raise Unfit(f"{name} must be a text of at most {longest} characters, not {shortly(value)}")
+
+
+def path(name: str, value: Any) -> str:
+    """A path, also one that Linux has and UTF-8 does not."""
+    return text(name, value, LONGEST_PATH, "surrogateescape")
 
 
 def shortly(value: Any) -> str:

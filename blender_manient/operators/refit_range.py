@@ -222,7 +222,7 @@ class _Work:
 
     def received(self, done: dict[str, Any]) -> None:
         """The worker's answer."""
-        poses = self.refiner.poses(done)
+        poses = self.refiner.poses(done, len(self._asked))
         # What was fitted only to lead into the range is left alone.
         poses.quats[~self._wanted] = np.nan
         poses.locations[~self._wanted] = np.nan

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from handfit_core.files import storable
 from handfit_core.hand_model import ShapedHand
 from handfit_core.rotations import unflip_quats
 from handfit_core.skeleton import NUM_JOINTS
@@ -124,9 +125,9 @@ def describe(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
     """Custom properties that say where this hand comes from; they are exported with it."""
     armature["side"] = track.side
     armature["betas"] = [float(b) for b in track.betas]
-    armature["model"] = take.model
+    armature["model"] = storable(take.model)
     armature["solver"] = take.solver
-    armature["source"] = take.source.files[0]
+    armature["source"] = storable(take.source.files[0])
     armature[ERROR_PROPERTY] = 0.0
     armature.id_properties_ui(ERROR_PROPERTY).update(
         min=0.0, description="Mean distance from the fitted hand to the detected keypoints, in pixels"

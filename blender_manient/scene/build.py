@@ -31,7 +31,7 @@ from .correctives import adding_correctives
 from .mesh import build_mesh
 from .plate import Plate, load_plate
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
-from .timing import Timing, set_timing, timing_in
+from .timing import Timing, check_range, set_timing, timing_in
 
 _SLICE = 0.008
 """seconds after which a slice ends, when its last step is over"""
@@ -162,6 +162,7 @@ def _steps(
         warnings += _digest_warning(take, models[track.side])
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
     timing = Timing() if match_scene else timing_in(scene, take)
+    check_range(take, timing)
     units = 1.0 / scene.unit_settings.scale_length
     work = _Work(take, models, pose_correctives)
 

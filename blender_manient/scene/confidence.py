@@ -7,6 +7,7 @@ hand's length as the picture shows it, so that near and far hands are judged ali
 
 from __future__ import annotations
 
+import contextlib
 import json
 from typing import Final
 
@@ -122,12 +123,14 @@ def _give_colors_back(obj: bpy.types.Object) -> None:
     armature = obj if obj.type == "ARMATURE" else obj.parent
     if armature is None or armature.type != "ARMATURE" or not armature.manient.own_colors:
         return
-    for name, (palette, normal, select, active) in json.loads(armature.manient.own_colors).items():
-        bone = armature.pose.bones.get(name)
-        if bone is not None:
-            custom = bone.color.custom
-            custom.normal, custom.select, custom.active = normal, select, active
-            bone.color.palette = palette
+    # What was not written here gives no colors back: the .blend may come from anybody.
+    with contextlib.suppress(ValueError, TypeError, AttributeError, RecursionError):
+        for name, (palette, normal, select, active) in json.loads(armature.manient.own_colors).items():
+            bone = armature.pose.bones.get(name)
+            if bone is not None:
+                custom = bone.color.custom
+                custom.normal, custom.select, custom.active = normal, select, active
+                bone.color.palette = palette
     armature.manient.own_colors = ""
 
 

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from handfit_core.exif import upright
+from handfit_core.files import is_file
 from handfit_core.media import sequence_numbers
 from handfit_core.take import Take
 
@@ -40,7 +41,7 @@ def load_plate(take: Take, timing: Timing | None = None) -> tuple[Plate | None, 
     """
     timing = timing or Timing()
     path = Path(take.source.files[0])
-    if not path.is_file():
+    if not is_file(path):
         return None, [f"{path}: the picture is not there any more, so nothing is shown behind the hands"]
     try:
         # `check_existing` stays off: another take's copy of the same picture may be timed differently.
@@ -145,6 +146,6 @@ def missing_picture(camera: bpy.types.Object | None) -> str:
         if image is None or image.packed_file or image.source not in {"FILE", "SEQUENCE", "MOVIE"}:
             continue
         path = Path(bpy.path.abspath(image.filepath, library=image.library))
-        if not path.is_file():
+        if not is_file(path):
             return path.name
     return ""

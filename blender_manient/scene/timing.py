@@ -8,7 +8,12 @@ from fractions import Fraction
 import bpy
 import numpy as np
 
+from handfit_core.errors import TakeError
 from handfit_core.take import Take
+
+
+LAST_FRAME = 1_048_574
+"""of Blender's timeline, in both directions"""
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,16 @@ class Timing:
     def source_frames(self, frames: np.ndarray) -> np.ndarray:
         """(N,) scene frames -> (N,) source frame numbers, whole or not: the inverse of `scene_frames`."""
         return (np.asarray(frames, dtype=np.float64) - self.offset) / (self.scale or 1.0)
+
+
+def check_range(take: Take, timing: Timing) -> None:
+    """Raise TakeError where the take would lie beyond Blender's timeline."""
+    first, last = timing.scene_frames(take.frame_numbers[[0, -1]])
+    if max(abs(first), abs(last)) > LAST_FRAME:
+        raise TakeError(
+            f"the take's frames would lie at {first:.0f} to {last:.0f}, and Blender's timeline has {LAST_FRAME}; "
+            "number the pictures from 1, or build the hands in the scene's own time"
+        )
 
 
 def frame_rate(scene: bpy.types.Scene) -> float:

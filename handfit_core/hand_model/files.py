@@ -131,7 +131,10 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
         if header.get("format") != FORMAT_NAME:
             raise NotNpz("is of another format")
         version = whole("version", header.get("version"), 1)
-        name, side = text("name", header.get("name"), _LONGEST_NAME), header.get("side")
+        name, side = (
+            text("name", header.get("name"), _LONGEST_NAME),
+            text("side", header.get("side"), _LONGEST_NAME),
+        )
         arrays = {key: archive.array(key, "fiu") for key in ARRAY_NAMES if key in archive}
     except OSError as error:
         raise HandModelError(f"{shown(path)}: this hand model cannot be read ({why(error)})") from error

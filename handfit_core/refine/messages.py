@@ -134,18 +134,14 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
     return {"result": packed, "seconds": time.perf_counter() - begin}
 
 
-def result_from_message(done: Mapping[str, Any], count: int | None = None) -> RefineResult:
-    """What a `refit` request's `done` event carries: `count` frames, where that is given, and at least one.
-
-    Raises ProtocolError.
-    """
+def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
+    """What the `done` event of a `refit` request for `count` frames carries. Raises ProtocolError."""
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")
     arrays = {f.name: _array(result, f.name).astype(np.float64) for f in fields(RefineResult)}
-    rows = arrays["transl"].shape[:1]
     for name, array in arrays.items():
-        if rows == (0,) or array.shape != (*rows, *RESULT_SHAPES[name]) or count not in (None, *rows):
+        if array.shape != (count, *RESULT_SHAPES[name]):
             raise ProtocolError(f"refit: the answer's {name} has the wrong shape, {array.shape}")
         if np.any(np.abs(array) > LARGEST):  # NaN, in rows without a hand, is not
             raise ProtocolError(f"refit: the answer's {name} holds numbers beyond {LARGEST:g}")
@@ -163,10 +159,11 @@ def _array(message: Mapping[str, Any], name: str) -> np.ndarray:
 
 def _numbers(message: Mapping[str, Any], name: str, count: int | None = None) -> list[float]:
     values = message.get(name)
-    if not isinstance(values, list) or (count is not None and len(values) != count):
+    numbers = isinstance(values, list) and all(_is_number(v) for v in values)
+    if not isinstance(values, list) or not numbers or (count is not None and len(values) != count):
         expected = "numbers" if count is None else f"{count} numbers"
         raise ProtocolError(f"refit: {name} must be a list of {expected}, not {shortly(values)}")
-    return [_finite(name, value) for value in values]
+    return values
 
 
 def _rows(message: Mapping[str, Any], name: str) -> tuple[int, ...]:
@@ -178,14 +175,10 @@ def _rows(message: Mapping[str, Any], name: str) -> tuple[int, ...]:
 
 
 def _number(message: Mapping[str, Any], name: str, default: float) -> float:
-    return _finite(name, message.get(name, default))
-
-
-def _finite(name: str, value: Any) -> float:
-    try:
-        return number(name, value)
-    except Unfit as error:
-        raise ProtocolError(f"refit: {error}") from error
+    value = message.get(name, default)
+    if not _is_number(value):
+        raise ProtocolError(f"refit: {name} must be a number, not {shortly(value)}")
+    return float(value)
 
 
 def _text(message: Mapping[str, Any], name: str, default: str) -> str:
@@ -193,3 +186,11 @@ def _text(message: Mapping[str, Any], name: str, default: str) -> str:
     if value is not None and not isinstance(value, str):
         raise ProtocolError(f"refit: {name} must be a text, not {shortly(value)}")
     return value or default
+
+
+def _is_number(value: object) -> bool:
+    try:
+        number("it", value)
+    except Unfit:
+        return False
+    return True

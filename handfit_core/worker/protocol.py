@@ -134,12 +134,6 @@ def _flag(name: str, value: Any) -> bool:
     return value
 
 
-def _object(name: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise Unfit(f"{name} must be an object, not {shortly(value)}")
-    return value
-
-
 _EVENTS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
     "ready": {"protocol": whole, "version": _word},
     "unfit": {"python": _word},
@@ -161,7 +155,7 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
         "first": whole,
         "last": whole,
     },
-    "refit": {"result": _object, "seconds": number},
+    "refit": {"seconds": number},
     "warm": {},
     "check": {"report": _text, "ok": _flag},
 }
