@@ -37,7 +37,7 @@ def whole(name: str, value: Any, least: int = -LARGEST_WHOLE, most: int = LARGES
 
 
 def text(name: str, value: Any, longest: int, errors: str = "strict") -> str:
-    """A text of at most `longest` characters that UTF-8 can hold, without the NUL that ends texts elsewhere."""
+    """A text of at most `longest` characters that UTF-8 can hold, without NUL, which ends texts elsewhere."""
     if isinstance(value, str) and len(value) <= longest and "\0" not in value:
         try:
             value.encode("utf-8", errors)

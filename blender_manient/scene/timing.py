@@ -11,7 +11,6 @@ import numpy as np
 from handfit_core.errors import TakeError
 from handfit_core.take import Take
 
-
 LAST_FRAME = 1_048_574
 """of Blender's timeline, in both directions"""
 
@@ -37,8 +36,8 @@ def check_range(take: Take, timing: Timing) -> None:
     first, last = timing.scene_frames(take.frame_numbers[[0, -1]])
     if max(abs(first), abs(last)) > LAST_FRAME:
         raise TakeError(
-            f"the take's frames would lie at {first:.0f} to {last:.0f}, and Blender's timeline has {LAST_FRAME}; "
-            "number the pictures from 1, or build the hands in the scene's own time"
+            f"the take's frames would lie at {first:.0f} to {last:.0f}, and Blender's timeline ends at "
+            f"{LAST_FRAME}; number the pictures from 1, or build the hands in the scene's own time"
         )
 
 

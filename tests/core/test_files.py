@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.errors import OutputError
-from handfit_core.files import check_writable, written_whole
+from handfit_core.files import check_writable, is_file, read_file, storable, written_whole
 
 
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
@@ -102,3 +102,35 @@ def test_results_are_ordinary_files(tmp_path: Path) -> None:
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
+
+
+def test_only_files_are_read_and_only_so_much_of_them(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_file(path, 5) == b"12345"
+    with pytest.raises(OSError, match="too large"):
+        read_file(path, 4)
+    with path.open("wb") as stream:
+        stream.truncate(1 << 40)  # sparse, takes no room
+    with pytest.raises(OSError, match="too large: 1099511 MB"):
+        read_file(path, 1 << 31)
+    with pytest.raises(FileNotFoundError):
+        read_file(tmp_path / "nowhere", 5)
+    with pytest.raises(OSError, match="folder"):
+        read_file(tmp_path, 5)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    """Nobody writes into this pipe: opening it as a file would wait for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/tty")):
+        with pytest.raises(OSError, match="no file, but a pipe, a device"):
+            read_file(path, 5)
+
+
+def test_names_that_no_file_can_have_are_no_files() -> None:
+    assert is_file(__file__)
+    for name in ("a" * 5000, "a\0b", "/nowhere/\udcff"):
+        assert not is_file(name)
+    assert storable("Hände\udcff.png") == "Hände?.png"

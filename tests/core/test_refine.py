@@ -738,3 +738,23 @@ def test_importing_is_light() -> None:
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("transl", np.zeros((2, 3))),
+        ("transl", np.zeros((0, 3))),
+        ("hand_pose", np.zeros((1, 44))),
+        ("joints_3d", np.zeros((1, 63))),
+        ("projected", np.full((1, 21, 2), np.inf)),
+        ("landmarks_2d", np.full((1, 21, 2), 1e30)),
+    ],
+    ids=lambda value: str(np.shape(value)),
+)
+def test_answers_of_another_shape_are_named(name: str, array: np.ndarray) -> None:
+    done = answer({"mode": "draft", "hand": to_message(dragged(TIP, (1.0, 1.0))[0])}, lambda: False)
+    with pytest.raises(ProtocolError, match=name):
+        result_from_message({"result": {**done["result"], name: pack(array)}})
+    with pytest.raises(ProtocolError, match="wrong shape"):
+        result_from_message(done, 2)
