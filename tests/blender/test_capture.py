@@ -194,7 +194,7 @@ def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
     os.kill(pid, 9)
     _tick_until(lambda: job.finished)
     assert job.state == "failed"
-    assert "worker process ended" in job.message
+    assert "worker process was killed from outside" in job.message
     assert "Traceback" not in job.message
     text = bpy.data.texts["Hand Capture Details"].as_string()
     assert job.message in text
