@@ -384,7 +384,7 @@ class Worker:
         if job not in self._open:
             return
         protocol.check_event(message, self._open[job])
-        if "message" in message:
+        if kind in ("warning", "error"):
             message = {**message, "message": " ".join(message["message"].split())[:_LONGEST_SENTENCE]}
         if kind in ("done", "error"):
             del self._open[job]

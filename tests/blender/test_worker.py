@@ -507,7 +507,7 @@ def test_what_is_kept_of_an_endless_line_is_bounded(peer, start, monkeypatch):
         "event='error', id=r['id'], type=[], message='a'",
         "event='error', id=r['id'], type='InputError', message={}",
         "event='done', id=r['id'], kind='photo', width='4', height=3, fps=24, frames=1, first=1, last=1",
-        "event='done', id=r['id']",
+        "event='done', id=r['id'], message=3",
     ],
 )
 def test_an_event_of_wrong_types_is_a_protocol_error(peer, start, event):
