@@ -97,6 +97,7 @@ def test_a_small_model_takes_no_memory(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_names_that_are_no_model(tmp_path: Path) -> None:
     """A take names its model, and Blender reads it: nothing there is waited for, and nothing escapes."""
     for suffix in (".npz", ".pkl"):
