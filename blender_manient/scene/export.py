@@ -18,9 +18,12 @@ Presets say what a program expects of a format beyond Blender's habits:
 from __future__ import annotations
 
 import contextlib
+import mmap
+import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import bpy
@@ -28,7 +31,7 @@ import numpy as np
 from bpy_extras.io_utils import axis_conversion
 
 from handfit_core.errors import OptionError, OutputError
-from handfit_core.files import written_whole
+from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
 from ..blender_versions import gltf_left_out, has_operator
@@ -37,6 +40,7 @@ from .camera import frame_scene
 from .clean_rig import Rig, clean_rig
 from .object_mode import object_mode
 from .own_scene import own_scene, shown_in_pose
+from .proof import prove_whole
 from .timing import set_timing
 
 
@@ -193,11 +197,18 @@ def find_format(fmt: str) -> Format:
     return chosen
 
 
+def why_not(fmt: Format) -> str:
+    """Why this Blender cannot write the format, and what to do, as part of a sentence; empty if it can."""
+    if not fmt.operator or has_operator(fmt.operator):
+        return ""
+    if fmt.operator.startswith("wm."):
+        return "this Blender was built without it; take the one of blender.org"
+    return "Blender's add-on for it is switched off; enable it in the preferences"
+
+
 def available(fmt: Format) -> bool:
     """Whether this Blender can write the format (some builds lack USD and Alembic)."""
-    if not fmt.operator:
-        return True
-    return has_operator(fmt.operator)
+    return not why_not(fmt)
 
 
 def _write_one(
@@ -213,11 +224,17 @@ def _write_one(
             with _only(hands, stage, preset, whole if fmt.suffix == ".blend" else None) as written:
                 fmt.write(beside, written, preset)
         except RuntimeError as error:
-            reason = " ".join(str(error).split())
-            raise OutputError(f"{path}: Blender could not write it ({reason})") from error
-        if beside.stat().st_size == 0:
-            raise OutputError(f"{path}: Blender wrote nothing; see its console for the reason")
+            raise OutputError(f"{shown(path)}: Blender could not write it ({_reason(error)})") from error
+        prove_whole(path, beside)
     return path
+
+
+def _reason(error: RuntimeError) -> str:
+    """What an operator says went wrong: of a traceback only the exception."""
+    lines = str(error).splitlines()
+    if any(line.endswith("Traceback (most recent call last):") for line in lines):
+        lines = [line for line in lines if re.match(r"[\w.]+(Error|Exception)\b", line)] or lines
+    return " ".join(" ".join(lines).split())
 
 
 @contextlib.contextmanager
@@ -240,6 +257,7 @@ def _only(
             scene.camera = whole[1]
             scene.unit_settings.scale_length = stage.metres_per_unit
         else:
+            copies.enter_context(_files_by_name([hand.armature for hand in hands]))
             for hand in hands:
                 scene.collection.objects.link(hand.armature)
                 if hand.mesh is not None:
@@ -261,6 +279,36 @@ def _only(
                 )
         scene.frame_set(scene.frame_start)
         yield hands
+
+
+@contextlib.contextmanager
+def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """What armatures say about their picture and model is without folders meanwhile, which are private."""
+    paths = [
+        (armature, key, armature[key])
+        for armature in armatures
+        for key in ("source", "model")
+        if isinstance(armature.get(key), str)
+    ]
+    try:
+        for armature, key, path in paths:
+            armature[key] = PureWindowsPath(path).name  # which knows both kinds of slashes
+        yield
+    finally:
+        for armature, key, path in paths:
+            armature[key] = path
+
+
+def _blank(path: Path, folder: str) -> None:
+    """Put ./././ in place of a folder's name in a file, which stays as long as it is."""
+    name = os.fsencode(folder)
+    if len(name) < 2:
+        return
+    with path.open("rb+") as stream, mmap.mmap(stream.fileno(), 0) as content:
+        place = content.find(name)
+        while place >= 0:
+            content[place : place + len(name)] = (b"./" * len(name))[: len(name) - 1] + b"/"
+            place = content.find(name, place)
 
 
 def _root_name(root: str, hands: Sequence[Rig], index: int) -> str:
@@ -331,8 +379,11 @@ def _fbx(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
         "bake_anim_force_startend_keying": True,
         "bake_anim_step": 1.0,
         "bake_anim_simplify_factor": 0.0,
+        "path_mode": "STRIP",  # textures by name: where they lie is private
     }
     bpy.ops.export_scene.fbx(**keywords | preset.keywords)
+    # It also names each texture with the folder that the file is in.
+    _blank(path, os.path.join(os.path.abspath(path.parent), ""))
 
 
 def _usd(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
@@ -348,8 +399,10 @@ def _usd(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
     )
 
 
-def _alembic(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
+def _alembic(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
     scene = _open_scene()
+    # Where the disk is full, Alembic ends Blender.
+    check_room(path, _alembic_size([hand.mesh for hand in hands if hand.mesh is not None]))
     bpy.ops.wm.alembic_export(
         filepath=str(path),
         check_existing=False,
@@ -359,6 +412,30 @@ def _alembic(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
         uvs=True,
         evaluation_mode="RENDER",
     )
+    _blank(path, os.path.join(os.path.dirname(bpy.data.filepath), ""))  # the description names the open file
+
+
+def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
+    """Bytes that the open scene with these meshes takes at most as Alembic, rather too many than too few."""
+    scene = _open_scene()
+    frames = scene.frame_end - scene.frame_start + 1
+    graph = bpy.context.evaluated_depsgraph_get()
+    size = 1 << 16
+    for obj in meshes:
+        shown = obj.evaluated_get(graph)
+        mesh = shown.to_mesh()
+        points, corners, faces = len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+        layers = len(mesh.uv_layers)
+        shown.to_mesh_clear()
+        finer = 4 ** sum(
+            max(0, m.render_levels - (m.levels if m.show_viewport else 0))
+            for m in obj.modifiers
+            if m.type in {"SUBSURF", "MULTIRES"} and m.show_render
+        )
+        # Every frame has the points and the corners' normals; the first also what they are made of.
+        once = 24 * points + (8 + 12 * layers) * corners + 4 * faces
+        size += finer * (frames * 12 * (points + corners) + once) + frames * 1024
+    return size + size // 4
 
 
 def _bvh(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:

@@ -25,6 +25,7 @@ from ..blender_versions import use_nodes
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
+from .proof import prove_whole
 from .plate import Plate, load_plate
 
 LONGEST_SIDE = 1200
@@ -134,6 +135,7 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
                 image.save()
             except RuntimeError as error:
                 raise OutputError(f"{path}: Blender could not write the preview ({error})") from error
+            prove_whole(path, beside)
     finally:
         bpy.data.images.remove(image)
     return path
