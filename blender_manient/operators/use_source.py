@@ -112,7 +112,8 @@ def _write_png(image: bpy.types.Image, path: Path) -> None:
             twin.save()
             prove_whole(path, beside)
     except RuntimeError as error:
-        raise OutputError(f"{path}: Blender could not write the picture ({error})") from error
+        reason = " ".join(str(error).split())
+        raise OutputError(f"{path}: Blender could not write the picture ({reason})") from error
     finally:
         bpy.data.images.remove(twin)
 

@@ -224,17 +224,14 @@ def _write_one(
             with _only(hands, stage, preset, whole if fmt.suffix == ".blend" else None) as written:
                 fmt.write(beside, written, preset)
         except RuntimeError as error:
-            raise OutputError(f"{shown(path)}: Blender could not write it ({_reason(error)})") from error
+            # Exporters in Python print a traceback; those in C may see a full disk as something else.
+            if number := re.search(r"\[Errno (\d+)\]", str(error)):
+                raise OSError(int(number[1]), os.strerror(int(number[1]))) from error
+            check_room(beside, 1 << 16)
+            reason = " ".join(str(error).split())
+            raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error
         prove_whole(path, beside)
     return path
-
-
-def _reason(error: RuntimeError) -> str:
-    """What an operator says went wrong: of a traceback only the exception."""
-    lines = str(error).splitlines()
-    if any(line.endswith("Traceback (most recent call last):") for line in lines):
-        lines = [line for line in lines if re.match(r"[\w.]+(Error|Exception)\b", line)] or lines
-    return " ".join(" ".join(lines).split())
 
 
 @contextlib.contextmanager
@@ -299,16 +296,16 @@ def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
             armature[key] = path
 
 
-def _blank(path: Path, folder: str) -> None:
+def _blank(path: Path, folder: Path) -> None:
     """Put ./././ in place of a folder's name in a file, which stays as long as it is."""
-    name = os.fsencode(folder)
-    if len(name) < 2:
+    name = os.fsencode(f"{folder}{os.sep}")
+    if len(name) < 5:  # so near to the root it tells nothing, and may stand among numbers by chance
         return
     with path.open("rb+") as stream, mmap.mmap(stream.fileno(), 0) as content:
         place = content.find(name)
         while place >= 0:
             content[place : place + len(name)] = (b"./" * len(name))[: len(name) - 1] + b"/"
-            place = content.find(name, place)
+            place = content.find(name, place + len(name))
 
 
 def _root_name(root: str, hands: Sequence[Rig], index: int) -> str:
@@ -383,7 +380,7 @@ def _fbx(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
     }
     bpy.ops.export_scene.fbx(**keywords | preset.keywords)
     # It also names each texture with the folder that the file is in.
-    _blank(path, os.path.join(os.path.abspath(path.parent), ""))
+    _blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
 
 
 def _usd(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
@@ -412,7 +409,7 @@ def _alembic(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
         uvs=True,
         evaluation_mode="RENDER",
     )
-    _blank(path, os.path.join(os.path.dirname(bpy.data.filepath), ""))  # the description names the open file
+    _blank(path, Path(bpy.data.filepath).parent)  # the description names the open file
 
 
 def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
@@ -425,16 +422,18 @@ def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
         shown = obj.evaluated_get(graph)
         mesh = shown.to_mesh()
         points, corners, faces = len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
-        layers = len(mesh.uv_layers)
+        layers, smooth = len(mesh.uv_layers), mesh.normals_domain == "POINT"
         shown.to_mesh_clear()
         finer = 4 ** sum(
             max(0, m.render_levels - (m.levels if m.show_viewport else 0))
             for m in obj.modifiers
             if m.type in {"SUBSURF", "MULTIRES"} and m.show_render
         )
-        # Every frame has the points and the corners' normals; the first also what they are made of.
+        # Every frame has the points and, of what is not all smooth, the corners' normals; the first also the
+        # points before any bone moved them, and what the faces are made of.
+        each = 12 * points + (0 if smooth else 12 * corners)
         once = 24 * points + (8 + 12 * layers) * corners + 4 * faces
-        size += finer * (frames * 12 * (points + corners) + once) + frames * 1024
+        size += finer * (frames * each + once) + frames * 1024
     return size + size // 4
 
 
@@ -455,10 +454,13 @@ def _bvh(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
 
 
 def _blend(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
-    # Picture paths become relative to the file wherever both lie on one drive.
-    bpy.data.libraries.write(
-        str(path), {_open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
-    )
+    try:
+        # Picture paths become relative to the file wherever both lie on one drive.
+        bpy.data.libraries.write(
+            str(path), {_open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
+        )
+    except OSError as error:  # with words only, as operators' errors have
+        raise RuntimeError(str(error)) from error
 
 
 def _open_scene() -> bpy.types.Scene:

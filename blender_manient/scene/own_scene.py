@@ -43,11 +43,7 @@ def _windows_kept(window: bpy.types.Window) -> Iterator[None]:
     scene, camera = window.scene, window.scene.camera
     layers = [(w, w.view_layer) for w in windows]
     spaces = [
-        space
-        for w in windows
-        for area in w.screen.areas
-        for space in area.spaces
-        if space.type == "VIEW_3D"
+        space for w in windows for area in w.screen.areas for space in area.spaces if space.type == "VIEW_3D"
     ]
     cameras = [(space, space.camera) for space in spaces]
     views = [
@@ -97,11 +93,11 @@ def _transforms_kept() -> Iterator[None]:
 
 def _transforms(obj: bpy.types.Object) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """For each property the object's own numbers (n,), and those of its bones one after the other."""
-    bones = obj.pose.bones if obj.pose is not None else ()
+    bones = obj.pose.bones if obj.pose is not None else None
     found = {}
     for name, count in _TRANSFORMS.items():
-        posed = np.empty(len(bones) * count, dtype=np.float32)
-        if len(bones):
+        posed = np.empty(len(bones) * count if bones is not None else 0, dtype=np.float32)
+        if bones is not None:
             bones.foreach_get(name, posed)
         found[name] = (np.array(getattr(obj, name), dtype=np.float32), posed)
     return found

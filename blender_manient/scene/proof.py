@@ -1,7 +1,7 @@
 """Whether a file that Blender wrote is whole.
 
-Some of Blender's writers say nothing when the disk is full and leave the beginning of a file. Every format has
-something that is written last, or that says how long the file is: that is looked at here, without Blender.
+Some of Blender's writers say nothing when the disk is full and leave the beginning of a file. Every format
+has something that is written last, or that says how long the file is: that is looked at here, without Blender.
 """
 
 from __future__ import annotations
@@ -22,15 +22,23 @@ def prove_whole(path: Path, beside: Path) -> None:
     with beside.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         if size == 0:
-            raise OutputError(f"{shown(path)}: Blender wrote nothing; see its console for the reason")
+            raise OutputError(
+                f"{shown(path)}: Blender wrote nothing; see its console for the reason, free some space or "
+                "choose another folder"
+            )
         try:
             whole = _ENDS[beside.suffix](stream, size)
-        except (struct.error, ValueError, IndexError, OSError):  # there is less of it than its own numbers say
+        except (
+            struct.error,
+            ValueError,
+            IndexError,
+            OSError,
+        ):  # there is less of it than its own numbers say
             whole = False
     if not whole:
         raise OutputError(
-            f"{shown(path)}: Blender wrote only a part of it, as on a full disk, so what was there is kept; free "
-            "some space or choose another folder"
+            f"{shown(path)}: Blender wrote only a part of it, as on a full disk, so what was there is kept; "
+            "free some space or choose another folder"
         )
 
 
@@ -68,7 +76,7 @@ def _glb(stream: BinaryIO, size: int) -> bool:
     return place == size
 
 
-def _fbx(stream: BinaryIO, size: int) -> bool:
+def _fbx(stream: BinaryIO, _size: int) -> bool:
     """A mark of sixteen bytes at the end."""
     if not stream.read(23).startswith(b"Kaydara FBX Binary"):
         return False
@@ -94,8 +102,8 @@ def _usdc(stream: BinaryIO, size: int) -> bool:
     return end == contents
 
 
-def _bvh(stream: BinaryIO, size: int) -> bool:
-    """As many lines of numbers as the file says, as many numbers in the last as channels, and a line's end."""
+def _bvh(stream: BinaryIO, _size: int) -> bool:
+    """As many lines as the file says, the last with a number for every channel and the end of the line."""
     hierarchy, motion, frames = stream.read().partition(b"MOTION\n")
     lines = frames.split(b"\n")
     channels = sum(int(line.split()[1]) for line in hierarchy.splitlines() if b"CHANNELS" in line)
@@ -115,7 +123,7 @@ def _abc(stream: BinaryIO, size: int) -> bool:
     return root + 8 * (1 + children) == size
 
 
-def _png(stream: BinaryIO, size: int) -> bool:
+def _png(stream: BinaryIO, _size: int) -> bool:
     """An empty chunk at the end."""
     if stream.read(8) != b"\x89PNG\r\n\x1a\n":
         return False
