@@ -1,7 +1,7 @@
 """Whether a file that Blender wrote is whole.
 
 Some of Blender's writers say nothing when the disk is full and leave the beginning of a file. Every format
-has something that is written last, or that says how long the file is: that is looked at here, without Blender.
+has something that is written last, or that says how long the file is, and that is what is looked at here.
 """
 
 from __future__ import annotations
@@ -28,12 +28,7 @@ def prove_whole(path: Path, beside: Path) -> None:
             )
         try:
             whole = _ENDS[beside.suffix](stream, size)
-        except (
-            struct.error,
-            ValueError,
-            IndexError,
-            OSError,
-        ):  # there is less of it than its own numbers say
+        except (struct.error, ValueError, IndexError, OSError):  # shorter than its own numbers say
             whole = False
     if not whole:
         raise OutputError(

@@ -2,8 +2,8 @@
 
     python -m tests.blender.small_disk TAKE FOLDER RESULTS KIND
 
-KIND is "disk", where FOLDER is on a small disk that is filled up, or "limit", where files may not grow beyond a
-size. RESULTS gets a JSON object per line.
+KIND is "disk", where FOLDER is on a small disk that is filled up, or "limit", where files may not grow
+beyond a size. RESULTS gets a JSON list per line.
 """
 
 from __future__ import annotations
