@@ -39,7 +39,7 @@ def format_buttons(
             if reason:
                 reasons.setdefault(reason, []).append(label)
     for reason, labels in reasons.items():
-        sentence(layout, context, f"No {' and '.join(labels)}: {reason}", "INFO")
+        sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
     chosen = getattr(data, name)
     return chosen not in FORMATS or not why_not(FORMATS[chosen])
 

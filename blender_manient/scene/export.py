@@ -149,9 +149,9 @@ def export_hands(
     written nor changed. Raises OptionError and OutputError.
     """
     chosen = find_format(fmt)
-    if not available(chosen):
+    if reason := why_not(chosen):
         raise OptionError(
-            f"this Blender cannot write {fmt}: it has no {chosen.operator}; choose from "
+            f"this Blender cannot write {fmt}: {reason}, or choose from "
             f"{', '.join(k for k, f in FORMATS.items() if available(f))}"
         )
     if preset not in PRESETS:
@@ -202,8 +202,8 @@ def why_not(fmt: Format) -> str:
     if not fmt.operator or has_operator(fmt.operator):
         return ""
     if fmt.operator.startswith("wm."):
-        return "this Blender was built without it; take the one of blender.org"
-    return "Blender's add-on for it is switched off; enable it in the preferences"
+        return "missing in this build of Blender; take the one from blender.org"
+    return "switched off with its add-on; enable that in Blender's preferences"
 
 
 def available(fmt: Format) -> bool:
