@@ -102,7 +102,11 @@ _NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 def _flush(path: Path) -> None:
     """Have the system write the file out: network disks and quotas report only then what did not fit."""
     with path.open("rb+") as stream:
-        os.fsync(stream.fileno())
+        try:
+            os.fsync(stream.fileno())
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system without it
+                raise
 
 
 def check_room(path: Path, size: int) -> None:

@@ -565,6 +565,25 @@ def test_copies_of_a_hand_are_left_out(hands, tmp_path):
     np.testing.assert_allclose(take.hands[1].betas, made.take.hands[1].betas, atol=1e-5)
 
 
+def test_linked_hands_are_written_and_stay_as_they_are(make_take, tmp_path):
+    built = build_take(make_take(sides=("right",)).take)
+    name = built.collection.name
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.collections = [name]
+    bpy.context.scene.collection.children.link(bpy.data.collections[name])
+    armature = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE")
+    bpy.context.view_layer.objects.active = armature
+    bpy.context.view_layer.update()
+    before = snapshot()
+    for preset in ("PLAIN", "UNITY", "UNREAL"):
+        for fmt in ("fbx", "glb"):
+            path = write(tmp_path / f"{preset}.{fmt}", file_format=fmt, preset=preset)
+            assert str(tmp_path).encode() not in path.read_bytes()
+    assert snapshot() == before
+
+
 SECRET = "folder_of_a_secret_project"
 
 

@@ -162,17 +162,17 @@ def _export(stage, path: Path, fmt: str):
     return sorted(p.name for p in path.parent.glob(f"{path.name}*"))
 
 
-def _state(armature) -> list:
+def _state(armature) -> dict:
     """All that is shown, and what is selected and posed."""
-    found = []
+    views = []
     for window in bpy.context.window_manager.windows:
-        found.append([window.scene.name, window.view_layer.name, window.scene.camera.name])
+        views.append([window.scene.name, window.view_layer.name, window.scene.camera.name])
         for area in window.screen.areas:
             space = area.spaces[0]
             if area.type != "VIEW_3D":
                 continue
             view = space.region_3d
-            found.append(
+            views.append(
                 [
                     space.camera.name,
                     space.use_local_camera,
@@ -183,12 +183,15 @@ def _state(armature) -> list:
                     [round(v, 5) for row in view.view_matrix for v in row],
                 ]
             )
-    found.append([bpy.context.scene.frame_current, bpy.context.scene.name, len(bpy.data.scenes)])
-    found.append([armature.mode, [list(b.rotation_quaternion) for b in armature.pose.bones]])
-    layer = bpy.context.scene.view_layers[0]
-    found.append([layer.objects.active.name, sorted(o.name for o in layer.objects.selected)])
-    found.append(sorted(o.name for o in bpy.data.objects))
-    return found
+    scene = bpy.context.scene
+    return {
+        "views": views,
+        "scene": [scene.name, len(bpy.data.scenes), scene.frame_current],
+        "pose": [list(bone.rotation_quaternion) for bone in armature.pose.bones],
+        "active": [scene.view_layers[0].objects.active.name, armature.mode],
+        "selected": sorted(obj.name for obj in scene.view_layers[0].objects.selected),
+        "objects": sorted(obj.name for obj in bpy.data.objects),
+    }
 
 
 def _difference(stage, one: str, other: str) -> int:
