@@ -18,9 +18,9 @@ Presets say what a program expects of a format beyond Blender's habits:
 from __future__ import annotations
 
 import contextlib
+import errno
 import mmap
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
@@ -224,9 +224,11 @@ def _write_one(
             with _only(hands, stage, preset, whole if fmt.suffix == ".blend" else None) as written:
                 fmt.write(beside, written, preset)
         except RuntimeError as error:
-            # Exporters in Python print a traceback; those in C may see a full disk as something else.
-            if number := re.search(r"\[Errno (\d+)\]", str(error)):
-                raise OSError(int(number[1]), os.strerror(int(number[1]))) from error
+            # Somewhere in the words, which may be a traceback, is what the system said; but of a disk without
+            # any room some exporters say something else.
+            for number in errno.errorcode:
+                if os.strerror(number) in str(error):
+                    raise OSError(number, os.strerror(number)) from error
             check_room(beside, 1 << 16)
             reason = " ".join(str(error).split())
             raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error

@@ -87,3 +87,4 @@ def no_more_than(room: int, folder: Path, kind: str) -> Iterator[None]:
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4])
+    os._exit(0)  # bpy 4.2 as a module crashes while Python ends, once glTF was exported
