@@ -57,7 +57,8 @@ def _windows_kept(window: bpy.types.Window) -> Iterator[None]:
     finally:
         window.scene = scene
         for each, layer in layers:
-            each.view_layer = layer
+            if each.view_layer != layer:
+                each.view_layer = layer
         for space, own in cameras:
             if space.camera != own:
                 space.camera = own
