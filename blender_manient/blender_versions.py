@@ -87,7 +87,11 @@ def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:
 def has_operator(name: str) -> bool:
     """Whether this Blender has the operator `module.name`; some builds lack USD and Alembic."""
     module, _, operator = name.partition(".")
-    return operator in dir(getattr(bpy.ops, module))
+    try:
+        getattr(getattr(bpy.ops, module), operator).get_rna_type()
+    except (AttributeError, KeyError):
+        return False
+    return True
 
 
 def gltf_left_out() -> list[str]:

@@ -8,6 +8,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
 
 from handfit_core.errors import OutputError
@@ -104,7 +105,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it over `path` once the block succeeds.
 
     Makes the folder if need be. A crash, a full disk or an error leaves whatever stood at `path`
-    before. Raises OutputError with the remedy when the folder cannot be written.
+    before; the new file is on the disk before it takes the old one's place. Raises OutputError with the
+    remedy when the folder cannot be written.
     """
     path = Path(path)
     try:
@@ -118,6 +120,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     beside = Path(name)
     try:
         yield beside
+        _flush(beside)
         # mkstemp makes files that only their owner may read; results are ordinary files.
         mask = os.umask(0)
         os.umask(mask)
@@ -126,7 +129,46 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.errno in _NO_NAME:
             raise OutputError(_cannot_write(path, error)) from error
-        raise OutputError(f"{shown(path)}: could not be written ({why(error)})") from error
+        remedy = "; free some space or choose another folder" if error.errno in _NO_ROOM else ""
+        raise OutputError(f"{shown(path)}: could not be written ({why(error)}){remedy}") from error
     finally:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+_NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+
+
+def _flush(path: Path) -> None:
+    """Have the system write the file out: network disks and quotas report only then what did not fit."""
+    with path.open("rb+") as stream:
+        try:
+            os.fsync(stream.fileno())
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system without it
+                raise
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise OSError unless `size` bytes fit into the file now, which is empty afterwards.
+
+    The room is really taken for a moment, so that quotas and limits of a process count too; nothing holds
+    it afterwards.
+    """
+    with path.open("wb", buffering=0) as stream:
+        try:
+            _take_room(stream, size)
+        finally:
+            stream.truncate(0)
+
+
+def _take_room(stream: FileIO, size: int) -> None:
+    if hasattr(os, "posix_fallocate"):
+        try:
+            return os.posix_fallocate(stream.fileno(), 0, size)
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                raise  # other errors: this file system cannot do it
+    block = bytes(1 << 20)
+    while (left := size - stream.tell()) > 0:
+        stream.write(block[:left])

@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from handfit_core.errors import OutputError
-from handfit_core.files import written_whole
+from handfit_core.files import check_room, written_whole
 from handfit_core.take import Take
 
 from .. import axes
@@ -26,6 +26,7 @@ from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
 from .plate import Plate, load_plate
+from .proof import prove_whole
 
 LONGEST_SIDE = 1200
 """pixels of one half of a preview"""
@@ -133,7 +134,10 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
             try:
                 image.save()
             except RuntimeError as error:
-                raise OutputError(f"{path}: Blender could not write the preview ({error})") from error
+                check_room(beside, 1 << 16)
+                reason = " ".join(str(error).split())
+                raise OutputError(f"{path}: Blender could not write the preview ({reason})") from error
+            prove_whole(path, beside)
     finally:
         bpy.data.images.remove(image)
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.errors import OutputError
-from handfit_core.files import check_writable, is_file, read_file, storable, written_whole
+from handfit_core.files import check_room, check_writable, is_file, read_file, storable, written_whole
 
 
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
@@ -134,3 +135,53 @@ def test_names_that_no_file_can_have_are_no_files() -> None:
     for name in ("a" * 5000, "a\0b", "/nowhere/\udcff"):
         assert not is_file(name)
     assert storable("Hände\udcff.png") == "Hände?.png"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of a process are POSIX only")
+def test_room_is_asked_for_and_given_back(tmp_path: Path) -> None:
+    import resource
+
+    path = tmp_path / "a.abc"
+    path.write_text("old")
+    check_room(path, 100_000)
+    assert path.stat().st_size == 0
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+    try:
+        with pytest.raises(OutputError, match="free some space"), written_whole(tmp_path / "b.abc") as beside:
+            check_room(beside, 100_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.abc"]
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="this system always writes")
+def test_room_is_written_where_it_cannot_be_asked_for(tmp_path: Path, monkeypatch) -> None:
+    import resource
+
+    monkeypatch.delattr(os, "posix_fallocate")
+    check_room(tmp_path / "a.abc", 3_000_000)
+    assert (tmp_path / "a.abc").stat().st_size == 0
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            check_room(tmp_path / "a.abc", 3_000_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.skipif(not hasattr(errno, "EDQUOT"), reason="this system has no quotas")
+def test_what_only_the_disk_itself_reports_is_seen(tmp_path: Path, monkeypatch) -> None:
+    """Network disks and quotas accept a write and refuse it when it is to be kept."""
+    path = tmp_path / "a.npz"
+    path.write_text("old")
+
+    def refuse(_handle: int) -> None:
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OutputError, match=r"quota.*free some space"), written_whole(path) as beside:
+        beside.write_text("new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
