@@ -11,6 +11,7 @@ import torch
 
 from handfit_core.camera import Intrinsics
 from handfit_core.errors import Cancelled
+from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.keypoints import HandDetection
 from handfit_core.refine import pins as pinning
@@ -18,7 +19,7 @@ from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points
 from handfit_core.residuals.reprojection import NEAREST
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.solvers.fast.angles import angles_of
+from handfit_core.solvers.fast.angles import angles_of, rotation_of
 from handfit_core.solvers.fast.chain import State, joined
 from handfit_core.solvers.fast.fit import CHUNK, TRUST, FastFitter, fitter_of, over_time
 from handfit_core.solvers.fast.gaps import jumps, missing_between
@@ -37,7 +38,9 @@ from the frame's own pose the steps are the same every time."""
 DRAFT_ITERATIONS: Final = 6
 """While a point is dragged, each answer goes on where the one before ended"""
 CHEAPER: Final = 0.9
-"""of the cost from the frame's own pose: where the guess leads to less, its result counts"""
+"""of the cost from the first start: where another leads to less, its result counts"""
+OTHER_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
+"""of what a finger's three joints can do: where a finger that cannot reach its pin begins again"""
 
 _JOINTS: Final = np.array([FINGER_JOINTS[f] for f in FINGERS])
 """(5, 3) MANO's joints, finger by finger"""
@@ -68,12 +71,10 @@ def each(
         for at, part in _chunks(rows):
             observed = _rows(seen, part).observation(hand.intrinsics, fitter.dtype)
             own = _start(fitter, hand, hand, posed[at], observed, at)
-            near = None
-            if draft:
-                near = own
-                if guess is not None:
-                    there = guess.present[at]
-                    near = _start(fitter, hand, guess, there, observed, at).where(torch.tensor(there), own)
+            near = own if draft else None
+            if draft and guess is not None:
+                there = guess.present[at]
+                near = _start(fitter, hand, guess, there, observed, at).where(torch.tensor(there), own)
             frames = _Frames(
                 fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
                 _rows(seen, part), _rows(detected, part), own, near,
@@ -113,13 +114,17 @@ class _Frames:
             some = self._select(alone)
             found, held[alone] = some._fingers_alone()
             state = _put(state, alone, found)
-        seen = _first_or_second(self.posed, pinning.kept(_points(self.fitter, state), self.intrinsics), self.seen)
+        seen = _first_or_second(
+            self.posed, pinning.kept(_points(self.fitter, state), self.intrinsics), self.seen
+        )
         left = pinning.displacement(self.pins, seen.pixels)
         fall_short = (left.max(axis=1) > pinning.REACHED) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self._select(palm)
-            found, held[palm] = some._palm_follows(state.select(torch.tensor(palm)), _rows(seen, palm), left[palm])
+            found, held[palm] = some._palm_follows(
+                state.select(torch.tensor(palm)), _rows(seen, palm), left[palm]
+            )
             state = _put(state, palm, found)
         return state, held
 
@@ -141,11 +146,29 @@ class _Frames:
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
         seen = replace(seen, pinned=None)
         start = self.own if self.near is None else replace(self.own, local=self.near.local)
-        return self._solved(seen, self.own, anywhere, doubt, held, [start]), held
+        found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+        if self.near is None:
+            left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
+            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
+            if len(short):
+                some, kept = self._select(short), self.own.select(torch.tensor(short))
+                starts = [found.select(torch.tensor(short)), *some._other_bends()]
+                others = _rows(seen, short), kept, anywhere[short], doubt[short], held[short], starts
+                found = _put(found, short, some._solved(*others))
+        return found, held
 
-    def _palm_follows(
-        self, reached: State, seen: Landmarked, left: np.ndarray
-    ) -> tuple[State, np.ndarray]:
+    def _other_bends(self) -> list[State]:
+        """The same hands with fingers bent anew: a finger may find no way from its pose to what it can reach."""
+        upper = joint_limits(self.fitter.model.side).upper[_JOINTS - 1]  # (5, 3, 3)
+        states = []
+        for bends in OTHER_BENDS:
+            angles = np.zeros((1, 5, 3, 3))
+            angles[0, ..., 2] = np.array(bends) * upper[..., 2]
+            local = rotation_of(self.own.local.new_tensor(angles)).expand_as(self.own.local)
+            states.append(replace(self.own, local=local))
+        return states
+
+    def _palm_follows(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
         """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
         (B, 21) pixels."""
         doubt, size = pinning.followed(left), pinning.sizes(seen.pixels)
@@ -161,17 +184,26 @@ class _Frames:
         return self._solved(aim, reached, far, doubt, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
-        """Hands, seen at pixels (B, 21, 2), moved along the picture by what their points are off their pins, on
+        """Hands, seen at pixels (B, 21, 2), moved along the picture by what their points are off their pins on
         average."""
         at = np.isfinite(self.pins).all(axis=-1)
-        off = np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1) / np.maximum(at.sum(axis=1), 1)[:, None]
+        off = (
+            np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1)
+            / np.maximum(at.sum(axis=1), 1)[:, None]
+        )
         focal = np.array([self.intrinsics.fx, self.intrinsics.fy])
         moved = state.wrist.clone()
         moved[:, :2] += state.wrist[:, 2:] * state.wrist.new_tensor(off / focal)
         return replace(state, wrist=moved)
 
     def _solved(
-        self, seen: Landmarked, kept: State, far: np.ndarray, doubt: np.ndarray, held: np.ndarray, starts: list[State]
+        self,
+        seen: Landmarked,
+        kept: State,
+        far: np.ndarray,
+        doubt: np.ndarray,
+        held: np.ndarray,
+        starts: list[State],
     ) -> State:
         observed = seen.observation(self.intrinsics, self.fitter.dtype)
         # A frame without a pose has nothing to keep.
