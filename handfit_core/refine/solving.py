@@ -158,7 +158,7 @@ class _Frames:
         return found, held
 
     def _other_bends(self) -> list[State]:
-        """The same hands with fingers bent anew: a finger may find no way from its pose to what it can reach."""
+        """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
         upper = joint_limits(self.fitter.model.side).upper[_JOINTS - 1]  # (5, 3, 3)
         states = []
         for bends in OTHER_BENDS:
@@ -184,7 +184,7 @@ class _Frames:
         return self._solved(aim, reached, far, doubt, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
-        """Hands, seen at pixels (B, 21, 2), moved along the picture by what their points are off their pins on
+        """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
         average."""
         at = np.isfinite(self.pins).all(axis=-1)
         off = (
