@@ -224,6 +224,15 @@ class Refiner:
             self.armature, self.source_frame(row), pins, poses.quats[0], poses.locations[0], spread
         )
 
+    def unpin(self, row: int) -> None:
+        """Free all pins of a row: its pose becomes what it was before them."""
+        frame = self.source_frame(row)
+        own = corrections.corrections_of(self.armature).corrections.get(frame)
+        if own is not None and own.posed:
+            self.correct(row, {}, self.start_poses([row]), own.spread)
+        else:
+            corrections.clear_corrections(self.armature, [frame])
+
     def replacing(self, rows: Sequence[int], poses: BonePoses) -> Iterator[float]:
         """Put re-fitted poses of a range into the keys, bone by bone; yields how much is done, 0..1.
 
