@@ -224,6 +224,12 @@ def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
     confidence.shown_changed(hand.id_data)
 
 
+def _error_shown_changed(_hand: bpy.types.PropertyGroup, context) -> None:
+    from . import error_graph
+
+    error_graph.redraw(context)
+
+
 class ManientHand(bpy.types.PropertyGroup):
     """Object.manient of a captured hand's armature."""
 
@@ -259,6 +265,13 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Color bones by how well they meet the picture in this frame",
         default=False,
         update=_confidence_changed,
+    )
+    show_error: BoolProperty(  # type: ignore
+        name="Error over Time",
+        description="Draw how far the hand is from the picture, frame by frame, along the bottom of the "
+        "Timeline, the Dope Sheet and the Graph Editor",
+        default=False,
+        update=_error_shown_changed,
     )
     own_colors: StringProperty(  # type: ignore
         description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"
