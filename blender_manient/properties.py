@@ -17,6 +17,8 @@ from bpy.props import (
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 
+from .scene.matching import CHOICES
+
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
     ("BEST", "Best", "Look again where hands are missed or uncertain"),
@@ -163,10 +165,14 @@ class ManientSettings(bpy.types.PropertyGroup):
         max=500.0,
         precision=1,
     )
-    match_scene: BoolProperty(  # type: ignore
-        name="Match Scene to Footage",
-        description="Give the scene the footage's frame rate, frame range, size and camera",
-        default=True,
+    matching: EnumProperty(  # type: ignore
+        name="Scene",
+        description="What becomes of the scene's frame rate, frame range, size and camera",
+        items=CHOICES,
+        default="AUTO",
+    )
+    matched: StringProperty(  # type: ignore
+        description="The settings that the scene was given by footage (scene/matching.py)"
     )
     pose_correctives: BoolProperty(  # type: ignore
         name="Pose Correctives",
