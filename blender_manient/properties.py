@@ -261,6 +261,9 @@ class ManientHand(bpy.types.PropertyGroup):
     corrections: StringProperty(  # type: ignore
         description="Corrected frames, as JSON (scene/corrections.py)"
     )
+    fitted: StringProperty(  # type: ignore
+        description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
+    )
     locked: BoolVectorProperty(  # type: ignore
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",

@@ -27,6 +27,7 @@ from .scene import corrections
 from .scene.armature import bone_names, rest_frames
 from .scene.editable import why_not_keyable
 from .scene.keys import pose_at
+from .scene.own_keys import note_fitted
 from .scene.store import CapturedHand, hand_of
 
 _ON_ROW = 0.01
@@ -239,10 +240,10 @@ class Refiner:
         Frames without a hand keep what keys they have.
         """
         there = poses.present
-        chosen = np.asarray(self.take.frame_numbers)[list(rows)][there]
-        return corrections.replacing_poses(
-            self.armature, [int(f) for f in chosen], poses.quats[there], poses.locations[there]
-        )
+        chosen = [int(f) for f in np.asarray(self.take.frame_numbers)[list(rows)][there]]
+        quats, locations = poses.quats[there], poses.locations[there]
+        yield from corrections.replacing_poses(self.armature, chosen, quats, locations)
+        note_fitted(self.armature, chosen, quats, locations)
 
     def _frames(self) -> np.ndarray:
         return rest_frames(self.armature, self.side)

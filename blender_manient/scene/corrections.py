@@ -285,6 +285,15 @@ def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable
         _mark(action, slot, fingerprint(armature))
 
 
+def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
+    """The keys as they would be without the hand's corrections. Raises TakeError."""
+    field = corrections_of(armature)
+    places = _snapped(source_frames(timing_of(armature), keys.frames), field.frames)
+    turned, moved = field.at(places)
+    quats = changed_quats(keys.quats, turned, np.zeros_like(turned))
+    return replace(keys, quats=quats, locations=keys.locations - moved)
+
+
 def end_corrections(
     armature: bpy.types.Object,
     frames: Sequence[float],
