@@ -26,8 +26,8 @@ def test_a_range_is_fitted_again_only_after_it_was_asked_for(blender, make_clip)
     assert played["unchanged"] == []
     # Half a second around frame 30, at 25 frames per second, and one of the two keys set by hand.
     assert played["said"] == "Fits 25 frames again. Replaces 1 key set by hand, on 1 frame"
-    # Then three frames more, with the second.
-    assert {32, 45} <= set(played["changed"]) <= set(range(18, 46))
+    # Then six frames more, with the second: a wheel's press and its release are a step each.
+    assert {32, 45} <= set(played["changed"]) <= set(range(18, 49))
     assert played["undone"] == []
 
 
