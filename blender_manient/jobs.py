@@ -321,19 +321,20 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     if scene is None:
         warnings.append(f"the scene {plan.scene.name} is gone, so the hands were built in the open one")
     job.message = ""
-    footage = Footage.of_take(take)
+    footage = Footage.of_take(take, own_camera=plan.camera is not None)
+    frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
     job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
     built = yield from building(
         take,
         data=data,
         pose_correctives=plan.pose_correctives,
         match_scene=job.matched,
-        frame=plan.frame if scene is not None else None,
+        frame=frame,
         camera=plan.camera.find() if plan.camera else None,
     )
     _pack_cached_pictures(take)
     warnings += built.warnings
-    job.scene_said = said(bpy.context.scene, plan.matching, footage, plan.frame, done=job.matched)
+    job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if job.matched and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (

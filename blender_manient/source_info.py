@@ -74,7 +74,8 @@ def footage(settings, info: SourceInfo) -> Footage | None:
     first, last = info.first, info.last
     if info.files.kind != "photo" and settings.use_frames:
         first, last = settings.first_frame, settings.last_frame
-    return Footage(info.fps, first, last, info.width, info.height)
+    size = (0, 0) if settings.camera == "ACTIVE" else (info.width, info.height)
+    return Footage(info.fps, first, last, *size)
 
 
 def of_dropped(path: Path) -> Footage | None:

@@ -43,20 +43,21 @@ _START_UP_CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0
 
 @dataclass(frozen=True)
 class Footage:
-    """What a scene can take over from a clip or picture; nothing known: zeros."""
+    """What a scene can take over from a clip or picture."""
 
     fps: float = 0.0
     first: int = 0
     last: int = 0
     """Source frames; the same as `first` for a picture, which has no time"""
     width: int = 0
+    """0: before a camera of the scene's own, whose size stays"""
     height: int = 0
 
     @classmethod
-    def of_take(cls, take: Take) -> Footage:
+    def of_take(cls, take: Take, *, own_camera: bool = False) -> Footage:
         """What `build_take` gives to a scene."""
-        numbers = take.frame_numbers
-        return cls(take.fps, int(numbers[0]), int(numbers[-1]), take.width, take.height)
+        numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
+        return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size)
 
     def is_that_of(self, scene: bpy.types.Scene) -> bool:
         """Whether a clip's rate, range and size are the scene's already."""
@@ -110,7 +111,9 @@ def said(
     """What becomes of the scene, in words; `done` says what has become of it: whether it was matched."""
     matched = matches(scene, choice, footage) if done is None else done
     if matched:
-        news = str(footage or "") or "what the footage has: rate, range, size and camera"
+        news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)
+        if footage is not None and not news:
+            return f"Hand {'comes' if done is None else 'came'} at frame {footage.first}"
         return f"Scene {'becomes' if done is None else 'became'} {news}"
     comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
     why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""
@@ -155,12 +158,9 @@ def _is_of_a_capture(camera: bpy.types.Object) -> bool:
 
 def _moving(scene: bpy.types.Scene) -> Iterator[str]:
     """The names of what is animated in the scene; a hand captured from one picture only stands there."""
-    blocks: list[bpy.types.ID | None] = [scene, scene.world, scene.world and scene.world.node_tree]
-    for obj in scene.objects:
-        blocks += [obj, obj.data, getattr(obj.data, "shape_keys", None)]
-        for slot in obj.material_slots:
-            blocks += [slot.material, slot.material and slot.material.node_tree]
-    for block in blocks:
+    if len(bpy.data.actions) == 0:  # panels ask at every redraw
+        return
+    for block in _blocks(scene):
         data = getattr(block, "animation_data", None)
         if block is None or data is None:
             continue
@@ -168,6 +168,15 @@ def _moving(scene: bpy.types.Scene) -> Iterator[str]:
         still = action is not None and _is_hand(block) and action.frame_range[0] == action.frame_range[1]
         if (action is not None and not still) or any(len(track.strips) for track in data.nla_tracks):
             yield block.name
+
+
+def _blocks(scene: bpy.types.Scene) -> Iterator[bpy.types.ID | None]:
+    """What can be animated in a scene; None for what is not there."""
+    yield from (scene, scene.world, scene.world and scene.world.node_tree)
+    for obj in scene.objects:
+        yield from (obj, obj.data, getattr(obj.data, "shape_keys", None))
+        for slot in obj.material_slots:
+            yield from (slot.material, slot.material and slot.material.node_tree)
 
 
 def _is_hand(block: bpy.types.ID) -> bool:

@@ -196,6 +196,9 @@ def test_a_rate_that_no_whole_number_tells_is_known_again(make_take, fps):
 def test_nothing_known_of_the_footage_is_said_without_figures():
     told = said(bpy.context.scene, "AUTO", None, 1)
     assert told == "Scene becomes what the footage has: rate, range, size and camera"
+    # Before a camera of the scene's own its size stays, and a picture has no time.
+    assert said(bpy.context.scene, "MATCH", Footage(25.0, 1, 60), 1) == "Scene becomes 25 fps, 1-60"
+    assert said(bpy.context.scene, "MATCH", Footage(25.0, 4, 4), 1) == "Hand comes at frame 4"
     assert (
         said(bpy.context.scene, "KEEP", None, 7) == "Hand comes at frame 7, 24 fps: the scene stays as it is"
     )
