@@ -15,8 +15,10 @@ import bpy
 import bpy.utils.previews
 
 from handfit_core.errors import HandfitError
+from handfit_core.media import VIDEO_SUFFIXES
 
 from . import jobs, screen, sources
+from .scene.matching import Footage
 from .worker import shared
 
 _LOOK_AGAIN = 0.1
@@ -63,6 +65,31 @@ def of(settings) -> SourceInfo:
 def _is_known(settings) -> bool:
     wanted = (settings.source, settings.as_sequence)
     return _known is not None and (_known.path, _known.as_sequence) == wanted
+
+
+def footage(settings, info: SourceInfo) -> Footage | None:
+    """What a scene would be matched to by capturing the panel's source; None while nobody knows."""
+    if info.files is None or not info.width:
+        return None
+    first, last = info.first, info.last
+    if info.files.kind != "photo" and settings.use_frames:
+        first, last = settings.first_frame, settings.last_frame
+    size = (0, 0) if settings.camera == "ACTIVE" else (info.width, info.height)
+    return Footage(info.fps, first, last, *size)
+
+
+def of_dropped(path: Path) -> Footage | None:
+    """The same of a file that nobody has chosen yet; only videos have a header that Blender reads at once."""
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        return None
+    try:
+        clip = bpy.data.movieclips.load(str(path.absolute()))
+    except RuntimeError:
+        return None
+    try:
+        return Footage(clip.fps, 1, clip.frame_duration, *clip.size) if clip.size[0] else None
+    finally:
+        bpy.data.movieclips.remove(clip)
 
 
 def source_changed(settings, _context) -> None:

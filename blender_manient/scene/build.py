@@ -28,6 +28,7 @@ from .animation import CURVES, animating, computing_keys, describe
 from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
+from .matching import note_matched
 from .mesh import build_mesh
 from .plate import Plate, load_plate
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
@@ -68,17 +69,18 @@ def build_take(
     pose_correctives: bool = True,
     picture: bool = True,
     match_scene: bool = True,
+    frame: float | None = None,
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
 ) -> BuiltTake:
     """Build a take's hands, their animation and the camera that saw them, in a collection of their own.
 
     `scene` is the current one or None. With `match_scene` it gets the take's frame rate, frame range,
-    picture size and camera; else it stays as it is, and the take starts at its current frame, at its
-    rate. `model` replaces `take.model`, for takes whose model file has moved. `camera` is one that is
-    there already: the hands hang on it, and its lens and the scene's size stay. `data` are the bytes of
-    the take's file, where the caller has them. Hands are life-size in any unit of length: in scenes whose
-    unit is not the metre their armatures are scaled. Building twice makes a second set and leaves the
+    picture size and camera; else it stays as it is, and the take starts at `frame` (None: the current
+    one), at its rate. `model` replaces `take.model`, for takes whose model file has moved. `camera` is one
+    that is there already: the hands hang on it, and its lens and the scene's size stay. `data` are the
+    bytes of the take's file, where the caller has them. Hands are life-size in any unit of length: in scenes
+    whose unit is not the metre their armatures are scaled. Building twice makes a second set and leaves the
     first alone. Raises HandModelError and OptionError.
     """
     steps = building(
@@ -88,6 +90,7 @@ def build_take(
         pose_correctives=pose_correctives,
         picture=picture,
         match_scene=match_scene,
+        frame=frame,
         camera=camera,
         data=data,
     )
@@ -102,6 +105,7 @@ def building(
     pose_correctives: bool = True,
     picture: bool = True,
     match_scene: bool = True,
+    frame: float | None = None,
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
 ) -> Generator[float, None, BuiltTake]:
@@ -117,7 +121,7 @@ def building(
         with _Watch() as watch:
             open_scene = _checked_scene(scene)
             steps = _steps(
-                made, take, open_scene, model, pose_correctives, picture, match_scene, camera, data
+                made, take, open_scene, model, pose_correctives, picture, match_scene, frame, camera, data
             )
             done = 0.0
             while True:
@@ -148,6 +152,7 @@ def _steps(
     pose_correctives: bool,
     picture: bool,
     match_scene: bool,
+    frame: float | None,
     own_camera: bpy.types.Object | None,
     data: bytes | None,
 ) -> Generator[float | None, None, BuiltTake]:
@@ -161,7 +166,7 @@ def _steps(
         yield None
         warnings += _digest_warning(take, models[track.side])
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
-    timing = Timing() if match_scene else timing_in(scene, take)
+    timing = Timing() if match_scene else timing_in(scene, take, frame)
     check_range(take, timing)
     units = 1.0 / scene.unit_settings.scale_length
     work = _Work(take, models, pose_correctives)
@@ -235,6 +240,7 @@ def _steps(
         if own_camera is None:
             frame_scene(scene, take)
             scene.camera = camera
+        note_matched(scene)
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)

@@ -46,23 +46,28 @@ def frame_rate(scene: bpy.types.Scene) -> float:
     return scene.render.fps / scene.render.fps_base
 
 
-def timing_in(scene: bpy.types.Scene, take: Take) -> Timing:
-    """The take in the scene's own time: its first frame at the current one, as fast as it was filmed.
+def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> Timing:
+    """The take in the scene's own time: its first frame at `frame` (None: the current one), as fast as it
+    was filmed.
 
     Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
     """
     scale = frame_rate(scene) / take.fps if take.source.kind == "video" else 1.0
     if abs(scale - 1.0) < 1e-4:
         scale = 1.0
-    return Timing(scene.frame_current - scale * float(take.frame_numbers[0]), scale)
+    return Timing(
+        (scene.frame_current if frame is None else frame) - scale * float(take.frame_numbers[0]), scale
+    )
+
+
+def nearest_rate(fps: float) -> tuple[int, float]:
+    """A rate in frames per second as scenes keep it: Blender keeps 29.97 as 30 / 1.001."""
+    nearest = max(1, round(fps))
+    return nearest, float(np.float32(1 / Fraction(fps / nearest).limit_denominator(1001)))
 
 
 def set_timing(scene: bpy.types.Scene, take: Take) -> None:
     """Give the scene the take's frame rate and range."""
-    # Blender keeps 29.97 as 30 / 1.001.
-    nearest = max(1, round(take.fps))
-    rate = Fraction(take.fps / nearest).limit_denominator(1001)
-    scene.render.fps = nearest
-    scene.render.fps_base = float(1 / rate)
+    scene.render.fps, scene.render.fps_base = nearest_rate(take.fps)
     scene.frame_start = int(take.frame_numbers[0])
     scene.frame_end = int(take.frame_numbers[-1])
