@@ -32,7 +32,7 @@ from handfit_core.torch_threads import one_thread
 
 LOOSE: Final = 4.0
 """times the expected errors of a pose's points, where they stand in for a detection among others"""
-MAX_ITERATIONS: Final = 30
+MAX_ITERATIONS: Final = 50
 """More than captures take. Where they are too few, a drag's result does still not depend on the way there:
 from the frame's own pose the steps are the same every time."""
 DRAFT_ITERATIONS: Final = 6
@@ -177,10 +177,13 @@ class _Frames:
         aim = pinning.pinned(pinning.forgetting(seen, self.detected, forget), self.pins, doubt)
         still = pinning.untouched(doubt) & pinning.unpinned(self.pins)
         held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
+        # A finger draws the hand along as it is; wrist and knuckles rather turn it.
+        shifted = self._shifted(reached, seen.pixels)
         if self.near is None:
-            starts = [reached, self._shifted(reached, seen.pixels)]
+            start = reached.where(torch.tensor(pinning.of_palm(left).any(axis=1)), shifted)
         else:
-            starts = [replace(self.near, local=reached.local)]
+            start = replace(self.near, local=reached.local)
+        starts = [start, shifted]
         return self._solved(aim, reached, far, doubt, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
