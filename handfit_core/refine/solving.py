@@ -189,7 +189,7 @@ class _Frames:
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
         """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
         average."""
-        at = np.isfinite(self.pins).all(axis=-1)
+        at = np.asarray(np.isfinite(self.pins).all(axis=-1))
         off = (
             np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1)
             / np.maximum(at.sum(axis=1), 1)[:, None]
