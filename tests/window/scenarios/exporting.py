@@ -30,7 +30,7 @@ def leaves_all_as_it_is(stage, source):
         with stage.override():
             bpy.ops.object.mode_set(mode="POSE")
         armature.pose.bones[2].rotation_quaternion = (0.5, 0.5, 0.5, 0.5)
-        stage.area().spaces[0].shading.type = "MATERIAL"
+        stage.area().spaces[0].shading.light = "FLAT"
         stage.area().spaces[0].region_3d.view_camera_zoom = 8.0
         bpy.ops.ed.undo_push(message="Before the export")
         yield from stage.leave_popups()
@@ -177,7 +177,7 @@ def _state(armature) -> dict:
                     space.camera.name,
                     space.use_local_camera,
                     space.local_view is not None,
-                    space.shading.type,
+                    [space.shading.type, space.shading.light],
                     view.view_perspective,
                     round(view.view_camera_zoom, 4),
                     [round(v, 5) for row in view.view_matrix for v in row],
