@@ -40,6 +40,8 @@ _MOST_PACKED: Final = 50
 
 LARGEST: Final = 1e9
 """Metres, pixels, radians: what is beyond in either direction was not measured"""
+_LARGEST_ERROR: Final = 1e30
+"""pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
 _LARGEST_BETA: Final = 1e3
 _SMALLEST_FPS: Final = 1e-3
 _LARGEST_FPS: Final = 1e6
@@ -158,7 +160,8 @@ class HandTrack:
                 self._check_numbers(name, (count, *shape), np.zeros(count, dtype=bool))
             else:
                 frames = self.present if name in _OF_MODEL else detected
-                self._check_numbers(name, (count, *shape), frames)
+                largest = _LARGEST_ERROR if name == "reprojection_error" else LARGEST
+                self._check_numbers(name, (count, *shape), frames, largest)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
