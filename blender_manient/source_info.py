@@ -86,8 +86,9 @@ def of_dropped(path: Path) -> Footage | None:
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         return None
     try:
+        check_for_blender(path, preferences.get().max_megapixels or None)
         clip = bpy.data.movieclips.load(str(path.absolute()))
-    except RuntimeError:
+    except (InputError, RuntimeError):
         return None
     try:
         return Footage(clip.fps, 1, clip.frame_duration, *clip.size) if clip.size[0] else None

@@ -96,6 +96,15 @@ def test_no_thumbnail_of_what_may_not_be_read(tmp_path):
         assert source_info.of(settings).can_be_shown == (path == good)
 
 
+def test_a_dropped_playlist_reads_no_other_file(tmp_path):
+    clip(tmp_path / "hidden.mp4")
+    listed = tmp_path / "list.mp4"
+    for content in playlists(str(tmp_path / "hidden.mp4")).values():
+        listed.write_bytes(content)
+        assert source_info.of_dropped(listed) is None
+    assert source_info.of_dropped(tmp_path / "hidden.mp4") is not None
+
+
 @pytest.mark.parametrize(("name", "side", "kind"), [("a.jpg", 7900, np.uint8), ("a.png", 4600, np.uint16)])
 def test_a_large_turned_photo_stays_below_a_gigabyte(make_take, tmp_path, name, side, kind):
     path, saved = tmp_path / name, tmp_path / "a.npz"
