@@ -14,10 +14,11 @@ from typing import Any
 import bpy
 import bpy.utils.previews
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, InputError
 from handfit_core.media import VIDEO_SUFFIXES
+from handfit_core.size_limit import check_for_blender
 
-from . import jobs, screen, sources
+from . import jobs, preferences, screen, sources
 from .scene.matching import Footage
 from .worker import shared
 
@@ -42,6 +43,8 @@ class SourceInfo:
     fps: float = 0.0
     first: int = 1
     last: int = 1
+    can_be_shown: bool = False
+    """Whether Blender may decode its first picture for a thumbnail"""
     request: int = 0
 
     @property
@@ -83,8 +86,9 @@ def of_dropped(path: Path) -> Footage | None:
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         return None
     try:
+        check_for_blender(path, preferences.get().max_megapixels or None)
         clip = bpy.data.movieclips.load(str(path.absolute()))
-    except RuntimeError:
+    except (InputError, RuntimeError):
         return None
     try:
         return Footage(clip.fps, 1, clip.frame_duration, *clip.size) if clip.size[0] else None
@@ -100,7 +104,9 @@ def source_changed(settings, _context) -> None:
     if info.files is None or bpy.app.background:
         return
     with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
-        info.request = shared.worker().request("probe", input=list(info.files.files))
+        info.request = shared.worker().request(
+            "probe", input=list(info.files.files), max_megapixels=preferences.get().max_megapixels or None
+        )
         if not bpy.app.timers.is_registered(_await_answer):
             bpy.app.timers.register(_await_answer, first_interval=_LOOK_AGAIN)
 
@@ -108,7 +114,7 @@ def source_changed(settings, _context) -> None:
 def thumbnail(info: SourceInfo) -> int:
     """An icon of the source, 0 where there is none."""
     global _previews
-    if info.files is None or bpy.app.background:
+    if info.files is None or not info.can_be_shown or bpy.app.background:
         return 0
     if _previews is None:
         _previews = bpy.utils.previews.new()
@@ -130,6 +136,9 @@ def _look(path: str, as_sequence: bool) -> SourceInfo:
         info.problem = str(error)
         return info
     first = Path(info.files.files[0])
+    with contextlib.suppress(InputError):  # the worker will say what is wrong with it
+        check_for_blender(first, preferences.get().max_megapixels or None)
+        info.can_be_shown = True
     if info.files.kind == "photo" or as_sequence:
         info.siblings = len(sources.numbered_siblings(first))
     if info.files.kind == "sequence":

@@ -203,6 +203,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
             plain_detection=settings.preset == "FAST",
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
             lens=_lens(settings, scene),
+            max_megapixels=preferences.get(context).max_megapixels or None,
         ),
         building=jobs.Building(
             scene=Remembered.of("scenes", scene),

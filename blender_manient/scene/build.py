@@ -30,7 +30,7 @@ from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
 from .matching import note_matched
 from .mesh import build_mesh
-from .plate import Plate, load_plate
+from .plate import Plate, loading_plate
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
 from .timing import Timing, check_range, set_timing, timing_in
 
@@ -72,6 +72,7 @@ def build_take(
     frame: float | None = None,
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
+    max_megapixels: float | None = None,
 ) -> BuiltTake:
     """Build a take's hands, their animation and the camera that saw them, in a collection of their own.
 
@@ -79,7 +80,8 @@ def build_take(
     picture size and camera; else it stays as it is, and the take starts at `frame` (None: the current
     one), at its rate. `model` replaces `take.model`, for takes whose model file has moved. `camera` is one
     that is there already: the hands hang on it, and its lens and the scene's size stay. `data` are the
-    bytes of the take's file, where the caller has them. Hands are life-size in any unit of length: in scenes
+    bytes of the take's file, where the caller has them. `max_megapixels` is how large the picture behind the
+    hands may be, instead of what the preferences say. Hands are life-size in any unit of length: in scenes
     whose unit is not the metre their armatures are scaled. Building twice makes a second set and leaves the
     first alone. Raises HandModelError and OptionError.
     """
@@ -93,6 +95,7 @@ def build_take(
         frame=frame,
         camera=camera,
         data=data,
+        max_megapixels=max_megapixels,
     )
     return result_of(steps)
 
@@ -108,6 +111,7 @@ def building(
     frame: float | None = None,
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
+    max_megapixels: float | None = None,
 ) -> Generator[float, None, BuiltTake]:
     """`build_take` in slices of some milliseconds. Yields how much is done, 0..1; returns what was made.
 
@@ -121,7 +125,17 @@ def building(
         with _Watch() as watch:
             open_scene = _checked_scene(scene)
             steps = _steps(
-                made, take, open_scene, model, pose_correctives, picture, match_scene, frame, camera, data
+                made,
+                take,
+                open_scene,
+                model,
+                pose_correctives,
+                picture,
+                match_scene,
+                frame,
+                camera,
+                data,
+                max_megapixels,
             )
             done = 0.0
             while True:
@@ -155,6 +169,7 @@ def _steps(
     frame: float | None,
     own_camera: bpy.types.Object | None,
     data: bytes | None,
+    max_megapixels: float | None,
 ) -> Generator[float | None, None, BuiltTake]:
     """The work in small steps. Yields how much is done, or None where the slice should end: what follows
     is one long step. Every data-block goes into `made`."""
@@ -178,7 +193,9 @@ def _steps(
     collection = keep(bpy.data.collections.new(take.source.name))
     name = collection.name
     yield None
-    plate, plate_warnings = load_plate(take, timing) if picture else (None, [])
+    plate, plate_warnings = None, []
+    if picture:
+        plate, plate_warnings = yield from work.counting(loading_plate(take, timing, max_megapixels))
     if plate is not None:
         keep(plate.image)
     yield None
@@ -319,7 +336,7 @@ def _show_behind_own(camera: bpy.types.Object, plate: Plate, take: Take, scene: 
     path = Path(take.source.files[0])
     for background in camera.data.background_images:
         shown = background.image
-        if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path:
+        if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path.absolute():
             bpy.data.images.remove(plate.image)
             return []
     if not camera.data.is_editable:

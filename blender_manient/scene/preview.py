@@ -42,20 +42,24 @@ _MISSING = (0.18, 0.18, 0.18)
 _SUNS = ((-35.0, 45.0, 3.0), (50.0, 15.0, 1.2), (0.0, -40.0, 0.5))
 
 
-def render_preview(built: BuiltTake, take: Take, frame: int, path: Path) -> Path:
+def render_preview(
+    built: BuiltTake, take: Take, frame: int, path: Path, *, max_megapixels: float | None = None
+) -> Path:
     """Write a PNG: left the picture, right the same with the hands over it through the solved camera.
 
-    `frame` is a source frame number. The longer side of each half is at most `LONGEST_SIDE` pixels.
-    Raises OutputError.
+    `frame` is a source frame number, `max_megapixels` as in `build_take`. The longer side of each half is at
+    most `LONGEST_SIDE` pixels. Raises OutputError.
     """
-    rows = preview_rows(built, take, [frame])[0]
+    rows = preview_rows(built, take, [frame], max_megapixels=max_megapixels)[0]
     return write_png(rows, path)
 
 
-def preview_rows(built: BuiltTake, take: Take, frames: Sequence[int]) -> list[np.ndarray]:
+def preview_rows(
+    built: BuiltTake, take: Take, frames: Sequence[int], *, max_megapixels: float | None = None
+) -> list[np.ndarray]:
     """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
-    plate, _ = load_plate(take)
+    plate, _ = load_plate(take, max_megapixels=max_megapixels)
     previews = []
     try:
         for frame in frames:

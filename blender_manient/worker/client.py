@@ -116,6 +116,8 @@ class CaptureOptions:
     plain_detection: bool | None = None
     hand_length: float | None = None
     """Metres from the wrist to the tip of the middle finger"""
+    max_megapixels: float | None = None
+    """How large pictures and the frames of videos may be"""
 
     def to_message(self) -> dict[str, Any]:
         """The `options` of a capture request: those that are given."""
