@@ -84,10 +84,20 @@ def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:
     return block.node_tree
 
 
+def has_strips(scene: bpy.types.Scene) -> bool:
+    """Whether the sequencer of a scene holds anything; up to Blender 4.3 its strips are called sequences."""
+    editor: Any = scene.sequence_editor
+    return editor is not None and len(editor.strips if hasattr(editor, "strips") else editor.sequences) > 0
+
+
 def has_operator(name: str) -> bool:
     """Whether this Blender has the operator `module.name`; some builds lack USD and Alembic."""
     module, _, operator = name.partition(".")
-    return operator in dir(getattr(bpy.ops, module))
+    try:
+        getattr(getattr(bpy.ops, module), operator).get_rna_type()
+    except (AttributeError, KeyError):
+        return False
+    return True
 
 
 def gltf_left_out() -> list[str]:

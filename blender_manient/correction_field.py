@@ -30,6 +30,7 @@ import numpy as np
 
 from handfit_core.errors import TakeError
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS
+from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
@@ -76,11 +77,13 @@ class Correction:
     """(3,) metres: the same of the wrist's location"""
     keyed: bool = False
     """Whether the frame was keyed anew, so that without this correction the field is zero there"""
+    posed: bool = False
+    """Whether the artist gave the frame a pose before any pin: then pins are measured against that pose"""
 
     @property
     def is_anchor(self) -> bool:
         """Whether it is none of the artist's, and only ends those around it."""
-        return self.keyed and not self.pins
+        return self.keyed and not self.pins and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
         """Whether the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
@@ -110,7 +113,7 @@ class Correction:
         object.__setattr__(self, "spread", float(self.spread))
         for name, shape in _ARRAYS.items():
             array = np.round(np.asarray(getattr(self, name), dtype=np.float64), _DECIMALS)
-            if array.shape != shape or not np.all(np.isfinite(array)):
+            if array.shape != shape or not np.all(np.abs(array) <= LARGEST):
                 raise ValueError(f"{name} of a correction is finite and of the shape {shape}")
             object.__setattr__(self, name, array)
 
@@ -120,7 +123,7 @@ class CorrectionField:
     """All corrections of a hand, by source frame."""
 
     corrections: Mapping[float, Correction] = field(default_factory=dict)
-    """Those of the artist are on whole frames; anchors may lie between them"""
+    """Most are on whole frames; poses that were not dragged and anchors may lie between them"""
 
     @cached_property
     def frames(self) -> np.ndarray:
@@ -128,9 +131,9 @@ class CorrectionField:
         return np.array(sorted(self.corrections), dtype=np.float64)
 
     @property
-    def corrected(self) -> list[int]:
+    def corrected(self) -> list[float]:
         """The source frames that the artist corrected, increasing."""
-        return [int(g) for g in sorted(self.corrections) if not self.corrections[g].is_anchor]
+        return [g for g in sorted(self.corrections) if not self.corrections[g].is_anchor]
 
     def weights(self, frames: np.ndarray) -> np.ndarray:
         """(N,) source frames, whole or not -> (N, K) weight of each correction there, 0..1."""
@@ -159,14 +162,14 @@ class CorrectionField:
         location = np.array([c.location for c in chosen]).reshape(-1, 3)
         return np.einsum("nk,kja->nja", weights, rotation), weights @ location
 
-    def pins(self, frame: int) -> Pins:
+    def pins(self, frame: float) -> Pins:
         """The pins of a source frame; none where it has no correction."""
-        correction = self.corrections.get(int(frame))
+        correction = self.corrections.get(kept_frame(frame))
         return correction.pins if correction is not None else {}
 
-    def with_correction(self, frame: int, correction: Correction) -> CorrectionField:
+    def with_correction(self, frame: float, correction: Correction) -> CorrectionField:
         """The same with this correction of one source frame."""
-        return CorrectionField({**self.corrections, int(frame): correction})
+        return CorrectionField({**self.corrections, kept_frame(frame): correction})
 
     def without(self, frames: Iterable[float]) -> CorrectionField:
         """The same without the corrections of these source frames."""
@@ -196,7 +199,7 @@ class CorrectionField:
         `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
         frames' pins, for poses that were fitted to them.
         """
-        own = np.array(sorted({_frame(f) for f in frames}), dtype=np.float64)
+        own = np.array(sorted({kept_frame(f) for f in frames}), dtype=np.float64)
         if len(own) == 0:
             return self
         first, last = float(own[0]), float(own[-1])
@@ -224,7 +227,7 @@ class CorrectionField:
         rotations, places = self.at(np.array(sorted(ends)))
         for g, rotation, place in zip(sorted(ends), rotations, places, strict=True):
             if g not in new:
-                new[_frame(g)] = left({}, rotation, place, self._reach(g))
+                new[kept_frame(g)] = left({}, rotation, place, self._reach(g))
         return CorrectionField(new)._pruned()
 
     def _reach(self, frame: float) -> float:
@@ -253,6 +256,7 @@ class CorrectionField:
                 "spread": c.spread,
                 "added_key": c.added_key,
                 **({"keyed": True} if c.keyed else {}),
+                **({"posed": True} if c.posed else {}),
                 **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
             }
             for frame, c in sorted(self.corrections.items())
@@ -268,8 +272,8 @@ class CorrectionField:
             content = json.loads(text)
             version = int(content["version"])
             if version <= FORMAT_VERSION:
-                return cls({_frame(frame): _correction(c) for frame, c in content["frames"].items()})
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+                return cls({kept_frame(frame): _correction(c) for frame, c in content["frames"].items()})
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
             raise TakeError(
                 "the hand's corrections cannot be read; undo what changed them, or clear all corrections"
             ) from error
@@ -320,7 +324,7 @@ def _equal(one: Correction, other: Correction) -> bool:
     )
 
 
-def _frame(frame: Any) -> float:
+def kept_frame(frame: Any) -> float:
     """A source frame as corrections are kept under: whole, or between two frames to four digits."""
     place = round(float(frame), 4)
     if not np.isfinite(place):
@@ -334,6 +338,7 @@ def _correction(content: Mapping[str, Any]) -> Correction:
         spread=float(content["spread"]),
         added_key=bool(content.get("added_key", False)),
         keyed=bool(content.get("keyed", False)),
+        posed=bool(content.get("posed", False)),
         **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
     )
 

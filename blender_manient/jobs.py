@@ -26,6 +26,7 @@ from .cache import folder_path, temporary_take
 from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import building
+from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .slices import retold
@@ -49,10 +50,10 @@ class Building:
     hand: Remembered | None = None
     """The armature that ANIMATION and POSE are for"""
     frame: float = 1.0
-    """The scene frame of POSE"""
+    """The scene frame of POSE, and of new hands in a scene that keeps its time"""
     pose_correctives: bool = True
-    match_scene: bool = True
     render_setup: bool = True
+    matching: Choice = "AUTO"
     camera: Remembered | None = None
     """An existing camera to look through instead of a new one"""
 
@@ -74,6 +75,10 @@ class Job:
     message: str = ""
     """What went wrong, or what is to be known, in one sentence"""
     warnings: list[str] = field(default_factory=list)
+    matched: bool = False
+    """Whether the scene was given the footage's rate, range, size and camera"""
+    scene_said: str = ""
+    """What became of the scene, in one sentence; empty where nothing was built into it"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
@@ -317,17 +322,22 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     if scene is None:
         warnings.append(f"the scene {plan.scene.name} is gone, so the hands were built in the open one")
     job.message = ""
+    footage = Footage.of_take(take, own_camera=plan.camera is not None)
+    frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
+    job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
     built = yield from building(
         take,
         data=data,
         pose_correctives=plan.pose_correctives,
-        match_scene=plan.match_scene and not warnings,
+        match_scene=job.matched,
+        frame=frame,
         render_setup=plan.render_setup,
         camera=plan.camera.find() if plan.camera else None,
     )
     _pack_cached_pictures(take)
     warnings += built.warnings
-    if plan.match_scene and plan.camera is None and scene is not None:
+    job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
+    if job.matched and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (
         tuple(hand.armature.name for hand in built.hands),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import cache, jobs, panels, preferences, properties, source_info
+from . import cache, error_graph, jobs, panels, preferences, properties, source_info
 from .operators import (
     apply_take,
     capture,
@@ -37,6 +37,7 @@ PARTS = (
     cache,
     reshape,
     confidence,
+    error_graph,
     import_take,
     export_hand,
     reset_shape,

@@ -47,6 +47,15 @@ class ManientPreferences(bpy.types.AddonPreferences):
         soft_max=32,
         max=256,
     )
+    max_megapixels: IntProperty(  # type: ignore
+        name="Largest Picture",
+        description="Megapixels that a picture or a frame of a video may have; larger ones are refused "
+        "before they fill the memory. 0: 250, in files under 10 MB 64; for videos 80 and 9",
+        default=0,
+        min=0,
+        soft_max=500,
+        max=4000,
+    )
     cache_folder: StringProperty(  # type: ignore
         name="Cache",
         description="Folder for temporary files; a folder of the add-on's own is made in it. "
@@ -89,6 +98,7 @@ def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -
     if text:
         sentence(layout, context, text, "ERROR", alert=True)
     layout.prop(self, "threads")
+    layout.prop(self, "max_megapixels")
     row = layout.row(align=True)
     row.operator("manient.check_installation", icon="CHECKMARK")
     if check_installation.running():

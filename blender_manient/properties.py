@@ -17,6 +17,8 @@ from bpy.props import (
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 
+from .scene.matching import CHOICES
+
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
     ("BEST", "Best", "Look again where hands are missed or uncertain"),
@@ -163,10 +165,14 @@ class ManientSettings(bpy.types.PropertyGroup):
         max=500.0,
         precision=1,
     )
-    match_scene: BoolProperty(  # type: ignore
-        name="Match Scene to Footage",
-        description="Give the scene the footage's frame rate, frame range, size and camera",
-        default=True,
+    matching: EnumProperty(  # type: ignore
+        name="Scene",
+        description="What becomes of the scene's frame rate, frame range, size and camera",
+        items=CHOICES,
+        default="AUTO",
+    )
+    matched: StringProperty(  # type: ignore
+        description="The settings that the scene was given by footage (scene/matching.py)"
     )
     render_setup: BoolProperty(  # type: ignore
         name="Ready to Render",
@@ -230,6 +236,12 @@ def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
     confidence.shown_changed(hand.id_data)
 
 
+def _error_shown_changed(_hand: bpy.types.PropertyGroup, context) -> None:
+    from . import error_graph
+
+    error_graph.redraw(context)
+
+
 class ManientHand(bpy.types.PropertyGroup):
     """Object.manient of a captured hand's armature."""
 
@@ -265,6 +277,9 @@ class ManientHand(bpy.types.PropertyGroup):
     corrections: StringProperty(  # type: ignore
         description="Corrected frames, as JSON (scene/corrections.py)"
     )
+    fitted: StringProperty(  # type: ignore
+        description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
+    )
     locked: BoolVectorProperty(  # type: ignore
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",
@@ -275,6 +290,13 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Color bones by how well they meet the picture in this frame",
         default=False,
         update=_confidence_changed,
+    )
+    show_error: BoolProperty(  # type: ignore
+        name="Error over Time",
+        description="Draw how far the hand is from the picture, frame by frame, along the bottom of the "
+        "Timeline, the Dope Sheet and the Graph Editor",
+        default=False,
+        update=_error_shown_changed,
     )
     own_colors: StringProperty(  # type: ignore
         description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"

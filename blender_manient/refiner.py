@@ -27,6 +27,7 @@ from .scene import corrections
 from .scene.armature import bone_names, rest_frames
 from .scene.editable import why_not_keyable
 from .scene.keys import pose_at
+from .scene.own_keys import note_fitted
 from .scene.store import CapturedHand, hand_of
 
 _ON_ROW = 0.01
@@ -206,9 +207,9 @@ class Refiner:
 
         return fields
 
-    def poses(self, done: Mapping[str, Any]) -> BonePoses:
-        """What a `done` event says, as the bones have it. Raises ProtocolError."""
-        result = result_from_message(done)
+    def poses(self, done: Mapping[str, Any], count: int = 1) -> BonePoses:
+        """What a `done` event says of `count` frames, as the bones have it. Raises ProtocolError."""
+        result = result_from_message(done, count)
         count = len(result.transl)
         quats = np.full((count, NUM_JOINTS, 4), np.nan)
         locations = np.full((count, 3), np.nan)
@@ -224,16 +225,25 @@ class Refiner:
             self.armature, self.source_frame(row), pins, poses.quats[0], poses.locations[0], spread
         )
 
+    def unpin(self, row: int) -> None:
+        """Free all pins of a row: its pose becomes what it was before them."""
+        frame = self.source_frame(row)
+        own = corrections.corrections_of(self.armature).corrections.get(frame)
+        if own is not None and own.posed:
+            self.correct(row, {}, self.start_poses([row]), own.spread)
+        else:
+            corrections.clear_corrections(self.armature, [frame])
+
     def replacing(self, rows: Sequence[int], poses: BonePoses) -> Iterator[float]:
         """Put re-fitted poses of a range into the keys, bone by bone; yields how much is done, 0..1.
 
         Frames without a hand keep what keys they have.
         """
         there = poses.present
-        chosen = np.asarray(self.take.frame_numbers)[list(rows)][there]
-        return corrections.replacing_poses(
-            self.armature, [int(f) for f in chosen], poses.quats[there], poses.locations[there]
-        )
+        chosen = [int(f) for f in np.asarray(self.take.frame_numbers)[list(rows)][there]]
+        quats, locations = poses.quats[there], poses.locations[there]
+        yield from corrections.replacing_poses(self.armature, chosen, quats, locations)
+        note_fitted(self.armature, chosen, quats, locations)
 
     def _frames(self) -> np.ndarray:
         return rest_frames(self.armature, self.side)

@@ -20,20 +20,29 @@ class Section:
 
 
 def sentence(
-    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", alert: bool = False
+    layout: bpy.types.UILayout,
+    context: bpy.types.Context,
+    text: str,
+    icon: str = "NONE",
+    alert: bool = False,
+    width: int | None = None,
 ) -> None:
-    """A text of any length, wrapped to the region's width."""
+    """A text of any length, wrapped to the region's width; in a dialog, which has none, to `width` pixels at
+    scale 1."""
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    for number, line in enumerate(_wrapped(context, text)):
+    for number, line in enumerate(_wrapped(context, text, width)):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
 
 
-def _wrapped(context: bpy.types.Context, text: str) -> list[str]:
+def _wrapped(context: bpy.types.Context, text: str, width: int | None) -> list[str]:
     """The text's lines as wide as a label beside an icon has room for."""
     scale = context.preferences.system.ui_scale
-    room = (context.region.width if context.region else 300) - _BESIDE * scale
+    if width is not None:
+        room = (width - _BESIDE) * scale
+    else:
+        room = (context.region.width if context.region else 300) - _BESIDE * scale
     blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
     lines, line = [], ""
     for word in text.split():

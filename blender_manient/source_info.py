@@ -14,9 +14,12 @@ from typing import Any
 import bpy
 import bpy.utils.previews
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, InputError
+from handfit_core.media import VIDEO_SUFFIXES
+from handfit_core.size_limit import check_for_blender
 
-from . import jobs, screen, sources
+from . import jobs, preferences, screen, sources
+from .scene.matching import Footage
 from .worker import shared
 
 _LOOK_AGAIN = 0.1
@@ -40,6 +43,8 @@ class SourceInfo:
     fps: float = 0.0
     first: int = 1
     last: int = 1
+    can_be_shown: bool = False
+    """Whether Blender may decode its first picture for a thumbnail"""
     request: int = 0
 
     @property
@@ -65,6 +70,32 @@ def _is_known(settings) -> bool:
     return _known is not None and (_known.path, _known.as_sequence) == wanted
 
 
+def footage(settings, info: SourceInfo) -> Footage | None:
+    """What a scene would be matched to by capturing the panel's source; None while nobody knows."""
+    if info.files is None or not info.width:
+        return None
+    first, last = info.first, info.last
+    if info.files.kind != "photo" and settings.use_frames:
+        first, last = settings.first_frame, settings.last_frame
+    size = (0, 0) if settings.camera == "ACTIVE" else (info.width, info.height)
+    return Footage(info.fps, first, last, *size)
+
+
+def of_dropped(path: Path) -> Footage | None:
+    """The same of a file that nobody has chosen yet; only videos have a header that Blender reads at once."""
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        return None
+    try:
+        check_for_blender(path, preferences.get().max_megapixels or None)
+        clip = bpy.data.movieclips.load(str(path.absolute()))
+    except (InputError, RuntimeError):
+        return None
+    try:
+        return Footage(clip.fps, 1, clip.frame_duration, *clip.size) if clip.size[0] else None
+    finally:
+        bpy.data.movieclips.remove(clip)
+
+
 def source_changed(settings, _context) -> None:
     """Forget the former source, and ask the worker about the new one."""
     global _known
@@ -73,7 +104,9 @@ def source_changed(settings, _context) -> None:
     if info.files is None or bpy.app.background:
         return
     with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
-        info.request = shared.worker().request("probe", input=list(info.files.files))
+        info.request = shared.worker().request(
+            "probe", input=list(info.files.files), max_megapixels=preferences.get().max_megapixels or None
+        )
         if not bpy.app.timers.is_registered(_await_answer):
             bpy.app.timers.register(_await_answer, first_interval=_LOOK_AGAIN)
 
@@ -81,7 +114,7 @@ def source_changed(settings, _context) -> None:
 def thumbnail(info: SourceInfo) -> int:
     """An icon of the source, 0 where there is none."""
     global _previews
-    if info.files is None or bpy.app.background:
+    if info.files is None or not info.can_be_shown or bpy.app.background:
         return 0
     if _previews is None:
         _previews = bpy.utils.previews.new()
@@ -103,6 +136,9 @@ def _look(path: str, as_sequence: bool) -> SourceInfo:
         info.problem = str(error)
         return info
     first = Path(info.files.files[0])
+    with contextlib.suppress(InputError):  # the worker will say what is wrong with it
+        check_for_blender(first, preferences.get().max_megapixels or None)
+        info.can_be_shown = True
     if info.files.kind == "photo" or as_sequence:
         info.siblings = len(sources.numbered_siblings(first))
     if info.files.kind == "sequence":

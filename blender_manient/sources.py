@@ -39,7 +39,8 @@ def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
     """
     if not path_text:
         raise InputError("Choose a photo, an image sequence or a video")
-    path = Path(bpy.path.abspath(path_text)).expanduser()
+    # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.
+    path = Path(bpy.path.abspath(path_text)).expanduser().absolute()
     if path.is_dir():
         pictures = pictures_in(path)
         if not pictures:

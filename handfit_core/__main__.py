@@ -29,6 +29,7 @@ from handfit_core.files import check_writable
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.pipeline import Progress, ProgressCallback, capture, hand_summaries
+from handfit_core.size_limit import PICTURE, VIDEO
 from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, MOST_SMOOTHING, solver_names
 from handfit_core.version import __version__
 
@@ -158,6 +159,12 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="wrist joint to the tip of the middle finger, in millimetres (default: an average adult's)",
     )
+    parser.add_argument(
+        "--max-megapixels",
+        type=float,
+        metavar="M",
+        help=f"largest picture or frame that is read (default: {PICTURE}; for videos {VIDEO})",
+    )
 
 
 def _worker(args: argparse.Namespace) -> int:
@@ -185,6 +192,7 @@ def _capture(args: argparse.Namespace) -> int:
         smoothing=args.smoothing,
         persistent=not args.plain_detection,
         hand_length=None if args.hand_length is None else args.hand_length / 1000.0,
+        max_megapixels=args.max_megapixels,
     )
     path = take.save(args.output)
     output.done(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
 
 from handfit_core.errors import OutputError
@@ -33,6 +35,32 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise OutputError(_cannot_write(path, error)) from error
 
 
+def read_file(path: str | os.PathLike[str], most: int) -> bytes:
+    """The bytes of a file of at most `most` bytes.
+
+    Raises OSError, with a reason in words, also for larger ones and for what is no file: a pipe would be
+    waited for, and a device has no end. Raises ValueError for names that no file can have.
+    """
+    # Looked at before it is opened, as opening a device can do something, and again after, as another may
+    # have come in its place.
+    _checked_size(Path(path).stat(), most)
+    flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, _flags: os.open(name, flags)) as stream:
+        size = _checked_size(os.fstat(stream.fileno()), most)
+        return stream.read(size)  # no more of a file that grows
+
+
+def _checked_size(found: os.stat_result, most: int) -> int:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is no file, but a pipe, a device or the like")
+    if found.st_size > most:
+        size, largest = found.st_size // 1_000_000, most // 1_000_000
+        raise OSError(errno.EFBIG, f"it is too large: {size} MB, and at most {largest} MB are read")
+    return found.st_size
+
+
 _NO_NAME = (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)
 
 
@@ -52,6 +80,19 @@ def shown(path: str | os.PathLike[str]) -> str:
 _LONGEST_SHOWN = 300
 
 
+def storable(text: str) -> str:
+    """A text with a question mark for what is no UTF-8, such as in the names of some files on Linux."""
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is such a regular file; also False for names that no file can have."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def why(error: OSError | ValueError) -> str:
     """What the system says is wrong with a path."""
     if isinstance(error, OSError):
@@ -64,7 +105,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it over `path` once the block succeeds.
 
     Makes the folder if need be. A crash, a full disk or an error leaves whatever stood at `path`
-    before. Raises OutputError with the remedy when the folder cannot be written.
+    before; the new file is on the disk before it takes the old one's place. Raises OutputError with the
+    remedy when the folder cannot be written.
     """
     path = Path(path)
     try:
@@ -78,6 +120,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     beside = Path(name)
     try:
         yield beside
+        _flush(beside)
         # mkstemp makes files that only their owner may read; results are ordinary files.
         mask = os.umask(0)
         os.umask(mask)
@@ -86,7 +129,46 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.errno in _NO_NAME:
             raise OutputError(_cannot_write(path, error)) from error
-        raise OutputError(f"{shown(path)}: could not be written ({why(error)})") from error
+        remedy = "; free some space or choose another folder" if error.errno in _NO_ROOM else ""
+        raise OutputError(f"{shown(path)}: could not be written ({why(error)}){remedy}") from error
     finally:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+_NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+
+
+def _flush(path: Path) -> None:
+    """Have the system write the file out: network disks and quotas report only then what did not fit."""
+    with path.open("rb+") as stream:
+        try:
+            os.fsync(stream.fileno())
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system without it
+                raise
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise OSError unless `size` bytes fit into the file now, which is empty afterwards.
+
+    The room is really taken for a moment, so that quotas and limits of a process count too; nothing holds
+    it afterwards.
+    """
+    with path.open("wb", buffering=0) as stream:
+        try:
+            _take_room(stream, size)
+        finally:
+            stream.truncate(0)
+
+
+def _take_room(stream: FileIO, size: int) -> None:
+    if hasattr(os, "posix_fallocate"):
+        try:
+            return os.posix_fallocate(stream.fileno(), 0, size)
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                raise  # other errors: this file system cannot do it
+    block = bytes(1 << 20)
+    while (left := size - stream.tell()) > 0:
+        stream.write(block[:left])

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from handfit_core.errors import OptionError
 
-_PATTERN = re.compile(
-    r"^\s*(?:(?P<first>\d+)?\s*(?P<dash>-)?\s*(?P<last>\d+)?)?\s*(?::\s*(?P<step>\d+))?\s*$"
-)
+_PATTERN = re.compile(r"\s*(?P<first>\d+)?\s*(?:(?P<dash>-)\s*(?P<last>\d+)?)?\s*(?::\s*(?P<step>\d+))?\s*")
+_LONGEST = 40
+"""Characters; numbers beyond any clip's frames fit in"""
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,11 @@ class FrameRange:
     @classmethod
     def parse(cls, text: str) -> FrameRange:
         """`10-200:2`, `10-200`, `10-`, `-200`, `15`, `:2`. Raises OptionError."""
-        match = _PATTERN.match(text)
+        match = _PATTERN.fullmatch(text) if len(text) <= _LONGEST else None
         if not match or not text.strip():
             raise OptionError(
-                f"'{text}' is not a frame range; write 10-200, 10-200:2 (every second), 10-, -200 or 15"
+                f"'{text[:_LONGEST]}' is not a frame range; write 10-200, 10-200:2 (every second), 10-, -200 "
+                "or 15"
             )
         first, last, step = (int(v) if v else None for v in match.group("first", "last", "step"))
         if match["dash"] is None and first is not None:
@@ -41,6 +42,12 @@ class FrameRange:
         if self.is_before(number) or self.is_past(number):
             return False
         return (number - (self.first or 1)) % self.step == 0
+
+    def within(self, low: int, high: int) -> range:
+        """The frames of the range from `low` to `high`, both included; counted, however many they are."""
+        first = low if self.first is None else max(low, self.first)
+        first += -(first - (self.first or 1)) % self.step
+        return range(first, (high if self.last is None else min(high, self.last)) + 1, self.step)
 
     def is_before(self, number: int) -> bool:
         """Whether frame `number` lies before the range."""

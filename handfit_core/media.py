@@ -22,6 +22,15 @@ from handfit_core.errors import InputError
 from handfit_core.exif import is_tiff, read_orientation, upright
 from handfit_core.files import shown, why
 from handfit_core.frame_range import FrameRange
+from handfit_core.size_limit import (
+    check_frame_size,
+    check_limit,
+    check_picture,
+    check_video,
+    is_picture,
+    is_video,
+    not_a_video,
+)
 from handfit_core.take import Source
 
 log = logging.getLogger("handfit")
@@ -79,22 +88,33 @@ class Media:
         raise NotImplementedError
 
 
-def open_media(source: MediaInput, frames: FrameRange | None = None) -> Media:
+def open_media(
+    source: MediaInput, frames: FrameRange | None = None, *, max_megapixels: float | None = None
+) -> Media:
     """Open a photo, a list or folder of photos, a `name.%04d.png`, `name.####.png` or glob pattern, or
     a video.
 
-    `frames` picks source frame numbers of sequences and videos. Raises InputError.
+    `frames` picks source frame numbers of sequences and videos. `max_megapixels` takes the place of the
+    limits of `size_limit`. Raises InputError, and OptionError for a limit that is none.
     """
-    frames = frames or FrameRange()
+    opening = _Opening(frames or FrameRange(), check_limit(max_megapixels))
     try:
         if not isinstance(source, str | os.PathLike):
-            return _open_pictures([_path_of(p) for p in source], frames, "the list of pictures")
+            return _open_pictures([_path_of(p) for p in source], opening, "the list of pictures")
         if not str(source):
             raise InputError("no input was given; name a photo, a folder of photos or a video")
-        return _open_path(_path_of(source), frames)
+        return _open_path(_path_of(source), opening)
     except OSError as error:  # a folder that may not be read, a name that is too long
         what = shown(error.filename) if isinstance(error.filename, str) else "the input"
         raise InputError(f"{what}: cannot be opened ({why(error)}); choose another file") from error
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """What was asked for besides the input."""
+
+    frames: FrameRange
+    max_megapixels: float | None
 
 
 def _path_of(name: str | os.PathLike[str]) -> Path:
@@ -105,22 +125,22 @@ def _path_of(name: str | os.PathLike[str]) -> Path:
         return Path(name)
 
 
-def _open_path(path: Path, frames: FrameRange) -> Media:
+def _open_path(path: Path, opening: _Opening) -> Media:
     if path.is_dir():
-        return _open_pictures(pictures_in(path), frames, str(path))
+        return _open_pictures(pictures_in(path), opening, str(path))
     if path.is_file():
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
         if path.suffix.lower() in VIDEO_SUFFIXES:
-            return _Video(path, frames)
+            return _Video(path, opening)
         if path.suffix.lower() in PHOTO_SUFFIXES:
-            return _Pictures([path], [1], FrameRange(), kind="photo")
-        return _open_unknown(path, frames)
+            return _photo(path, opening)
+        return _open_unknown(path, opening)
     if is_pattern(str(path)):
         found, numbers = _matching(path)
         if not found:
             raise InputError(f"{shown(path)}: no file matches this pattern")
-        return _open_pictures(found, frames, str(path), numbers)
+        return _open_pictures(found, opening, str(path), numbers)
     raise InputError(f"{shown(path)}: there is no such file or folder")
 
 
@@ -156,6 +176,18 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
     return numbers if span <= WIDEST_GAPS * len(numbers) else None
 
 
+def numbered_like(file: Path) -> list[tuple[int, Path]]:
+    """The files beside `file`, itself included, that differ from it in the last number of their names only,
+    with that number; none where its name has no number."""
+    match = _LAST_NUMBER.search(file.stem)
+    if not match:
+        return []
+    head, tail = file.name[: match.start()], file.name[match.end() :]
+    like = re.compile(re.escape(head) + r"(\d+)" + re.escape(tail))
+    found = [(like.fullmatch(other.name), other) for other in file.parent.iterdir()]
+    return sorted((int(number[1]), other) for number, other in found if number)
+
+
 def _can_be_frames(numbers: Sequence[int]) -> bool:
     """Whether Blender could hold them all, each once."""
     return max(numbers) <= MAX_FRAME_NUMBER and len(set(numbers)) == len(numbers)
@@ -181,7 +213,7 @@ def _matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
 
 
 def _open_pictures(
-    files: list[Path], frames: FrameRange, what: str, numbers: list[int] | None = None
+    files: list[Path], opening: _Opening, what: str, numbers: list[int] | None = None
 ) -> Media:
     """A sequence of pictures; `numbers` are their frame numbers where the user said which they are."""
     if not files:
@@ -190,51 +222,55 @@ def _open_pictures(
         if not file.is_file():
             raise InputError(f"{shown(file)}: there is no such file")
     if len(files) == 1 and numbers is None:
-        return open_media(files[0], frames)
+        return _open_path(files[0], opening)
     if numbers is None or not _can_be_frames(numbers):
         numbers = sequence_numbers(files) or list(range(1, len(files) + 1))
     ordered = sorted(zip(numbers, files, strict=True))
-    chosen = [(n, f) for n, f in ordered if n in frames]
+    chosen = [(n, f) for n, f in ordered if n in opening.frames]
     if not chosen:
         raise InputError(
-            f"{what}: no picture lies in frames {frames}; its frames are {ordered[0][0]}-{ordered[-1][0]}"
+            f"{what}: no picture lies in frames {opening.frames}; its frames are "
+            f"{ordered[0][0]}-{ordered[-1][0]}"
         )
-    return _Pictures([f for _, f in chosen], [n for n, _ in chosen], frames, kind="sequence")
+    return _Pictures([f for _, f in chosen], [n for n, _ in chosen], opening, kind="sequence")
 
 
-def _open_unknown(path: Path, frames: FrameRange) -> Media:
-    """A file whose name says nothing: try it as a picture, then as a video."""
-    try:
-        return _Pictures([path], [1], FrameRange(), kind="photo")
-    except InputError:
-        pass
-    try:
-        return _Video(path, frames)
-    except InputError:
-        raise InputError(
-            f"{path}: neither a picture nor a video that can be read; known are "
-            f"{_suffixes(PHOTO_SUFFIXES)} and {_suffixes(VIDEO_SUFFIXES)}"
-        ) from None
+def _photo(path: Path, opening: _Opening) -> Media:
+    return _Pictures([path], [1], _Opening(FrameRange(), opening.max_megapixels), kind="photo")
+
+
+def _open_unknown(path: Path, opening: _Opening) -> Media:
+    """A file whose name says nothing: its content does."""
+    if is_picture(path):
+        return _photo(path, opening)
+    if is_video(path):
+        return _Video(path, opening)
+    raise InputError(
+        f"{path}: neither a picture nor a video that can be read; known are "
+        f"{_suffixes(PHOTO_SUFFIXES)} and {_suffixes(VIDEO_SUFFIXES)}"
+    )
 
 
 def _suffixes(suffixes: frozenset[str]) -> str:
     return " ".join(sorted(suffixes))
 
 
-def read_picture(path: Path, *, as_stored: bool = False) -> tuple[np.ndarray, int]:
+def read_picture(
+    path: Path, *, as_stored: bool = False, max_megapixels: float | None = None
+) -> tuple[np.ndarray, int]:
     """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
 
     `as_stored` leaves the orientation alone, for pictures whose labels are in stored pixels.
-    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. Raises InputError.
+    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. `max_megapixels` takes the
+    place of the limits of `size_limit`. Raises InputError.
     """
     import cv2
 
+    check_picture(path, max_megapixels)
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if not data:
-        raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
     try:
         # From memory, since OpenCV cannot open paths that are not ASCII on Windows.
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -250,8 +286,22 @@ def read_picture(path: Path, *, as_stored: bool = False) -> tuple[np.ndarray, in
     return np.ascontiguousarray(rgb), orientation
 
 
+_ROWS_AT_ONCE = 256
+"""Of a picture that is brought to 8-bit RGB: what that takes besides the picture is a few rows"""
+
+
 def _rgb8(pixels: np.ndarray) -> np.ndarray:
-    """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB."""
+    """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB, in place where it has that
+    form."""
+    in_place = pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] == 3
+    rgb = pixels if in_place else np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
+    for first in range(0, len(pixels), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        rgb[rows] = _rows_rgb8(pixels[rows])
+    return rgb
+
+
+def _rows_rgb8(pixels: np.ndarray) -> np.ndarray:
     import cv2
 
     if pixels.dtype == np.uint16:
@@ -280,8 +330,10 @@ def _rgb8(pixels: np.ndarray) -> np.ndarray:
 class _Pictures(Media):
     """A photo or an image sequence."""
 
-    def __init__(self, files: list[Path], numbers: list[int], frames: FrameRange, *, kind: Any) -> None:
+    def __init__(self, files: list[Path], numbers: list[int], opening: _Opening, *, kind: Any) -> None:
         self._files, self._numbers = files, numbers
+        self._max_megapixels = opening.max_megapixels
+        frames = opening.frames
         self._first_number = frames.first if frames.first is not None else numbers[0]
         self.fps = DEFAULT_FPS
         self.expected_frames = len(files)
@@ -296,7 +348,7 @@ class _Pictures(Media):
         errors: list[InputError] = []
         for file in self._files:
             try:
-                return file, *read_picture(file)
+                return file, *read_picture(file, max_megapixels=self._max_megapixels)
             except InputError as error:
                 errors.append(error)
         raise errors[0]
@@ -307,7 +359,7 @@ class _Pictures(Media):
             rgb = self._read_already.pop(file, None)
             try:
                 if rgb is None:
-                    rgb, _ = read_picture(file)
+                    rgb, _ = read_picture(file, max_megapixels=self._max_megapixels)
             except InputError as error:
                 log.warning("%s; frame %d is left empty", error, number)
             if rgb is not None and rgb.shape[:2] != (self.height, self.width):
@@ -318,23 +370,33 @@ class _Pictures(Media):
             yield Frame(number, (number - self._first_number) / self.fps, rgb)
 
 
+def _frame_count(path: Path, claimed: float) -> int:
+    """How many frames a video has by its header; 0 where that does not tell, or tells of more than the file
+    has bytes."""
+    return int(claimed) if 0 < claimed <= path.stat().st_size else 0
+
+
 class _Video(Media):
     """A video file, read through OpenCV. Rotation stored in the file is applied by OpenCV."""
 
-    def __init__(self, path: Path, frames: FrameRange) -> None:
+    def __init__(self, path: Path, opening: _Opening) -> None:
         import cv2
 
+        frames = opening.frames
         self._path, self._range = path, frames
-        capture = cv2.VideoCapture(str(path))
+        check_video(path, opening.max_megapixels)
+        # Absolute, since FFmpeg takes a relative name that begins with "http:" or "tcp:" for an address.
+        self._name = str(path.absolute())
+        capture = cv2.VideoCapture(self._name)
         try:
+            # What the decoder says: the container may have told another size.
+            width, height = (capture.get(p) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+            check_frame_size(path, int(width), int(height), opening.max_megapixels)
             found, first = capture.read() if capture.isOpened() else (False, None)
             if not found or first is None:
-                raise InputError(
-                    f"{path}: not a video, or one that is damaged or empty; play it in a viewer, and "
-                    "convert it to .mp4 (H.264) if that works"
-                )
+                raise InputError(not_a_video(path))
             fps = float(capture.get(cv2.CAP_PROP_FPS))
-            count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+            count = _frame_count(path, capture.get(cv2.CAP_PROP_FRAME_COUNT))
         finally:
             capture.release()
         if not math.isfinite(fps) or not 0.0 < fps <= MAX_FPS:
@@ -344,7 +406,7 @@ class _Video(Media):
             raise InputError(f"{path}: frames {frames} lie behind its end; it has frames 1-{count}")
         self.fps = fps
         self.height, self.width = first.shape[:2]
-        used = [n for n in range(1, count + 1) if n in frames]
+        used = frames.within(1, count)
         self.expected_frames = len(used)
         self.first_and_last = (used[0], used[-1]) if used else (1, 1)
         self._count = count
@@ -353,7 +415,7 @@ class _Video(Media):
     def frames(self) -> Iterator[Frame]:
         import cv2
 
-        capture = cv2.VideoCapture(str(self._path))
+        capture = cv2.VideoCapture(self._name)
         number = 0
         try:
             while not self._range.is_past(number + 1) and capture.grab():

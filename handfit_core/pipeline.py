@@ -72,6 +72,7 @@ def capture(
     persistent: bool = True,
     hand_length: float | None = None,
     lens: tuple[float, float, float] | None = None,
+    max_megapixels: float | None = None,
     should_stop: ShouldStop | None = None,
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
@@ -105,6 +106,9 @@ def capture(
     lens
         Instead of `intrinsics`, where the picture's size is not known: focal length in widths of the picture,
         and the principal point in widths and heights of it, y downwards.
+    max_megapixels
+        How large pictures and the frames of videos may be; None for the limits of `handfit_core.size_limit`.
+        What claims more is refused before it is decoded.
     should_stop
         Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
         frames seen so far, or all frames with those hands that were fitted; the others count as not detected.
@@ -124,7 +128,7 @@ def capture(
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
     report = progress or (lambda _: None)
-    media = open_media(source, frames)
+    media = open_media(source, frames, max_megapixels=max_megapixels)
     if lens is not None:
         focal = lens[0] * media.width
         intrinsics = Intrinsics(focal, focal, lens[1] * media.width, lens[2] * media.height)

@@ -3,6 +3,9 @@
 A pickle is a program. Here every name that such a file may ask for becomes an inert stand-in that
 only remembers what it was given, any other name is refused, and arrays are read from the stand-ins'
 raw bytes afterwards, when asked for. So nothing of NumPy or anybody else runs on the file's behalf.
+
+Nor can it keep the reader busy: its instructions are counted, none makes more than the file holds, and
+nothing that it nests is ever hashed or compared: keys of dictionaries are texts, and sets become lists.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 
 
 class Refused(Exception):
-    """The name that a pickle asked for, which no such file needs."""
+    """What a pickle does that no such file needs, to be put after `the file`."""
 
 
 class NotAnArray(Exception):
@@ -79,7 +82,7 @@ class _Encode(StandIn):
 
     def __new__(cls, text: Any, encoding: Any) -> Any:
         if type(text) is not str or encoding not in ("latin1", "latin-1"):
-            raise Refused("_codecs.encode in a way that no array needs")
+            raise Refused("asks to run _codecs.encode in a way that no array needs")
         return text.encode("latin1")
 
 
@@ -90,7 +93,7 @@ class _Reconstructor(StandIn):
 
     def __new__(cls, made: Any, *_args: Any) -> Any:
         if not (isinstance(made, type) and issubclass(made, StandIn)):
-            raise Refused("copy_reg._reconstructor in a way that no array needs")
+            raise Refused("asks to run copy_reg._reconstructor in a way that no array needs")
         return StandIn.__new__(made)
 
 
@@ -113,14 +116,35 @@ for _core in ("numpy.core", "numpy._core"):
     STAND_INS[f"{_core}.numeric._frombuffer"] = _ArrayFromBuffer
 
 
-def load(data: bytes, find: Callable[[str], type[StandIn] | None] = STAND_INS.get) -> Any:
+MOST_STEPS = 100_000
+"""instructions of a pickle with a few arrays, such as MANO's, which has some hundred; each may make an object
+of a hundred bytes"""
+
+MOST_ARGUMENTS = 16
+"""that a stand-in is called with; those of arrays have four"""
+
+MOST_NESTED = 100
+"""containers that are begun in one another; those of such files are some ten"""
+
+MOST_NUMBERED = 10_000_000
+"""Keys that are whole numbers lie below it: so few share a place in a dictionary that none takes long"""
+
+
+def load(
+    data: bytes,
+    find: Callable[[str], type[StandIn] | None] = STAND_INS.get,
+    *,
+    most_steps: int = MOST_STEPS,
+    numbered: bool = False,
+) -> Any:
     """What a pickle holds: plain containers, texts, numbers, None, and stand-ins (see `array_of`).
 
-    `find` gives the stand-in for a `module.name`, or None for what is not allowed. Texts of Python 2
-    are read as Latin-1. Raises Refused, with the name, for anything that is not allowed, and whatever
-    a damaged file leads to otherwise: callers catch Exception.
+    `find` gives the stand-in for a `module.name`, or None for what is not allowed. `most_steps`: how many
+    instructions the pickle may have. `numbered`: whether dictionaries may have whole numbers as keys. Sets
+    are read as lists, texts of Python 2 as Latin-1. Raises Refused for anything that is not allowed, and
+    whatever a damaged file leads to otherwise: callers catch Exception.
     """
-    return _Reader(data, find).load()
+    return _Reader(data, find, most_steps, numbered).load()
 
 
 def array_of(value: Any) -> np.ndarray:
@@ -179,13 +203,35 @@ class _WholeReads(io.BytesIO):
         return line
 
 
+class _Steps(dict[int, Any]):
+    """The methods of a reader by their instructions, of which only so many are given out."""
+
+    def __init__(self, methods: dict[int, Any], most: int) -> None:
+        super().__init__(methods)
+        self._left = most
+
+    def __getitem__(self, code: int) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise Refused("has more instructions than arrays need")
+        return super().__getitem__(code)
+
+
 class _Reader(pickle._Unpickler):
     """An unpickler that makes stand-ins only.
 
-    The Python implementation rather than the C one, for two reasons: the C one allocates whatever
-    memo size a file names, and here those opcodes that reach outside the file
-    (persistent ids, the extension registry, buffers) are gone, and none allocates ahead of reading.
+    The Python implementation rather than the C one, for three reasons: the C one allocates whatever
+    memo size a file names; here those opcodes that reach outside the file
+    (persistent ids, the extension registry, buffers) are gone, and none allocates ahead of reading; and here
+    each instruction is looked up, and so can be counted.
     """
+
+    # Python's own has no types for what it is made of.
+    stack: list[Any]
+    metastack: list[list[Any]]
+    append: Callable[[Any], None]
+    pop_mark: Callable[[], list[Any]]
+    read: Callable[[int], bytes]
 
     dispatch: ClassVar[dict[int, Any]] = {
         code: method
@@ -199,23 +245,88 @@ class _Reader(pickle._Unpickler):
             pickle.EXT4,
             pickle.NEXT_BUFFER,
             pickle.READONLY_BUFFER,
+            pickle.NEWOBJ_EX,
         )
     }
 
-    def _load_bytearray8(self) -> None:
-        size = int.from_bytes(self.read(8), "little")  # type: ignore[attr-defined]
-        self.append(self.read(size))  # type: ignore[attr-defined]
-
-    dispatch[pickle.BYTEARRAY8[0]] = _load_bytearray8
-
-    def __init__(self, data: bytes, find: Callable[[str], type[StandIn] | None]) -> None:
+    def __init__(
+        self, data: bytes, find: Callable[[str], type[StandIn] | None], most_steps: int, numbered: bool
+    ) -> None:
         super().__init__(_WholeReads(data), encoding="latin1")
         self._find = find
+        self._numbered = numbered
+        self._text_left = len(data)
+        self.dispatch = _Steps(type(self).dispatch, most_steps)  # type: ignore[misc]
 
     def find_class(self, module: Any, name: Any) -> type[StandIn]:
         """The stand-in for an allowed name; Refused for all others."""
         asked = f"{module}.{name}"
         found = self._find(asked)
         if found is None:
-            raise Refused(re.sub(r"[^\x20-\x7e]", "?", asked)[:80])
+            raise Refused("asks to run " + re.sub(r"[^\x20-\x7e]", "?", asked)[:80])
         return found
+
+    def _load_mark(self) -> None:
+        if len(self.metastack) >= MOST_NESTED:
+            raise Refused(f"nests more than {MOST_NESTED} containers")
+        pickle._Unpickler.load_mark(self)  # type: ignore[attr-defined]
+
+    dispatch[pickle.MARK[0]] = _load_mark
+
+    def _load_bytearray8(self) -> None:
+        self.append(self.read(int.from_bytes(self.read(8), "little")))
+
+    dispatch[pickle.BYTEARRAY8[0]] = _load_bytearray8
+
+    def _load_call(self) -> None:
+        """REDUCE and NEWOBJ: a stand-in with its arguments."""
+        args = self.stack.pop()
+        made = self.stack[-1]
+        if (
+            type(args) is not tuple or len(args) > MOST_ARGUMENTS
+        ):  # the file may name the same ones ever again
+            raise Refused("calls something with more than arrays need")
+        if made is _Encode and args and isinstance(args[0], str):
+            self._text_left -= len(args[0])
+            if self._text_left < 0:
+                raise Refused("makes more bytes of its texts than it has")
+        self.stack[-1] = made(*args)
+
+    dispatch[pickle.REDUCE[0]] = _load_call
+    dispatch[pickle.NEWOBJ[0]] = _load_call
+
+    # Dictionaries hash their keys, which for nested tuples never ends, and for chosen numbers takes hours.
+
+    def _set(self, items: list[Any]) -> None:
+        """Put keys and values, in turns, into the dictionary on the stack."""
+        target = self.stack[-1]
+        if type(target) is not dict or len(items) % 2:
+            raise pickle.UnpicklingError("this is no dictionary")
+        for key in items[::2]:
+            if type(key) is str or (self._numbered and type(key) is int and 0 <= key < MOST_NUMBERED):
+                continue
+            raise Refused("has a dictionary with a key that is no text")
+        target.update(zip(items[::2], items[1::2], strict=True))
+
+    def _load_dict(self) -> None:
+        items = self.pop_mark()
+        self.append({})
+        self._set(items)
+
+    dispatch[pickle.DICT[0]] = _load_dict
+
+    def _load_setitem(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        self._set([key, value])
+
+    dispatch[pickle.SETITEM[0]] = _load_setitem
+
+    def _load_setitems(self) -> None:
+        self._set(self.pop_mark())
+
+    dispatch[pickle.SETITEMS[0]] = _load_setitems
+
+    # Sets would, too; chumpy's objects hold some, of which nothing is read.
+    dispatch[pickle.EMPTY_SET[0]] = dispatch[pickle.EMPTY_LIST[0]]
+    dispatch[pickle.ADDITEMS[0]] = dispatch[pickle.APPENDS[0]]
+    dispatch[pickle.FROZENSET[0]] = dispatch[pickle.LIST[0]]

@@ -12,20 +12,42 @@ import os
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from handfit_core.camera import Intrinsics
 from handfit_core.errors import OptionError, OutputError, TakeError
-from handfit_core.files import written_whole
+from handfit_core.files import read_file, shown, storable, why, written_whole
 from handfit_core.keypoints import HandDetection
-from handfit_core.skeleton import SIDES, Side, other_side
+from handfit_core.npz import NotNpz, NpzArchive
+from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
+from handfit_core.values import LARGEST_WHOLE, number, path, shortly, text, whole
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
 
 SourceKind = Literal["photo", "sequence", "video"]
+_KINDS: tuple[SourceKind, ...] = ("photo", "sequence", "video")
+
+MAX_FILE_BYTES: Final = 1 << 31
+"""of a take; 10 000 frames of two hands have 20 MB"""
+
+_MOST_MEMORY: Final = 400_000_000
+"""bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
+_MOST_PACKED: Final = 50
+"""times the size of a larger file that its arrays may have"""
+
+LARGEST: Final = 1e9
+"""Metres, pixels, radians: what is beyond in either direction was not measured"""
+_LARGEST_ERROR: Final = 1e30
+"""pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
+_LARGEST_BETA: Final = 1e3
+_SMALLEST_FPS: Final = 1e-3
+_LARGEST_FPS: Final = 1e6
+_LARGEST_SIDE: Final = 1 << 24
+"""pixels of a picture"""
+_MOST_HANDS: Final = 200
 
 _TRACK_ARRAYS: dict[str, tuple[int, ...]] = {
     "global_orient": (3,),
@@ -64,11 +86,12 @@ class Source:
 
     @property
     def name(self) -> str:
-        """A short name for people: the file's stem, or for a sequence the part before the number."""
-        stem = Path(self.files[0]).stem
+        """A short name for people: the file's stem, or for a sequence the part before the number. In it, what
+        is no UTF-8 in the file's name is a question mark."""
+        stem = storable(Path(self.files[0]).stem)
         if self.kind != "sequence":
             return stem
-        return stem.rstrip("0123456789").rstrip("._- ") or Path(self.files[0]).parent.name
+        return stem.rstrip("0123456789").rstrip("._- ") or storable(Path(self.files[0]).parent.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +138,47 @@ class HandTrack:
     """(T,) probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
     other_side: np.ndarray | None = None
     """(T,) bool: frames in which the detector named the other side; None: in none"""
+
+    def check(self, count: int) -> None:
+        """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
+        finite where there is a hand."""
+        if self.side not in SIDES:
+            raise TakeError(f"a hand's side must be left or right, not {shortly(self.side)}")
+        for name in ("detected", *_TRACK_FLAGS):
+            flags = getattr(self, name)
+            if flags is None and name in _TRACK_FLAGS:
+                continue
+            flags = np.asarray(flags)
+            if flags.shape != (count,) or flags.dtype != bool:
+                raise TakeError(f"the {self.side} hand's {name} has the wrong shape or type")
+        self._check_numbers("betas", (NUM_BETAS,), np.ones(NUM_BETAS, dtype=bool), _LARGEST_BETA)
+        detected = np.asarray(self.detected)
+        for name, shape in (_TRACK_ARRAYS | _OF_DETECTOR).items():
+            if getattr(self, name) is None and name in _OF_DETECTOR:
+                continue
+            if name == "right_side":  # NaN where nobody judged
+                self._check_numbers(name, (count, *shape), np.zeros(count, dtype=bool))
+            else:
+                frames = self.present if name in _OF_MODEL else detected
+                largest = _LARGEST_ERROR if name == "reprojection_error" else LARGEST
+                self._check_numbers(name, (count, *shape), frames, largest)
+        judged = self.right_side
+        if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
+            raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
+
+    def _check_numbers(
+        self, name: str, shape: tuple[int, ...], frames: np.ndarray, largest: float = LARGEST
+    ) -> None:
+        """That an array has this shape, no infinity or absurd number anywhere, and no NaN in these rows."""
+        array = np.asarray(getattr(self, name))
+        if array.shape != shape:
+            raise TakeError(f"the {self.side} hand's {name} has shape {array.shape}, expected {shape}")
+        if array.dtype.kind != "f":
+            raise TakeError(f"the {self.side} hand's {name} holds {array.dtype}, expected floats")
+        if not np.isfinite(array[frames]).all():
+            raise TakeError(f"the {self.side} hand's {name} is not finite in a frame with a hand")
+        if np.any(np.abs(array) > largest):  # NaN is not, and is how frames without a hand are marked
+            raise TakeError(f"the {self.side} hand's {name} holds numbers beyond {largest:g}")
 
     @property
     def refinable(self) -> bool:
@@ -171,41 +235,26 @@ class Take:
     hands: tuple[HandTrack, ...]
 
     def __post_init__(self) -> None:
-        if np.ndim(self.frame_numbers) != 1:
-            raise TakeError("frame_numbers must be a list of numbers")
-        count = len(self.frame_numbers)
-        if count == 0 or np.any(np.diff(self.frame_numbers) <= 0):
+        numbers = np.asarray(self.frame_numbers)
+        if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
+            raise TakeError("frame_numbers must be a list of whole numbers")
+        count = len(numbers)
+        if count == 0 or np.any(numbers[1:] <= numbers[:-1]):
             raise TakeError("a take needs at least one frame, and its frame numbers must increase")
+        if not -LARGEST_WHOLE < int(numbers[0]) <= int(numbers[-1]) < LARGEST_WHOLE:
+            raise TakeError("frame_numbers lie beyond what any frame is counted by")
         if not self.source.files:
             raise TakeError("a take must name the pictures that it was made from")
-        if not (np.isfinite(self.fps) and self.fps > 0 and self.width > 0 and self.height > 0):
+        sizes = (self.width, self.height)
+        if not (
+            _SMALLEST_FPS <= self.fps <= _LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)
+        ):
             raise TakeError(
-                f"frame rate and size must be positive; got {self.fps} fps, {self.width}x{self.height} pixels"
+                f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
+                f"{self.width}x{self.height} pixels"
             )
         for track in self.hands:
-            if track.side not in SIDES:
-                raise TakeError(f"a hand's side must be left or right, not {track.side!r}")
-            if np.shape(track.betas) != (10,) or np.shape(track.detected) != (count,):
-                raise TakeError(f"the {track.side} hand's betas or detected have the wrong shape")
-            for name in _TRACK_FLAGS:
-                flags = getattr(track, name)
-                if flags is not None and np.shape(flags) != (count,):
-                    raise TakeError(f"the {track.side} hand's {name} has the wrong shape")
-            for name, shape in (_TRACK_ARRAYS | _OF_DETECTOR).items():
-                if getattr(track, name) is None and name in _OF_DETECTOR:
-                    continue
-                found = np.shape(getattr(track, name))
-                if found != (count, *shape):
-                    raise TakeError(
-                        f"the {track.side} hand's {name} has shape {found}, expected {(count, *shape)}"
-                    )
-                frames = track.present if name in _OF_MODEL else np.asarray(track.detected, dtype=bool)
-                seen = np.asarray(getattr(track, name))[frames]
-                if name == "right_side":
-                    if np.any((seen < 0.0) | (seen > 1.0)):
-                        raise TakeError(f"the {track.side} hand's right_side must lie between 0 and 1")
-                elif not np.all(np.isfinite(seen)):
-                    raise TakeError(f"the {track.side} hand's {name} is not finite in a frame with a hand")
+            track.check(count)
 
     def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
         """Write the take as `.npz`, whole or not at all; `compact` as in `to_bytes`. Raises OutputError."""
@@ -259,12 +308,12 @@ class Take:
     def load(cls, path: str | os.PathLike[str]) -> Take:
         """Read a take. Raises TakeError for anything that is not a take this version understands."""
         path = Path(path)
-        if not path.is_file():
-            raise TakeError(f"{path}: there is no such take file")
         try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise TakeError(f"{path}: the take file cannot be read ({error.strerror})") from error
+            data = read_file(path, MAX_FILE_BYTES)
+        except FileNotFoundError as error:
+            raise TakeError(f"{shown(path)}: there is no such take file") from error
+        except (OSError, ValueError) as error:
+            raise TakeError(f"{shown(path)}: the take file cannot be read ({why(error)})") from error
         return cls.from_bytes(data, where=str(path))
 
     @classmethod
@@ -282,17 +331,13 @@ class Take:
     def reading(cls, data: bytes, where: str = "the take") -> Generator[None, None, Take]:
         """`from_bytes` array by array, for programs that must not stand still: each step takes some
         milliseconds, even in takes of ten thousand frames. Returns the take."""
-        arrays: dict[str, np.ndarray] = {}
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                for name in archive.files:
-                    arrays[name] = _wide(archive[name])
-                    yield
-            header = json.loads(str(arrays["header"][()]))
-            if header["format"] != FORMAT_NAME:
-                raise KeyError("format")
-            version = int(header["version"])
-        except Exception as error:  # a damaged zip can fail in any way
+            archive = NpzArchive(data, max(_MOST_MEMORY, _MOST_PACKED * len(data)))
+            header = archive.header()
+            if header.get("format") != FORMAT_NAME:
+                raise NotNpz("is of another format")
+            version = whole("version", header.get("version"), 1)
+        except (NotNpz, KeyError, ValueError) as error:
             raise TakeError(
                 f"{where}: not a take file, or a damaged one; capture it again, or pick the .npz that a "
                 "capture wrote"
@@ -302,41 +347,79 @@ class Take:
                 f"{where}: this take has format version {version}, this program reads up to "
                 f"{FORMAT_VERSION}; update the add-on"
             )
+        yield
         try:
-            return cls(
-                source=Source(
-                    kind=header["source"]["kind"],
-                    files=tuple(header["source"]["files"]),
-                    orientation=int(header["source"]["orientation"]),
-                ),
-                fps=float(header["fps"]),
-                frame_numbers=arrays["frame_numbers"],
-                width=int(header["width"]),
-                height=int(header["height"]),
-                intrinsics=Intrinsics(**header["intrinsics"]),
-                solver=header["solver"],
-                model=header["model"],
-                model_digests=header["model_digests"],
-                hands=tuple(
-                    HandTrack(side=side, **_fields(arrays, f"hand{i}_"))
-                    for i, side in enumerate(header["sides"])
-                ),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError, OptionError, TakeError) as error:
-            raise TakeError(f"{where}: the take file is incomplete ({error}); capture it again") from error
+            fields = _of_header(header)
+            hands = []
+            for i, side in enumerate(fields.pop("sides")):
+                arrays: dict[str, Any] = {}
+                for name, kinds in _HAND_ARRAYS.items():
+                    if name in _OPTIONAL and f"hand{i}_{name}" not in archive:
+                        continue
+                    arrays[name] = archive.array(f"hand{i}_{name}", kinds)
+                    yield
+                hands.append(HandTrack(side=side, **arrays))
+            return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
+        except KeyError as error:
+            raise TakeError(
+                f"{where}: the take file is incomplete (it lacks {error}); capture it again"
+            ) from error
+        except (NotNpz, ValueError, OptionError, TakeError) as error:
+            reason = f"it {error}" if isinstance(error, NotNpz) else error
+            raise TakeError(f"{where}: the take file is damaged ({reason}); capture it again") from error
 
 
-def _fields(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
-    """A hand's arrays by the names of HandTrack's fields. Raises KeyError for one that must be there."""
-    needed = ("betas", "detected", *_TRACK_ARRAYS)
-    return {name: arrays[prefix + name] for name in needed} | {
-        name: arrays.get(prefix + name) for name in (*_TRACK_FLAGS, *_OF_DETECTOR)
+_OPTIONAL = (*_TRACK_FLAGS, *_OF_DETECTOR)
+_HAND_ARRAYS: dict[str, str] = {
+    "betas": "f",
+    "detected": "b",
+    **dict.fromkeys(_TRACK_ARRAYS, "f"),
+    **dict.fromkeys(_TRACK_FLAGS, "b"),
+    **dict.fromkeys(_OF_DETECTOR, "f"),
+}
+"""A hand's arrays by the names of HandTrack's fields, and the kinds of numbers that they hold"""
+
+
+def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
+    """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
+    source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
+    files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
+    if source.get("kind") not in _KINDS:
+        raise ValueError(f"kind must be one of {', '.join(_KINDS)}, not {shortly(source.get('kind'))}")
+    if len(sides) > _MOST_HANDS or not all(side in SIDES for side in sides):
+        raise ValueError(f"sides must be at most {_MOST_HANDS}, each left or right")
+    if set(camera) != {"fx", "fy", "cx", "cy"}:
+        raise ValueError("intrinsics must be fx, fy, cx and cy")
+    return {
+        "source": Source(
+            kind=source["kind"],
+            files=tuple(path("files", file) for file in files),
+            orientation=whole("orientation", source.get("orientation", 1), 1, 8),
+        ),
+        "fps": number("fps", header.get("fps")),
+        "width": whole("width", header.get("width")),
+        "height": whole("height", header.get("height")),
+        "intrinsics": Intrinsics(**{name: number(name, value) for name, value in camera.items()}),
+        "solver": text("solver", header.get("solver"), 100),
+        "model": path("model", header.get("model")),
+        "model_digests": {
+            side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES
+        },
+        "sides": sides,
     }
 
 
-def _wide(array: np.ndarray) -> np.ndarray:
-    """Floats of any size as float64; anything else as it is."""
-    return array.astype(np.float64, copy=False) if array.dtype.kind == "f" else array
+def _object(header: Mapping[str, Any], name: str) -> dict[str, Any]:
+    value = header.get(name)
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} must be an object, not {shortly(value)}")
+    return value
+
+
+def _list(name: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{name} must be a list, not {shortly(value)}")
+    return value
 
 
 __all__ = ["FORMAT_VERSION", "HandTrack", "OutputError", "Source", "SourceKind", "Take"]

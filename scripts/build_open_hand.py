@@ -682,8 +682,7 @@ def shape_directions(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     reach = mean[:, 0] < np.quantile(mean[:, 0], 0.1)
     for direction in scaled:
         lengthening = -direction[reach, 0].mean()
-        largest = direction.flat[np.argmax(np.abs(direction))]
-        if (lengthening if abs(lengthening) > 0.3 else largest) < 0:
+        if (lengthening if abs(lengthening) > 0.3 else largest(direction)) < 0:
             direction *= -1.0
     return mean, scaled.transpose(1, 2, 0), (singular**2 / np.sum(singular**2))[:NUM_BETAS]
 
@@ -763,15 +762,50 @@ def pose_directions(axes: np.ndarray) -> np.ndarray:
     """(45, 45) orthonormal rows: eigenvectors of `pose_covariance` as axis-angle, widest first.
 
     axes (15, 3, 3): columns twist, spread, bend. Signs: a direction closes the hand; one that hardly
-    bends it has its largest element positive.
+    bends it has its largest element positive. Directions of the same width are those of `by_rule`.
     """
     values, vectors = np.linalg.eigh(pose_covariance())
-    angles = vectors[:, np.argsort(-values, kind="stable")].T
+    values, vectors = values[::-1], vectors[:, ::-1]
+    widths = np.split(vectors.T, 1 + np.flatnonzero(values[1:] < (1.0 - SAME_WIDTH) * values[:-1]))
+    angles = np.concatenate([by_rule(width) for width in widths])
     for row in angles:
         closing = row[2::3].sum()
-        if (closing if abs(closing) > 1e-3 else row[np.argmax(np.abs(row))]) < 0:
+        if (closing if abs(closing) > 1e-3 else largest(row)) < 0:
             row *= -1.0
     return np.einsum("jca,pja->pjc", axes, angles.reshape(45, 15, 3)).reshape(45, 45)
+
+
+SAME_WIDTH: Final = 1e-6
+"""of a variance: those that are repeated differ by 1e-12 of it, others by 2 percent or more"""
+TIED: Final = 1e-6
+"""Numbers that differ by no more than this are told apart by their places, and not by how sums round"""
+
+
+def by_rule(directions: np.ndarray) -> np.ndarray:
+    """(m, n) orthonormal rows -> those rows of the same span that do not depend on which were given.
+
+    Where variances repeat, eigenvectors may be any basis of their space, and every processor finds another.
+    So one axis after the other is projected onto the space that is left: that which lies nearest to it, of
+    several the first.
+    """
+    left = directions.T @ directions
+    rows = []
+    for _ in directions:
+        nearest = first_largest(np.diag(left))
+        row = left[nearest] / np.sqrt(left[nearest, nearest])
+        rows.append(row)
+        left = left - np.outer(row, row)
+    return np.array(rows)
+
+
+def first_largest(values: np.ndarray) -> int:
+    """The first place of those whose values are as large as any."""
+    return int(np.argmax(values > values.max() - TIED))
+
+
+def largest(values: np.ndarray) -> float:
+    """The element of the largest size, of several the first."""
+    return float(values.flat[first_largest(np.abs(values).ravel())])
 
 
 def relaxed_pose(axes: np.ndarray) -> np.ndarray:

@@ -54,6 +54,12 @@ def _add_capture_arguments(parser: argparse.ArgumentParser, default_python: str)
     parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
     parser.add_argument("--smoothing", type=float, metavar="S", help="0: every frame by itself (default: 1)")
     parser.add_argument("--plain-detection", action="store_true", help="no second looks for missed hands")
+    parser.add_argument(
+        "--max-megapixels",
+        type=float,
+        metavar="M",
+        help="largest picture or frame that is read (default: as docs/batch.md says)",
+    )
     parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")
 

@@ -53,6 +53,7 @@ def fit(job: Job, result: Result, order: Order, worker: Worker, *, keep_addons: 
             model=order.model if job.take else None,
             pose_correctives=order.pose_correctives,
             picture=order.picture,
+            max_megapixels=order.options.max_megapixels,
         )
         result.warnings += built.warnings
         for fmt in order.formats:
@@ -61,7 +62,9 @@ def fit(job: Job, result: Result, order: Order, worker: Worker, *, keep_addons: 
         frames = spread_frames(take, 3)
         if order.preview and frames:
             path = folder / f"{job.name}.preview.png"
-            render_preview(built, take, frames[len(frames) // 2], path)
+            render_preview(
+                built, take, frames[len(frames) // 2], path, max_megapixels=order.options.max_megapixels
+            )
             result.files.append(_relative(path, order.output))
 
 

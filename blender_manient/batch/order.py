@@ -9,6 +9,7 @@ from pathlib import Path
 from handfit_core.__main__ import parse_intrinsics
 from handfit_core.errors import OptionError
 from handfit_core.frame_range import FrameRange
+from handfit_core.size_limit import check_limit
 from handfit_core.solvers import DEFAULT_SOLVER, get_solver
 
 from ..scene.export import FORMATS, available, find_format
@@ -80,4 +81,5 @@ def _capture_options(args: argparse.Namespace) -> CaptureOptions:
         smoothing=args.smoothing,
         plain_detection=args.plain_detection or None,
         hand_length=None if args.hand_length is None else args.hand_length / 1000.0,
+        max_megapixels=check_limit(args.max_megapixels),
     )

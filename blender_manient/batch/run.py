@@ -70,6 +70,7 @@ def _run_with(worker: Worker, jobs: list[Job], order: Order, keep_addons: bool) 
     results = [Result(job.shown, job.name) for job in jobs]
     report = order.output / "report.json"
     write_report(report, results)  # also finds out now, not after an hour, that it cannot be written
+    reported = True
     for number, (job, result) in enumerate(zip(jobs, results, strict=True), 1):
         started = time.perf_counter()
         try:
@@ -92,6 +93,11 @@ def _run_with(worker: Worker, jobs: list[Job], order: Order, keep_addons: bool) 
             if not order.flat:
                 with contextlib.suppress(OSError):
                     order.folder(job.name).rmdir()  # only if nothing was written
-            write_report(report, results)
+            try:
+                write_report(report, results)
+                reported = True
+            except HandfitError as error:  # the inputs that are left may still succeed
+                reported = False
+                print_error(str(error), order.debug)
             print(f"[{number}/{len(jobs)}] {line(result)}", flush=True)
-    return EXIT_OK if all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
+    return EXIT_OK if reported and all(r.status == "ok" for r in results) else EXIT_SOME_FAILED

@@ -22,7 +22,6 @@ from .. import details, jobs, screen
 from ..correction_field import Pins
 from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
-from ..scene import corrections
 from ..scene.keys import set_pose
 from ..worker import shared
 from ..worker.client import as_error
@@ -366,7 +365,7 @@ class KeypointMode:
         self.drag = None
         armature = self.refiner.armature
         if not drag.pins:
-            corrections.clear_corrections(armature, [self.refiner.source_frame(drag.row)])
+            self.refiner.unpin(drag.row)
         elif drag.answer is None:
             set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
             return

@@ -126,7 +126,7 @@ class MANIENT_OT_capture(bpy.types.Operator):
             if job.finished and id(job) not in self._seen:
                 self._seen.add(id(job))
                 self._report(job)
-                if job.state == "done" and job.building.target == "NEW" and job.building.match_scene:
+                if job.state == "done" and job.matched:
                     screen.look_through_camera(context)
 
     def _report(self, job: jobs.Job) -> None:
@@ -135,7 +135,8 @@ class MANIENT_OT_capture(bpy.types.Operator):
         if job.state == "failed":
             self.report({"ERROR"}, job.message)
         else:
-            self.report({"INFO"}, f"{job.name}: {job.message}")
+            said = ". ".join(filter(None, (job.message, job.scene_said)))
+            self.report({"INFO"}, f"{job.name}: {said}")
 
     def _end(self, context) -> None:
         MANIENT_OT_capture._ticking = False
@@ -202,6 +203,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
             plain_detection=settings.preset == "FAST",
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
             lens=_lens(settings, scene),
+            max_megapixels=preferences.get(context).max_megapixels or None,
         ),
         building=jobs.Building(
             scene=Remembered.of("scenes", scene),
@@ -209,7 +211,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
             hand=Remembered.of("objects", hand.armature) if hand else None,
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
-            match_scene=settings.match_scene,
+            matching=settings.matching,
             render_setup=settings.render_setup,
             camera=Remembered.of("objects", camera) if camera else None,
         ),

@@ -16,7 +16,7 @@ from ..selection import active_hand
 class MANIENT_OT_clear_corrections(bpy.types.Operator):
     bl_idname = "manient.clear_corrections"
     bl_label = "Clear Corrections"
-    bl_description = "Remove pins and what they did to the animation"
+    bl_description = "Remove pins and relaxed poses, and what they did to the animation"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     scope: bpy.props.EnumProperty(  # type: ignore
@@ -72,9 +72,9 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
                 chosen = (places > first - 0.5) & (places < last + 0.5)
             else:
                 chosen = np.ones(len(places), dtype=bool)
-            lost = {int(f) for f in frames[chosen]} & set(corrections.displaced(armature))
+            lost = set(frames[chosen].tolist()) & set(corrections.displaced(armature))
             count = corrections.clear_corrections(
-                armature, None if self.scope == "ALL" else [int(f) for f in frames[chosen]]
+                armature, None if self.scope == "ALL" else frames[chosen].tolist()
             )
         except TakeError as error:
             if self.scope != "ALL":
@@ -93,7 +93,7 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
             return {"CANCELLED"}
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         if lost:
-            which = ", ".join(str(f) for f in sorted(lost))
+            which = ", ".join(f"{f:g}" for f in sorted(lost))
             self.report(
                 {"WARNING"},
                 f"The keys of the corrected source frames {which} were moved or replaced: these keys stay as "

@@ -9,9 +9,14 @@ import bpy
 from handfit_core.errors import HandfitError
 from handfit_core.media import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 
-from .. import jobs, preferences, sources
+from .. import jobs, preferences, source_info, sources
+from ..scene.matching import Footage, said
+from ..section import sentence
 from . import import_take
 from .capture import new_job
+
+_WIDTH = 340
+"""pixels of the dialog, at a user interface scale of 1"""
 
 
 class MANIENT_OT_drop_media(bpy.types.Operator):
@@ -31,10 +36,16 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
+    _footage: Footage | None = None
+    """What is known of the first file before it is captured"""
+
     def invoke(self, context, _event):
         """Ask before anything starts: a drop may be meant for something else."""
         self.as_sequence = len(self.files) > 1 and sequence_numbers(self._paths()) is not None
-        return context.window_manager.invoke_props_dialog(self, title="Capture Hands", confirm_text="Capture")
+        self._footage = source_info.of_dropped(self._paths()[0])
+        return context.window_manager.invoke_props_dialog(
+            self, width=_WIDTH, title="Capture Hands", confirm_text="Capture"
+        )
 
     def draw(self, context):
         """What was dropped, and which hands are wanted."""
@@ -45,7 +56,12 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
         layout.label(text=text, icon="FILE_MOVIE" if _is_video(paths[0]) else "FILE_IMAGE", translate=False)
         if len(paths) > 1:
             layout.prop(self, "as_sequence")
-        layout.prop(context.scene.manient, "hands")
+        settings, scene = context.scene.manient, context.scene
+        layout.prop(settings, "hands")
+        if settings.target == "NEW":
+            layout.prop(settings, "matching")
+            text = said(scene, settings.matching, self._footage, scene.frame_current)
+            sentence(layout, context, text, "SCENE_DATA", width=_WIDTH)
 
     def execute(self, context):
         """Start a capture for the clip, or one for each picture."""

@@ -11,14 +11,37 @@ from handfit_core.errors import HandfitError, OptionError
 
 from ..properties import EXPORT_FORMATS, EXPORT_PRESETS
 from ..scene.clean_rig import Rig
-from ..scene.export import FORMATS, Stage, export_hands
+from ..scene.export import FORMATS, Stage, export_hands, why_not
 from ..scene.keys import read_pose_keys
 from ..scene.retake import retaken
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
+from ..section import sentence
 from .needs_hand import hand_in, hand_is_there
 
 _TAKE = "npz"
 _TAKE_SUFFIX = ".take.npz"
+
+
+def format_buttons(
+    layout: bpy.types.UILayout, context: bpy.types.Context, data: bpy.types.bpy_struct, name: str
+) -> bool:
+    """A button for every format of the property `name` of `data`; those that this Blender cannot write are
+    grey, and the reason stands below. Returns whether the chosen one can be written."""
+    reasons: dict[str, list[str]] = {}
+    column = layout.column(align=True)
+    for start in range(0, len(EXPORT_FORMATS), 3):
+        row = column.row(align=True)
+        for key, label, _ in EXPORT_FORMATS[start : start + 3]:
+            reason = why_not(FORMATS[key]) if key in FORMATS else ""
+            cell = row.row(align=True)
+            cell.enabled = not reason
+            cell.prop_enum(data, name, key)
+            if reason:
+                reasons.setdefault(reason, []).append(label)
+    for reason, labels in reasons.items():
+        sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
+    chosen = getattr(data, name)
+    return chosen not in FORMATS or not why_not(FORMATS[chosen])
 
 
 class MANIENT_OT_export_hand(bpy.types.Operator):
@@ -68,11 +91,11 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         self.filepath = str(path)
         return True
 
-    def draw(self, _context):
+    def draw(self, context):
         layout = self.layout
+        format_buttons(layout, context, self, "file_format")
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.prop(self, "file_format")
         if self.file_format in {"fbx", "glb"}:
             layout.prop(self, "preset")
         if self.file_format != _TAKE:

@@ -9,6 +9,8 @@ from handfit_core.errors import HandfitError
 from handfit_core.take import Take
 
 from ..scene.build import build_take
+from ..scene.matching import CHOICES, Footage, matches, said
+from ..section import sentence
 
 
 class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
@@ -29,10 +31,11 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
         description="Show the photo or video that was captured behind the hands",
         default=True,
     )
-    match_scene: bpy.props.BoolProperty(  # type: ignore
-        name="Match Scene to Footage",
-        description="Give the scene the footage's frame rate, frame range, size and camera",
-        default=True,
+    matching: bpy.props.EnumProperty(  # type: ignore
+        name="Scene",
+        description="What becomes of the scene's frame rate, frame range, size and camera",
+        items=CHOICES,
+        default="AUTO",
     )
 
     @classmethod
@@ -42,21 +45,34 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
             return False
         return True
 
+    def draw(self, context):
+        """The choices beside the file browser, and what they mean for this scene."""
+        layout, scene = self.layout, context.scene
+        assert layout is not None
+        layout.prop(self, "pose_correctives")
+        layout.prop(self, "picture")
+        layout.prop(self, "matching")
+        text = said(scene, self.matching, None, scene.frame_current)
+        sentence(layout, context, text, "SCENE_DATA")
+
     def execute(self, context):
         try:
             take = Take.load(self.filepath)
+            footage, frame = Footage.of_take(take), context.scene.frame_current
+            matched = matches(context.scene, self.matching, footage)
             built = build_take(
                 take,
                 scene=context.scene,
                 pose_correctives=self.pose_correctives,
                 picture=self.picture,
-                match_scene=self.match_scene,
+                match_scene=matched,
             )
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         for warning in built.warnings:
             self.report({"WARNING"}, warning)
+        self.report({"INFO"}, said(context.scene, self.matching, footage, frame, done=matched))
         return {"FINISHED"}
 
 

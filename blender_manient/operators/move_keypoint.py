@@ -9,7 +9,6 @@ from handfit_core.skeleton import NUM_KEYPOINTS
 
 from ..correction_field import Pins
 from ..refiner import Refiner, why_not
-from ..scene.corrections import clear_corrections
 from ..scene.store import hand_of
 from ..selection import active_hand
 from ..worker import shared
@@ -65,7 +64,7 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
                     raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
                 refiner.correct(row, pins, poses, context.scene.manient.spread)
             else:
-                clear_corrections(refiner.armature, [refiner.source_frame(row)])
+                refiner.unpin(row)
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -16,6 +16,11 @@ from ..keypoint_mode.abandoned import abandon
 from ..refiner import Refiner, why_not
 from ..scene.corrections import corrections_of
 from ..scene.frame_span import span_of
+from ..scene.markers import doubtful_ranges
+from ..scene.own_keys import keyed_by_hand
+from ..scene.store import scene_frames, timing_of
+from ..scene.timing import frame_rate
+from ..section import sentence
 from ..selection import active_hand
 from ..worker import shared
 from ..worker.client import as_error
@@ -24,6 +29,8 @@ from . import edit_keypoints
 _TICK = 0.02
 _SLICE = 0.02
 """seconds that one tick may write keys; a bone is written at once, whatever it takes"""
+_WIDTH = 360
+"""pixels of the dialog, at a user interface scale of 1"""
 _MARGIN = 0.5
 """seconds before and after the range that are fitted too, so that motion leads smoothly into it, but not
 written"""
@@ -33,8 +40,8 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     bl_idname = "manient.refit_range"
     bl_label = "Re-fit Range"
     bl_description = (
-        "Fit the preview range (else all captured frames) again, smoothly over time, with pinned points and "
-        "locked joints. Replaces the keys of these frames"
+        "Fit a range of frames again, smoothly over time, with pinned points and locked joints. Asks for the "
+        "range first, and says what keys of your own it would replace"
     )
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
@@ -49,6 +56,14 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     first: bpy.props.IntProperty(name="First", description="First scene frame", default=1)  # type: ignore
     last: bpy.props.IntProperty(name="Last", description="Last scene frame", default=250)  # type: ignore
 
+    asked: bpy.props.BoolProperty(  # type: ignore
+        description="The range was asked for already", options={"HIDDEN", "SKIP_SAVE"}
+    )
+
+    _dialog = False
+    """Whether this instance asks for the range"""
+    _counted: tuple[tuple[int, int], tuple[str, bool]] | None = None
+    """The last range and what it would replace, so that drawing again costs nothing"""
     _running = False
     """Whether a range is being fitted already"""
     _timer = None
@@ -66,7 +81,16 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
         return why is None
 
     def execute(self, context):
-        """Fit and wait for it: for scripts, and without a window."""
+        """Fit and wait for it: for scripts, and without a window. After the dialog: fit as `invoke` does."""
+        if self._dialog:
+            # An operator cannot go on running from its own dialog: another one of its kind does.
+            try:
+                bpy.ops.manient.refit_range(
+                    "INVOKE_DEFAULT", scope="CUSTOM", first=self.first, last=self.last, asked=True
+                )
+            except RuntimeError as error:  # its own report
+                self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
         try:
             work = _Work(context, self._rows)
             worker = shared.worker()
@@ -79,7 +103,17 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
         return self._finished(context, work)
 
     def invoke(self, context, _event):
-        """Fit while the window stays free."""
+        """Ask for the range, then fit while the window stays free."""
+        if not self.asked:
+            try:
+                self.first, self.last = suggested_range(context)
+            except HandfitError as error:
+                self.report({"ERROR"}, str(error))
+                return {"CANCELLED"}
+            self.scope, self._dialog = "CUSTOM", True
+            return context.window_manager.invoke_props_dialog(
+                self, width=_WIDTH, title="Re-fit Range", confirm_text="Re-fit"
+            )
         try:
             self._work = _Work(context, self._rows)
         except HandfitError as error:
@@ -95,6 +129,22 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
+
+    def check(self, _context):
+        """Say anew what would be replaced whenever the range changes."""
+        return True
+
+    def draw(self, context):
+        """The range, and what it would replace."""
+        layout = self.layout
+        assert layout is not None
+        row = layout.row(align=True)
+        row.prop(self, "first")
+        row.prop(self, "last")
+        if self._counted is None or self._counted[0] != (self.first, self.last):
+            self._counted = (self.first, self.last), replaced(context, self.first, self.last)
+        said, alert = self._counted[1]
+        sentence(layout, context, said, "ERROR" if alert else "INFO", alert=alert, width=_WIDTH)
 
     def modal(self, context, event):
         """Look for the answer; Esc stops, as long as nothing is written."""
@@ -122,8 +172,9 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
         return {"PASS_THROUGH"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
-        self._end(context)
+        """Blender ends the operator, as on loading a file; a dialog that is left has begun nothing."""
+        if not self._dialog:
+            self._end(context)
 
     def _step(self, context) -> bool:
         """Go on; whether all is done."""
@@ -187,13 +238,72 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
             first, last = self.first, self.last
         elif context.scene.use_preview_range:
             first, last = span_of(context.scene)
-        rows = np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
+        rows = _rows_within(frames, first, last)
         if len(rows) == 0:
             raise OptionError(
                 f"none of the frames {first:g} to {last:g} was captured: the capture has {frames[0]:g} to "
                 f"{frames[-1]:g}"
             )
         return rows
+
+
+def suggested_range(context: bpy.types.Context) -> tuple[int, int]:
+    """First and last scene frame that are likely meant: the preview range; else the doubtful stretch, or the
+    reach of the correction, that the current frame is in; else half a second around it. Raises HandfitError.
+    """
+    hand, scene = active_hand(context), context.scene
+    assert hand is not None
+    frames = scene_frames(hand.collection, hand.take)
+    now = min(max(scene.frame_current, int(np.ceil(frames[0]))), int(frames[-1]))
+    around = max(1, round(_MARGIN * frame_rate(scene)))
+    wanted = now - around, now + around
+    timing, field = timing_of(hand.collection), corrections_of(hand.armature)
+    reach = {g: max(1.0, field.corrections[g].spread) for g in field.corrected}
+    near = [tuple(timing.scene_frames(np.array([g - s, g + s])).tolist()) for g, s in reach.items()]
+    for first, last in [*near, *doubtful_ranges(hand)]:
+        if first <= now <= last:
+            wanted = round(first), round(last)
+    if scene.use_preview_range:
+        wanted = span_of(scene)
+    first, last = max(wanted[0], int(np.ceil(frames[0]))), min(wanted[1], int(frames[-1]))
+    return (first, last) if first <= last else (now, now)
+
+
+def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bool]:
+    """What fitting these scene frames again would replace, in words, and whether it is the artist's work."""
+    hand = active_hand(context)
+    assert hand is not None
+    rows = _rows_within(scene_frames(hand.collection, hand.take), first, last)
+    if len(rows) == 0:
+        return "None of these frames was captured", False
+    try:
+        field = corrections_of(hand.armature)
+        own = keyed_by_hand(hand, rows)
+    except HandfitError as error:
+        return str(error), True
+    numbers = np.asarray(hand.take.frame_numbers)[rows]
+    corrected = [field.corrections[g] for g in field.corrected if numbers[0] <= g <= numbers[-1]]
+    pinned = np.array([bool(field.pins(int(number))) for number in numbers])
+    # Frames without a hand get no new keys, locked joints keep theirs.
+    own &= (hand.track.present[rows] | pinned)[:, None]
+    own[:, :-1] &= ~np.array(hand.armature.manient.locked, dtype=bool)
+    keys, frames = int(own.sum()), int(own.any(axis=1).sum())
+    poses, points = sum(c.posed for c in corrected), sum(bool(c.pins) for c in corrected)
+    lost = [f"{_count(keys, 'key')} set by hand, on {_count(frames, 'frame')}"] if keys else []
+    lost += [_count(poses, "relaxed pose")] if poses else []
+    said = f"Fits {_count(len(rows), 'frame')} again. "
+    said += f"Replaces {' and '.join(lost)}" if lost else "Replaces no key set by hand"
+    said += f". The points of {_count(points, 'corrected frame')} stay" if points else ""
+    return said, bool(lost)
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def _rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
+    """The rows of a take whose scene frames (T,) lie from first to last."""
+    return np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
 
 
 class _Work:
@@ -222,7 +332,7 @@ class _Work:
 
     def received(self, done: dict[str, Any]) -> None:
         """The worker's answer."""
-        poses = self.refiner.poses(done)
+        poses = self.refiner.poses(done, len(self._asked))
         # What was fitted only to lead into the range is left alone.
         poses.quats[~self._wanted] = np.nan
         poses.locations[~self._wanted] = np.nan

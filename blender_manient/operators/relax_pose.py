@@ -11,8 +11,8 @@ from handfit_core.skeleton import NUM_JOINTS
 
 from .. import axes
 from ..scene.armature import rest_frames
-from ..scene.corrections import end_corrections, source_frames, timing_of
-from ..scene.keys import PoseKeys, check_unlocked, keyed_bones, set_pose, write_pose_keys
+from ..scene.corrections import correct_frame, source_frames, timing_of
+from ..scene.keys import keyed_bones, set_pose
 from ..scene.models import kept_model
 from .needs_hand import hand_in, hand_is_there
 
@@ -21,8 +21,8 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
     bl_idname = "manient.relax_pose"
     bl_label = "Relaxed Pose"
     bl_description = (
-        "Relax the fingers at the current frame; the wrist stays. "
-        "Bones that are animated get a key, others only with Auto Keying"
+        "Relax the fingers at the current frame; the wrist stays. Like a dragged point, this fades out over "
+        "Spread, and Clear takes it back. Bones that are animated get a key, others only with Auto Keying"
     )
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
@@ -31,7 +31,7 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
         return hand_is_there(cls, context, keys=True)
 
     def execute(self, context):
-        """Set or key the fifteen finger bones."""
+        """Set or correct the fifteen finger bones."""
         hand = hand_in(context)
         armature, side = hand.armature, hand.side
         try:
@@ -49,13 +49,10 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
                 chosen = np.ones(NUM_JOINTS, dtype=bool)
             chosen[0] = False
             if chosen.any():
-                joints = np.flatnonzero(chosen).tolist()
-                check_unlocked(armature, side, joints=joints, location=False)
-                frame = np.array([context.scene.frame_current_final])
-                place = source_frames(timing_of(armature), frame)
-                end_corrections(armature, place.tolist(), joints=joints, location=False, keep_pins=True)
-                keys = PoseKeys(frame, quats, np.zeros((1, 3)), chosen[None], np.zeros(1, dtype=bool))
-                write_pose_keys(armature, side, keys)
+                (frame,) = source_frames(timing_of(armature), np.array([context.scene.frame_current_final]))
+                wanted = np.where(chosen[:, None], quats[0], np.nan)
+                spread = context.scene.manient.spread
+                correct_frame(armature, frame, {}, wanted, np.full(3, np.nan), spread, posed=True)
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

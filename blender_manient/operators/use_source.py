@@ -10,8 +10,10 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, InputError, OutputError
+from handfit_core.files import written_whole
 
 from ..cache import cache_folder
+from ..scene.proof import prove_whole
 
 
 @dataclass(frozen=True)
@@ -105,10 +107,13 @@ def _write_png(image: bpy.types.Image, path: Path) -> None:
     try:
         twin.pixels.foreach_set(pixels)
         twin.file_format = "PNG"
-        twin.filepath_raw = str(path)
-        twin.save()
+        with written_whole(path) as beside:
+            twin.filepath_raw = str(beside)
+            twin.save()
+            prove_whole(path, beside)
     except RuntimeError as error:
-        raise OutputError(f"{path}: Blender could not write the picture ({error})") from error
+        reason = " ".join(str(error).split())
+        raise OutputError(f"{path}: Blender could not write the picture ({reason})") from error
     finally:
         bpy.data.images.remove(twin)
 

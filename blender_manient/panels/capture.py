@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import jobs, source_info
+from ..scene.matching import said
 from ..section import Section, sentence
 from ..selection import active_hand
 
@@ -32,6 +33,11 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
 
         info = source_info.of(settings)
+        if settings.target == "NEW":
+            column.prop(settings, "matching")
+            scene = context.scene
+            text = said(scene, settings.matching, source_info.footage(settings, info), scene.frame_current)
+            sentence(layout, context, text, "SCENE_DATA")
         buttons = layout.column(align=True)
         buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
         row = buttons.row(align=True)
@@ -63,6 +69,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             else:
                 text = f"{job.name}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
+                if job.scene_said:
+                    sentence(box, context, job.scene_said, "SCENE_DATA")
                 for warning in job.warnings[:3]:
                     sentence(box, context, warning, "INFO")
                 if job.state == "failed":
@@ -93,6 +101,5 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
             sentence(layout, context, "The scene has no active camera", "ERROR", alert=True)
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
-        column.prop(settings, "match_scene", text="Match Scene")
         column.prop(settings, "render_setup")
         column.prop(settings, "pose_correctives")

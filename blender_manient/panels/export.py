@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..operators.export_hand import format_buttons
 from ..section import Section, sentence
 from ..selection import active_hand
 
@@ -21,10 +22,12 @@ class MANIENT_PT_export(Section, bpy.types.Panel):
         if active_hand(context) is None:
             sentence(layout, context, "Select a captured hand to export it", "INFO")
             return
+        can = format_buttons(layout, context, settings, "export_format")
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
-        column.prop(settings, "export_format")
         if settings.export_format in {"fbx", "glb"}:
             column.prop(settings, "export_preset")
-        layout.operator("manient.export_hand", text="Export", icon="EXPORT")
+        row = layout.row()
+        row.enabled = can
+        row.operator("manient.export_hand", text="Export", icon="EXPORT")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from handfit_core.files import storable
 from handfit_core.hand_model import ShapedHand
 from handfit_core.rotations import unflip_quats
 from handfit_core.skeleton import NUM_JOINTS
@@ -19,10 +20,7 @@ from ..slices import result_of
 from .armature import bone_names, rest_frames
 from .timing import Timing
 
-ERROR_PROPERTY = "reprojection_error_px"
-"""The armature object's animated custom property: how far the fit is from the picture, in pixels"""
-
-CURVES = NUM_JOINTS * 4 + 3 + 1
+CURVES = NUM_JOINTS * 4 + 3
 """How many curves a hand's action has"""
 
 _CHUNK = 250
@@ -31,7 +29,7 @@ _CHUNK = 250
 
 @dataclass(frozen=True, eq=False)
 class HandKeys:
-    """What a hand's action will hold: keys on N frames, and errors on the M of them that were detected."""
+    """What a hand's action will hold: keys on N frames."""
 
     frames: np.ndarray
     """(N,) scene frames"""
@@ -39,10 +37,6 @@ class HandKeys:
     """(16, 4, N) w, x, y, z of each bone, relative to its rest"""
     locations: np.ndarray
     """(3, N) metres, of the wrist along its own axes"""
-    error_frames: np.ndarray
-    """(M,) scene frames"""
-    errors: np.ndarray
-    """(M,) pixels"""
 
 
 def computing_keys(
@@ -51,11 +45,10 @@ def computing_keys(
     """Compute a hand's keys, some frames at a time: yields how many, returns the keys.
 
     `frames` (16, 3, 3) are the bones' axes at rest (`armature.rest_frames`). Frames without a hand get no
-    keys; filled ones get keys, but no error: they were not detected, so there is nothing to be measured
-    against.
+    keys; filled ones do.
     """
     scene_frames = timing.scene_frames(take.frame_numbers)
-    seen, measured = track.present, np.asarray(track.detected, dtype=bool)
+    seen = track.present
     rows = np.flatnonzero(seen)
     quats = np.empty((NUM_JOINTS, 4, len(rows)), dtype=np.float32)
     locations = np.empty((3, len(rows)), dtype=np.float32)
@@ -71,9 +64,7 @@ def computing_keys(
         quats[..., start : start + _CHUNK] = np.moveaxis(turned, 0, -1)
         locations[:, start : start + _CHUNK] = moved.T
         yield len(some)
-    return HandKeys(
-        scene_frames[seen], quats, locations, scene_frames[measured], track.reprojection_error[measured]
-    )
+    return HandKeys(scene_frames[seen], quats, locations)
 
 
 def hand_keys(
@@ -102,8 +93,6 @@ def animating(armature: bpy.types.Object, track: HandTrack, keys: HandKeys) -> I
     for component in range(3):
         new_curve(action, path, component, keys.frames, keys.locations[component], names[0])
         yield action
-    new_curve(action, f'["{ERROR_PROPERTY}"]', 0, keys.error_frames, keys.errors, "Capture")
-    yield action
 
 
 def animate(
@@ -124,13 +113,9 @@ def describe(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
     """Custom properties that say where this hand comes from; they are exported with it."""
     armature["side"] = track.side
     armature["betas"] = [float(b) for b in track.betas]
-    armature["model"] = take.model
+    armature["model"] = storable(take.model)
     armature["solver"] = take.solver
-    armature["source"] = take.source.files[0]
-    armature[ERROR_PROPERTY] = 0.0
-    armature.id_properties_ui(ERROR_PROPERTY).update(
-        min=0.0, description="Mean distance from the fitted hand to the detected keypoints, in pixels"
-    )
+    armature["source"] = storable(take.source.files[0])
 
 
 def new_curve(

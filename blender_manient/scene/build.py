@@ -29,11 +29,12 @@ from .animation import CURVES, animating, computing_keys, describe
 from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
+from .matching import note_matched
 from .mesh import build_mesh
-from .plate import Plate, load_plate
+from .plate import Plate, loading_plate
 from .render_setup import set_up, show_true_colors
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
-from .timing import Timing, set_timing, timing_in
+from .timing import Timing, check_range, set_timing, timing_in
 
 _SLICE = 0.008
 """seconds after which a slice ends, when its last step is over"""
@@ -72,18 +73,21 @@ def build_take(
     match_scene: bool = True,
     render_setup: bool = True,
     wrist: Wrist = "forearm",
+    frame: float | None = None,
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
+    max_megapixels: float | None = None,
 ) -> BuiltTake:
     """Build a take's hands, their animation and the camera that saw them, in a collection of their own.
 
     `scene` is the current one or None. With `match_scene` it gets the take's frame rate, frame range,
     picture size and camera, and with `render_setup` lights and the picture in its renders too; else it
-    stays as it is, and the take starts at its current frame, at its rate. `wrist` is how the meshes end.
-    `model` replaces `take.model`, for takes whose model file has moved. `camera` is one that is there
-    already: the hands hang on it, and its lens and the scene's size stay. `data` are the bytes of the
-    take's file, where the caller has them. Hands are life-size in any unit of length: in scenes whose
-    unit is not the metre their armatures are scaled. Building twice makes a second set and leaves the
+    stays as it is, and the take starts at `frame` (None: the current one), at its rate. `wrist` is how the
+    meshes end. `model` replaces `take.model`, for takes whose model file has moved. `camera` is one that is
+    there already: the hands hang on it, and its lens and the scene's size stay. `data` are the bytes of the
+    take's file, where the caller has them. `max_megapixels` is how large the picture behind the hands may
+    be, instead of what the preferences say. Hands are life-size in any unit of length: in scenes whose unit
+    is not the metre their armatures are scaled. Building twice makes a second set and leaves the
     first alone. Raises HandModelError and OptionError.
     """
     steps = building(
@@ -95,8 +99,10 @@ def build_take(
         match_scene=match_scene,
         render_setup=render_setup,
         wrist=wrist,
+        frame=frame,
         camera=camera,
         data=data,
+        max_megapixels=max_megapixels,
     )
     return result_of(steps)
 
@@ -111,8 +117,10 @@ def building(
     match_scene: bool = True,
     render_setup: bool = True,
     wrist: Wrist = "forearm",
+    frame: float | None = None,
     camera: bpy.types.Object | None = None,
     data: bytes | None = None,
+    max_megapixels: float | None = None,
 ) -> Generator[float, None, BuiltTake]:
     """`build_take` in slices of some milliseconds. Yields how much is done, 0..1; returns what was made.
 
@@ -135,8 +143,10 @@ def building(
                 match_scene,
                 render_setup,
                 wrist,
+                frame,
                 camera,
                 data,
+                max_megapixels,
             )
             done = 0.0
             while True:
@@ -169,8 +179,10 @@ def _steps(
     match_scene: bool,
     render_setup: bool,
     wrist: Wrist,
+    frame: float | None,
     own_camera: bpy.types.Object | None,
     data: bytes | None,
+    max_megapixels: float | None,
 ) -> Generator[float | None, None, BuiltTake]:
     """The work in small steps. Yields how much is done, or None where the slice should end: what follows
     is one long step. Every data-block goes into `made`."""
@@ -184,7 +196,8 @@ def _steps(
         models[track.side] = with_wrist(loaded, wrist)
         yield None
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
-    timing = Timing() if match_scene else timing_in(scene, take)
+    timing = Timing() if match_scene else timing_in(scene, take, frame)
+    check_range(take, timing)
     units = 1.0 / scene.unit_settings.scale_length
     work = _Work(take, models, pose_correctives)
 
@@ -195,7 +208,9 @@ def _steps(
     collection = keep(bpy.data.collections.new(take.source.name))
     name = collection.name
     yield None
-    plate, plate_warnings = load_plate(take, timing) if picture else (None, [])
+    plate, plate_warnings = None, []
+    if picture:
+        plate, plate_warnings = yield from work.counting(loading_plate(take, timing, max_megapixels))
     if plate is not None:
         keep(plate.image)
     yield None
@@ -266,6 +281,7 @@ def _steps(
             frame_scene(scene, take)
             scene.camera = camera
             show_true_colors(scene, stage)
+        note_matched(scene)
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)
@@ -344,7 +360,7 @@ def _show_behind_own(camera: bpy.types.Object, plate: Plate, take: Take, scene: 
     path = Path(take.source.files[0])
     for background in camera.data.background_images:
         shown = background.image
-        if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path:
+        if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path.absolute():
             bpy.data.images.remove(plate.image)
             return []
     if not camera.data.is_editable:

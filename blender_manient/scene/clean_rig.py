@@ -65,7 +65,8 @@ def clean_rig(
 
     originals = [o for o in (hand.armature, hand.mesh) if o is not None]
     names = [o.name for o in originals]
-    for original in originals:
+    lent = [o for o in originals if o.library is None]  # linked ones keep theirs, which are no file's names
+    for original in lent:
         original.name = f"{original.name} (source)"
     copies = [_copy(original, scene) for original in originals]
     action = None
@@ -91,7 +92,8 @@ def clean_rig(
     finally:
         bpy.data.batch_remove([*copies, *(o.data for o in copies), *([action] if action else [])])
         for original, old in zip(originals, names, strict=True):
-            original.name = old
+            if original in lent:
+                original.name = old
 
 
 def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:

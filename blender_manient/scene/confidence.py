@@ -7,6 +7,7 @@ hand's length as the picture shows it, so that near and far hands are judged ali
 
 from __future__ import annotations
 
+import contextlib
 import json
 from typing import Final
 
@@ -43,16 +44,27 @@ _errors: dict[tuple[str, int], np.ndarray] = {}
 def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
     """(T, 16) mean distance of each bone's ends from their detected keypoints, over the hand's length in the
     picture; NaN in frames where the hand was not detected. A finger's bone has two ends, the wrist's six."""
+    distance = _keypoint_errors(take, track)
+    return np.stack([distance[:, ends].mean(axis=-1) for ends in _ENDS], axis=-1)
+
+
+def hand_errors(take: Take, track: HandTrack) -> np.ndarray:
+    """(T,) mean distance of the keypoints from the detected ones, in the same measure as `bone_errors`."""
+    return _keypoint_errors(take, track).mean(axis=-1)
+
+
+def _keypoint_errors(take: Take, track: HandTrack) -> np.ndarray:
+    """(T, 21) the same of each keypoint."""
     points = np.asarray(track.joints_3d)
     measured = np.asarray(track.detected, dtype=bool)
-    errors = np.full((len(points), NUM_JOINTS), np.nan)
+    errors = np.full(points.shape[:2], np.nan)
     points = points[measured]
     if len(points) == 0:
         return errors
     distance = np.linalg.norm(take.intrinsics.project(points) - track.keypoints_2d[measured], axis=-1)
     length = np.linalg.norm(np.diff(points[:, _MIDDLE_FINGER], axis=1), axis=-1).sum(axis=-1)
     shown = take.intrinsics.fx * length / points[..., 2].mean(axis=-1)
-    errors[measured] = np.stack([distance[:, ends].mean(axis=-1) for ends in _ENDS], axis=-1) / shown[:, None]
+    errors[measured] = distance / shown[:, None]
     return errors
 
 
@@ -122,12 +134,14 @@ def _give_colors_back(obj: bpy.types.Object) -> None:
     armature = obj if obj.type == "ARMATURE" else obj.parent
     if armature is None or armature.type != "ARMATURE" or not armature.manient.own_colors:
         return
-    for name, (palette, normal, select, active) in json.loads(armature.manient.own_colors).items():
-        bone = armature.pose.bones.get(name)
-        if bone is not None:
-            custom = bone.color.custom
-            custom.normal, custom.select, custom.active = normal, select, active
-            bone.color.palette = palette
+    # What was not written here gives no colors back: the .blend may come from anybody.
+    with contextlib.suppress(ValueError, TypeError, AttributeError, RecursionError):
+        for name, (palette, normal, select, active) in json.loads(armature.manient.own_colors).items():
+            bone = armature.pose.bones.get(name)
+            if bone is not None:
+                custom = bone.color.custom
+                custom.normal, custom.select, custom.active = normal, select, active
+                bone.color.palette = palette
     armature.manient.own_colors = ""
 
 

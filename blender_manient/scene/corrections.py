@@ -29,6 +29,7 @@ from ..correction_field import (
     changed_quats,
     changed_stretches,
     correction_between,
+    kept_frame,
 )
 from ..remembered import Remembered
 from . import store
@@ -138,20 +139,23 @@ def check_writable(armature: bpy.types.Object) -> None:
 
 def correct_frame(
     armature: bpy.types.Object,
-    frame: int,
+    frame: float,
     pins: Pins,
     quats: np.ndarray,
     location: np.ndarray,
     spread: float,
+    *,
+    posed: bool = False,
 ) -> None:
     """Give a source frame a pose, and its neighbours what is left of the change over `spread` frames.
 
     quats (16, 4) as (w, x, y, z) relative to the bones' rest; location (3,) metres along the wrist
-    bone's axes. A frame without keys gets them. The correction replaces the frame's earlier one. Corrections
-    that are `displaced` are forgotten.
+    bone's axes; bones that are NaN stay as they are. A frame without keys gets them. The correction replaces
+    the frame's earlier one. Corrections that are `displaced` are forgotten. `posed`: the pose does not come
+    from pins, so that pins which come and go later leave it as it is.
     Raises TakeError and what `check_writable` does, and then changes nothing.
     """
-    side = armature.manient.side
+    side, frame = armature.manient.side, kept_frame(frame)
     old = corrections_of(armature)
     check_writable(armature)
     lost = displaced(armature)
@@ -163,30 +167,39 @@ def correct_frame(
     now_quats, now_location = pose_at(armature, side, here)
     present = read_pose_keys(armature, side, here[0], here[0])
     had_key = bool(present.rotation_keyed.any() or present.location_keyed.any())
-    if not (present.rotation_keyed.all() and present.location_keyed.all() and had_key):
-        write_pose_keys(armature, side, PoseKeys.everywhere(here, now_quats, now_location))
+    turns, moves = np.isfinite(quats[:, 0]), bool(np.isfinite(location).all())
+    keyless = turns & ~present.rotation_keyed.any(axis=0)
+    unplaced = np.array([moves and not present.location_keyed.any()])
+    write_pose_keys(armature, side, PoseKeys(here, now_quats, now_location, keyless[None], unplaced))
+    quats = np.where(turns[:, None], quats, now_quats[0])
+    location = location if moves else now_location[0]
 
     turned, moved = old.at(np.array([frame]))
     base = changed_quats(now_quats[0], turned[0], np.zeros((NUM_JOINTS, 3)))
+    rotation, moved_by = correction_between(base, quats), location - (now_location[0] - moved[0])
     here_now = old.corrections.get(frame)
     before = None if here_now is None or here_now.is_anchor else here_now
+    # What the neighbours' corrections do here now is where the pins began.
+    start = (turned[0], moved[0]) if before is None else (before.start_rotation, before.start_location)
+    if posed:
+        start = rotation, moved_by
     new = Correction(
         pins=pins,
-        rotation=correction_between(base, quats),
-        location=location - (now_location[0] - moved[0]),
+        rotation=rotation,
+        location=moved_by,
         spread=spread,
         added_key=not had_key if before is None else before.added_key,
-        # What the neighbours' corrections do here now is where the pins began.
-        start_rotation=turned[0] if before is None else before.start_rotation,
-        start_location=moved[0] if before is None else before.start_location,
+        start_rotation=start[0],
+        start_location=start[1],
         pose=quats,
         place=location,
         keyed=here_now is not None and here_now.keyed,
+        posed=posed or (before is not None and before.posed),
     )
     change_field(armature, old.with_correction(frame, new))
 
 
-def clear_corrections(armature: bpy.types.Object, frames: Iterable[int] | None = None) -> int:
+def clear_corrections(armature: bpy.types.Object, frames: Iterable[float] | None = None) -> int:
     """Take the corrections of these source frames (None: all) away again. Returns how many there were.
 
     Keys become what they would be without them. Keys that only a correction had put there go, unless
@@ -195,7 +208,7 @@ def clear_corrections(armature: bpy.types.Object, frames: Iterable[int] | None =
     """
     old = corrections_of(armature)
     check_writable(armature)
-    wanted = set(old.corrected) if frames is None else {int(f) for f in frames}
+    wanted = set(old.corrected) if frames is None else {kept_frame(f) for f in frames}
     gone = sorted(wanted & set(old.corrected))
     lost = [g for g in gone if g in displaced(armature)]
     if lost:
@@ -210,7 +223,7 @@ def clear_corrections(armature: bpy.types.Object, frames: Iterable[int] | None =
     return len(gone) + len(lost)
 
 
-def displaced(armature: bpy.types.Object) -> list[int]:
+def displaced(armature: bpy.types.Object) -> list[float]:
     """The corrected source frames whose keys are not the corrected ones any more: keys were moved to other
     frames, or another pose was keyed over them. Raises TakeError."""
     field = corrections_of(armature)
@@ -270,6 +283,15 @@ def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable
     armature.manient.corrections = new.to_json()
     for action, slot in holding:
         _mark(action, slot, fingerprint(armature))
+
+
+def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
+    """The keys as they would be without the hand's corrections. Raises TakeError."""
+    field = corrections_of(armature)
+    places = _snapped(source_frames(timing_of(armature), keys.frames), field.frames)
+    turned, moved = field.at(places)
+    quats = changed_quats(keys.quats, turned, np.zeros_like(turned))
+    return replace(keys, quats=quats, locations=keys.locations - moved)
 
 
 def end_corrections(

@@ -18,9 +18,12 @@ Presets say what a program expects of a format beyond Blender's habits:
 from __future__ import annotations
 
 import contextlib
+import errno
+import mmap
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import bpy
@@ -28,7 +31,7 @@ import numpy as np
 from bpy_extras.io_utils import axis_conversion
 
 from handfit_core.errors import OptionError, OutputError
-from handfit_core.files import written_whole
+from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
 from ..blender_versions import gltf_left_out, has_operator
@@ -37,6 +40,7 @@ from .camera import frame_scene
 from .clean_rig import Rig, clean_rig
 from .object_mode import object_mode
 from .own_scene import own_scene, shown_in_pose
+from .proof import prove_whole
 from .timing import set_timing
 
 
@@ -152,9 +156,9 @@ def export_hands(
     written nor changed. Raises OptionError and OutputError.
     """
     chosen = find_format(fmt)
-    if not available(chosen):
+    if reason := why_not(chosen):
         raise OptionError(
-            f"this Blender cannot write {fmt}: it has no {chosen.operator}; choose from "
+            f"this Blender cannot write {fmt}: {reason}, or choose from "
             f"{', '.join(k for k, f in FORMATS.items() if available(f))}"
         )
     if preset not in PRESETS:
@@ -200,11 +204,18 @@ def find_format(fmt: str) -> Format:
     return chosen
 
 
+def why_not(fmt: Format) -> str:
+    """Why this Blender cannot write the format, and what to do, as part of a sentence; empty if it can."""
+    if not fmt.operator or has_operator(fmt.operator):
+        return ""
+    if fmt.operator.startswith("wm."):
+        return "missing in this build of Blender; take the one from blender.org"
+    return "switched off with its add-on; enable that in Blender's preferences"
+
+
 def available(fmt: Format) -> bool:
     """Whether this Blender can write the format (some builds lack USD and Alembic)."""
-    if not fmt.operator:
-        return True
-    return has_operator(fmt.operator)
+    return not why_not(fmt)
 
 
 def _write_one(
@@ -220,10 +231,15 @@ def _write_one(
             with _only(hands, stage, preset, whole if fmt.suffix == ".blend" else None) as written:
                 fmt.write(beside, written, preset)
         except RuntimeError as error:
+            # Somewhere in the words, which may be a traceback, is what the system said; but of a disk without
+            # any room some exporters say something else.
+            for number in errno.errorcode:
+                if os.strerror(number) in str(error):
+                    raise OSError(number, os.strerror(number)) from error
+            check_room(beside, 1 << 16)
             reason = " ".join(str(error).split())
-            raise OutputError(f"{path}: Blender could not write it ({reason})") from error
-        if beside.stat().st_size == 0:
-            raise OutputError(f"{path}: Blender wrote nothing; see its console for the reason")
+            raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error
+        prove_whole(path, beside)
     return path
 
 
@@ -247,6 +263,7 @@ def _only(
             scene.camera = whole[1]
             scene.unit_settings.scale_length = stage.metres_per_unit
         else:
+            copies.enter_context(_files_by_name([hand.armature for hand in hands]))
             for hand in hands:
                 scene.collection.objects.link(hand.armature)
                 if hand.mesh is not None:
@@ -268,6 +285,36 @@ def _only(
                 )
         scene.frame_set(scene.frame_start)
         yield hands
+
+
+@contextlib.contextmanager
+def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """What armatures say about their picture and model is without folders meanwhile, which are private."""
+    paths = [
+        (armature, key, armature[key])
+        for armature in armatures
+        for key in ("source", "model")
+        if isinstance(armature.get(key), str)
+    ]
+    try:
+        for armature, key, path in paths:
+            armature[key] = PureWindowsPath(path).name  # which knows both kinds of slashes
+        yield
+    finally:
+        for armature, key, path in paths:
+            armature[key] = path
+
+
+def _blank(path: Path, folder: Path) -> None:
+    """Put ./././ in place of a folder's name in a file, which stays as long as it is."""
+    name = os.fsencode(f"{folder}{os.sep}")
+    if len(name) < 5:  # so near to the root it tells nothing, and may stand among numbers by chance
+        return
+    with path.open("rb+") as stream, mmap.mmap(stream.fileno(), 0) as content:
+        place = content.find(name)
+        while place >= 0:
+            content[place : place + len(name)] = (b"./" * len(name))[: len(name) - 1] + b"/"
+            place = content.find(name, place + len(name))
 
 
 def _root_name(root: str, hands: Sequence[Rig], index: int) -> str:
@@ -338,8 +385,11 @@ def _fbx(path: Path, _hands: tuple[Rig, ...], preset: Preset) -> None:
         "bake_anim_force_startend_keying": True,
         "bake_anim_step": 1.0,
         "bake_anim_simplify_factor": 0.0,
+        "path_mode": "STRIP",  # textures by name: where they lie is private
     }
     bpy.ops.export_scene.fbx(**keywords | preset.keywords)
+    # It also names each texture with the folder that the file is in.
+    _blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
 
 
 def _usd(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
@@ -355,8 +405,10 @@ def _usd(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
     )
 
 
-def _alembic(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
+def _alembic(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
     scene = _open_scene()
+    # Where the disk is full, Alembic ends Blender.
+    check_room(path, _alembic_size([hand.mesh for hand in hands if hand.mesh is not None]))
     bpy.ops.wm.alembic_export(
         filepath=str(path),
         check_existing=False,
@@ -366,6 +418,32 @@ def _alembic(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
         uvs=True,
         evaluation_mode="RENDER",
     )
+    _blank(path, Path(bpy.data.filepath).parent)  # the description names the open file
+
+
+def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
+    """Bytes that the open scene with these meshes takes at most as Alembic, rather too many than too few."""
+    scene = _open_scene()
+    frames = scene.frame_end - scene.frame_start + 1
+    graph = bpy.context.evaluated_depsgraph_get()
+    size = 1 << 16
+    for obj in meshes:
+        shown = obj.evaluated_get(graph)
+        mesh = shown.to_mesh()
+        points, corners, faces = len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+        layers, smooth = len(mesh.uv_layers), mesh.normals_domain == "POINT"
+        shown.to_mesh_clear()
+        finer = 4 ** sum(
+            max(0, m.render_levels - (m.levels if m.show_viewport else 0))
+            for m in obj.modifiers
+            if m.type in {"SUBSURF", "MULTIRES"} and m.show_render
+        )
+        # Every frame has the points and, of what is not all smooth, the corners' normals; the first also the
+        # points before any bone moved them, and what the faces are made of.
+        each = 12 * points + (0 if smooth else 12 * corners)
+        once = 24 * points + (8 + 12 * layers) * corners + 4 * faces
+        size += finer * (frames * each + once) + frames * 1024
+    return size + size // 4
 
 
 def _bvh(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
@@ -385,10 +463,13 @@ def _bvh(path: Path, hands: tuple[Rig, ...], _preset: Preset) -> None:
 
 
 def _blend(path: Path, _hands: tuple[Rig, ...], _preset: Preset) -> None:
-    # Picture paths become relative to the file wherever both lie on one drive.
-    bpy.data.libraries.write(
-        str(path), {_open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
-    )
+    try:
+        # Picture paths become relative to the file wherever both lie on one drive.
+        bpy.data.libraries.write(
+            str(path), {_open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
+        )
+    except OSError as error:  # with words only, as operators' errors have
+        raise RuntimeError(str(error)) from error
 
 
 def _open_scene() -> bpy.types.Scene:

@@ -362,7 +362,7 @@ def _union(lists: list[np.ndarray]) -> np.ndarray:
     return frames[np.append(True, np.diff(frames) > SAME_FRAME)[: len(frames)]]
 
 
-def _nearest(frames: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest(frames: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For each wanted frame the index of the nearest of `frames` (N > 0, increasing), and whether it is the
     same."""
     after = np.clip(np.searchsorted(frames, wanted), 0, len(frames) - 1)
@@ -374,7 +374,7 @@ def _nearest(frames: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.nda
 def _contains(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     if len(frames) == 0:
         return np.zeros(len(wanted), dtype=bool)
-    return _nearest(frames, wanted)[1]
+    return nearest(frames, wanted)[1]
 
 
 def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray:
@@ -385,7 +385,7 @@ def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray
             values[:, i] = present[i]
             continue
         co = _read(curve, ("co",))["co"].astype(np.float64)
-        index, same = _nearest(co[:, 0], frames)
+        index, same = nearest(co[:, 0], frames)
         values[:, i] = co[index, 1]
         for row in np.flatnonzero(~same):
             values[row, i] = curve.evaluate(float(frames[row]))
@@ -476,7 +476,7 @@ def _write(curve: Any, frames: np.ndarray, values: np.ndarray) -> None:
     old = data["co"][:, 0].astype(np.float64)
     index, same = np.zeros(len(frames), dtype=int), np.zeros(len(frames), dtype=bool)
     if len(old):
-        index, same = _nearest(old, frames)
+        index, same = nearest(old, frames)
     if not same.all():  # where only values change, the rest of a key need not be read and written
         data |= _read(curve, tuple(name for name in _EVERYTHING if name not in _PLACES))
     rise = np.zeros(len(old), dtype=np.float32)

@@ -15,7 +15,7 @@ from handfit_core.take import HandTrack
 
 from .. import axes
 from ..blender_versions import action_slot, assign_action, channels
-from .animation import ERROR_PROPERTY, describe
+from .animation import describe
 from .armature import bone_names, build_armature, rest_frames
 from .correctives import add_correctives
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
@@ -139,10 +139,7 @@ def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side:
     if holder is None:
         return assign_action(armature, action)
     names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in _pairs(side)}
-    for curve in list(holder.fcurves):
-        if curve.data_path == f'["{ERROR_PROPERTY}"]':
-            holder.fcurves.remove(curve)  # it was not measured on this hand
-            continue
+    for curve in holder.fcurves:
         start, dot, attribute = curve.data_path.partition("].")
         renamed = names.get(start + dot)
         if renamed is not None:

@@ -13,7 +13,7 @@ def kept_model(model: str, side: Side) -> HandModel:
     """As `load_model`, but read again only where the file has changed. Raises HandModelError."""
     try:
         changed = 0 if model == OPEN_HAND else Path(model).stat().st_mtime_ns
-    except OSError:
+    except (OSError, ValueError):
         changed = 0  # `load_model` says what is wrong, every time
     return _read(model, side, changed)
 

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from handfit_core.errors import InputError
 from handfit_core.exif import upright
-from handfit_core.media import sequence_numbers
+from handfit_core.files import is_file
+from handfit_core.media import numbered_like, sequence_numbers
+from handfit_core.size_limit import check_for_blender, is_picture, is_video
 from handfit_core.take import Take
 
+from .. import preferences
+from ..slices import result_of
 from .timing import Timing
+
+_MOST_TURNED = 16e6
+"""Pixels of a turned copy: turning takes 36 bytes for each, and a copy of 100 megapixels would bloat the
+.blend"""
 
 
 @dataclass(frozen=True)
@@ -32,16 +42,30 @@ class Plate:
         user.use_auto_refresh = True
 
 
-def load_plate(take: Take, timing: Timing | None = None) -> tuple[Plate | None, list[str]]:
+def load_plate(
+    take: Take, timing: Timing | None = None, max_megapixels: float | None = None
+) -> tuple[Plate | None, list[str]]:
+    """`loading_plate` at once."""
+    return result_of(loading_plate(take, timing, max_megapixels))
+
+
+def loading_plate(
+    take: Take, timing: Timing | None = None, max_megapixels: float | None = None
+) -> Generator[None, None, tuple[Plate | None, list[str]]]:
     """The take's picture, and what the user should know about it.
 
     `timing` says where the take lies in the scene's time; without it, on its own frame numbers.
-    A file that is missing or unreadable gives no plate and a warning.
+    `max_megapixels` is how large it may be, instead of what the preferences say.
+    A file that is missing, unreadable or too large gives no plate and a warning.
     """
     timing = timing or Timing()
-    path = Path(take.source.files[0])
-    if not path.is_file():
+    # Absolute, since Blender's FFmpeg takes a relative name that begins with "http:" for an address.
+    path = Path(take.source.files[0]).absolute()
+    if not is_file(path):
         return None, [f"{path}: the picture is not there any more, so nothing is shown behind the hands"]
+    refused = yield from _checking(path, take, max_megapixels or preferences.get().max_megapixels or None)
+    if refused:
+        return None, [refused]
     try:
         # `check_existing` stays off: another take's copy of the same picture may be timed differently.
         image = bpy.data.images.load(str(path), check_existing=False)
@@ -62,8 +86,27 @@ def load_plate(take: Take, timing: Timing | None = None) -> tuple[Plate | None, 
     if take.source.kind == "photo" and take.source.orientation != 1:
         plate = Plate(_upright_copy(image, take.source.orientation))
         bpy.data.images.remove(image)
-        size = tuple(plate.image.size)
+        size = size[::-1] if take.source.orientation in (5, 6, 7, 8) else size
     return plate, _mismatches(path, size, take) + _other_rate(path, take, timing)
+
+
+def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator[None, None, str]:
+    """Look at the first bytes of every file that Blender will open for this plate; why one must not be
+    opened, or nothing. A take may name any file, and Blender opens pictures of a sequence that no take
+    names."""
+    files = [path]
+    if take.source.kind == "sequence":
+        first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
+        files += [file for number, file in numbered_like(path) if first <= number <= last]
+    for file in files:
+        yield
+        try:
+            if not is_picture(file) and not is_video(file):
+                return _unreadable(file)
+            check_for_blender(file, max_megapixels)
+        except InputError as error:
+            return f"{error}; nothing is shown behind the hands"
+    return ""
 
 
 def _unreadable(path: Path) -> str:
@@ -122,10 +165,16 @@ def _first_scene_frame(take: Take, timing: Timing) -> int:
 
 
 def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
-    """Blender ignores EXIF orientation: a packed copy of the pixels, turned as the camera was held."""
+    """Blender ignores EXIF orientation: a packed copy of the pixels, turned as the camera was held, and
+    smaller where there are more than `_MOST_TURNED`."""
     width, height = image.size
+    smaller = (_MOST_TURNED / (width * height)) ** 0.5
+    if smaller < 1.0:
+        width, height = max(1, int(width * smaller)), max(1, int(height * smaller))
+        image.scale(width, height)
     pixels = np.empty(width * height * 4, dtype=np.float32)
     image.pixels.foreach_get(pixels)
+    image.buffers_free()
     # Blender's first row is the bottom one.
     rows = upright(pixels.reshape(height, width, 4)[::-1], orientation)
     copy = bpy.data.images.new(f"{image.name} upright", rows.shape[1], rows.shape[0], alpha=False)
@@ -145,6 +194,6 @@ def missing_picture(camera: bpy.types.Object | None) -> str:
         if image is None or image.packed_file or image.source not in {"FILE", "SEQUENCE", "MOVIE"}:
             continue
         path = Path(bpy.path.abspath(image.filepath, library=image.library))
-        if not path.is_file():
+        if not is_file(path):
             return path.name
     return ""

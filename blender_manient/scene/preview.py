@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from handfit_core.errors import OutputError
-from handfit_core.files import written_whole
+from handfit_core.files import check_room, written_whole
 from handfit_core.take import Take
 
 from .. import axes
@@ -26,6 +26,7 @@ from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
 from .plate import Plate, load_plate
+from .proof import prove_whole
 from .render_setup import SUNS, picture_card, sun
 
 LONGEST_SIDE = 1200
@@ -41,26 +42,33 @@ _MISSING = (0.18, 0.18, 0.18)
 """Shown where the picture file is gone"""
 
 
-def render_preview(built: BuiltTake, take: Take, frame: int, path: Path) -> Path:
+def render_preview(
+    built: BuiltTake, take: Take, frame: int, path: Path, *, max_megapixels: float | None = None
+) -> Path:
     """Write a PNG: left the picture, right the same with the hands over it through the solved camera, opaque
     and in their own materials.
 
-    `frame` is a source frame number. The longer side of each half is at most `LONGEST_SIDE` pixels.
-    Raises OutputError.
+    `frame` is a source frame number, `max_megapixels` as in `build_take`. The longer side of each half is at
+    most `LONGEST_SIDE` pixels. Raises OutputError.
     """
-    rows = preview_rows(built, take, [frame], clay=False)[0]
+    rows = preview_rows(built, take, [frame], clay=False, max_megapixels=max_megapixels)[0]
     return write_png(rows, path)
 
 
 def preview_rows(
-    built: BuiltTake, take: Take, frames: Sequence[int], *, clay: bool = True
+    built: BuiltTake,
+    take: Take,
+    frames: Sequence[int],
+    *,
+    clay: bool = True,
+    max_megapixels: float | None = None,
 ) -> list[np.ndarray]:
     """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top.
 
     The hands are of clay that lets some of the picture through, or opaque and in their own materials.
     """
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
-    plate, _ = load_plate(take)
+    plate, _ = load_plate(take, max_megapixels=max_megapixels)
     previews = []
     try:
         for frame in frames:
@@ -139,7 +147,10 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
             try:
                 image.save()
             except RuntimeError as error:
-                raise OutputError(f"{path}: Blender could not write the preview ({error})") from error
+                check_room(beside, 1 << 16)
+                reason = " ".join(str(error).split())
+                raise OutputError(f"{path}: Blender could not write the preview ({reason})") from error
+            prove_whole(path, beside)
     finally:
         bpy.data.images.remove(image)
     return path

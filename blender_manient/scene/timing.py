@@ -8,7 +8,11 @@ from fractions import Fraction
 import bpy
 import numpy as np
 
+from handfit_core.errors import TakeError
 from handfit_core.take import Take
+
+LAST_FRAME = 1_048_574
+"""of Blender's timeline, in both directions"""
 
 
 @dataclass(frozen=True)
@@ -27,28 +31,43 @@ class Timing:
         return (np.asarray(frames, dtype=np.float64) - self.offset) / (self.scale or 1.0)
 
 
+def check_range(take: Take, timing: Timing) -> None:
+    """Raise TakeError where the take would lie beyond Blender's timeline."""
+    first, last = timing.scene_frames(take.frame_numbers[[0, -1]])
+    if max(abs(first), abs(last)) > LAST_FRAME:
+        raise TakeError(
+            f"the take's frames would lie at {first:.0f} to {last:.0f}, and Blender's timeline ends at "
+            f"{LAST_FRAME}; number the pictures from 1, or build the hands in the scene's own time"
+        )
+
+
 def frame_rate(scene: bpy.types.Scene) -> float:
     """The scene's frames per second."""
     return scene.render.fps / scene.render.fps_base
 
 
-def timing_in(scene: bpy.types.Scene, take: Take) -> Timing:
-    """The take in the scene's own time: its first frame at the current one, as fast as it was filmed.
+def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> Timing:
+    """The take in the scene's own time: its first frame at `frame` (None: the current one), as fast as it
+    was filmed.
 
     Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
     """
     scale = frame_rate(scene) / take.fps if take.source.kind == "video" else 1.0
     if abs(scale - 1.0) < 1e-4:
         scale = 1.0
-    return Timing(scene.frame_current - scale * float(take.frame_numbers[0]), scale)
+    return Timing(
+        (scene.frame_current if frame is None else frame) - scale * float(take.frame_numbers[0]), scale
+    )
+
+
+def nearest_rate(fps: float) -> tuple[int, float]:
+    """A rate in frames per second as scenes keep it: Blender keeps 29.97 as 30 / 1.001."""
+    nearest = max(1, round(fps))
+    return nearest, float(np.float32(1 / Fraction(fps / nearest).limit_denominator(1001)))
 
 
 def set_timing(scene: bpy.types.Scene, take: Take) -> None:
     """Give the scene the take's frame rate and range."""
-    # Blender keeps 29.97 as 30 / 1.001.
-    nearest = max(1, round(take.fps))
-    rate = Fraction(take.fps / nearest).limit_denominator(1001)
-    scene.render.fps = nearest
-    scene.render.fps_base = float(1 / rate)
+    scene.render.fps, scene.render.fps_base = nearest_rate(take.fps)
     scene.frame_start = int(take.frame_numbers[0])
     scene.frame_end = int(take.frame_numbers[-1])

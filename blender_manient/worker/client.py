@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core import errors
-from handfit_core.errors import Cancelled, HandfitError
+from handfit_core.errors import Cancelled, HandfitError, ProtocolError
 from handfit_core.version import __version__
 from handfit_core.worker import protocol
 
@@ -30,7 +30,7 @@ from .interpreter import (
     worker_command,
     worker_environment,
 )
-from .process import ChildProcess
+from .process import ChildProcess, out_of_memory_kills
 
 __all__ = [
     "IN_BLENDER",
@@ -53,6 +53,11 @@ _GRACE = 0.03
 0.1, all of it to give back memory"""
 _PATIENCE = 3.0
 """seconds that a script gives it"""
+
+_LONGEST_SENTENCE = 2000
+"""characters of what a worker says for people"""
+_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
+"""What a process does to itself; other signals come from outside"""
 
 Event = dict[str, Any]
 """One message of the worker"""
@@ -111,6 +116,8 @@ class CaptureOptions:
     plain_detection: bool | None = None
     hand_length: float | None = None
     """Metres from the wrist to the tip of the middle finger"""
+    max_megapixels: float | None = None
+    """How large pictures and the frames of videos may be"""
 
     def to_message(self) -> dict[str, Any]:
         """The `options` of a capture request: those that are given."""
@@ -147,6 +154,8 @@ class Worker:
         self._last_child: ChildProcess | None = None
         self._hello: Event | None = None
         self._start_deadline = 0.0
+        self._kills_before: int | None = None
+        """`out_of_memory_kills` when the last request was sent"""
         self._number = 0
         self._open: dict[int, str] = {}
         self._events: deque[Event] = deque()
@@ -210,15 +219,19 @@ class Worker:
         """Ask for something; returns the number that its events carry as `id`.
 
         Starts the process if need be. Raises WorkerError when it cannot be started, or where a part that a
-        capture needs is known to be missing; ProtocolError for values that JSON cannot hold.
+        capture needs is known to be missing; ProtocolError for values that JSON cannot hold, and for more of
+        them than the process reads.
         """
         if kind == "capture" and self.blenders_own and (sentence := verification.before_capture()):
             if sentence.endswith(installation.IN_PREFERENCES):
                 sentence = sentence.removesuffix(installation.IN_PREFERENCES) + self._advice.where
             raise WorkerError(sentence)
         line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
+        if len(line) > protocol.LONGEST_REQUEST:
+            raise ProtocolError(f"a {kind} of {len(line) // 1_000_000} MB is too large; give it fewer frames")
         self.start()
         assert self._child is not None
+        self._kills_before = out_of_memory_kills()
         self._number += 1
         self._open[self._number] = kind
         self._child.send(line)
@@ -304,10 +317,26 @@ class Worker:
         child.exchange()
         ended = child.ended()
         for message in child.received():
-            if self._hello is None and not self._greeted(message):
+            try:
+                if self._hello is None:
+                    self._greet(message)
+                else:
+                    self._receive(message)
+            except ProtocolError as error:
+                self._give_up(
+                    f"the worker process said something unknown: {error}; {self._advice.crash}",
+                    ProtocolError.__name__,
+                )
+            if self._child is None:
                 return
-            self._receive(message)
-        if ended:
+        if child.endless:
+            self._give_up(
+                f"the worker process wrote a line of more than {protocol.LONGEST_EVENT >> 20} MB, and was "
+                f"stopped; {self._advice.crash}"
+                if self._hello
+                else f"the Python '{self.python}' is not one; {self._advice.python}"
+            )
+        elif ended:
             self._give_up(self._why_it_died(child))
         elif self._hello is None and child.noise > _NOISE_LIMIT:
             self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
@@ -317,8 +346,14 @@ class Worker:
                 f"{self._advice.python}"
             )
 
-    def _greeted(self, message: Event) -> bool:
-        """Whether the first message is the right one; gives up on the process if not."""
+    def _greet(self, message: Event) -> None:
+        """Take in the first message; gives up on the process if it is not the right one."""
+        unknown = f"the Python '{self.python}' answered in an unknown way; {self._advice.python}"
+        try:
+            protocol.check_event(message)
+        except ProtocolError:
+            self._give_up(unknown)
+            return
         version = message.get("protocol")
         if message.get("event") == "unfit":
             self._give_up(
@@ -326,9 +361,7 @@ class Worker:
                 f"newer; {self._advice.python}"
             )
         elif message.get("event") != "ready":
-            self._give_up(
-                f"the Python '{self.python}' answered in an unknown way; {self._advice.python}",
-            )
+            self._give_up(unknown)
         elif version != protocol.PROTOCOL:
             self._give_up(
                 f"the worker of '{self.python}' speaks protocol {version}, this add-on needs "
@@ -341,25 +374,32 @@ class Worker:
             )
         else:
             self._hello = message
-            return True
-        return False
 
     def _receive(self, message: Event) -> None:
-        kind, job = message.get("event"), message.get("id")
-        if job not in self._open or kind not in ("progress", "warning", "done", "error"):
+        """Take in an event of a request that is open. Raises ProtocolError."""
+        kind = message.get("event")
+        if kind not in ("progress", "warning", "done", "error"):
             return
+        if kind == "error" and message.get("id") is None:  # of a line that was none of the requests'
+            return
+        job = protocol.check_id(message)
+        if job not in self._open:
+            return
+        protocol.check_event(message, self._open[job])
+        if kind in ("warning", "error"):
+            message = {**message, "message": " ".join(message["message"].split())[:_LONGEST_SENTENCE]}
         if kind in ("done", "error"):
             del self._open[job]
         if kind == "error" and message.get("type") in ("ModuleNotFoundError", "ImportError"):
             message = {**message, "type": WorkerError.__name__, "message": self._what_is_missing(message)}
         self._events.append(message)
 
-    def _give_up(self, why: str) -> None:
-        """Kill the process and answer every open request."""
+    def _give_up(self, why: str, kind: str = WorkerError.__name__) -> None:
+        """Kill the process and answer every open request with an error of this kind."""
         child, self._child, self._hello = self._child, None, None
         if child is not None:
             child.kill()
-        self._answer_all(WorkerError.__name__, why, self.details())
+        self._answer_all(kind, why, self.details())
 
     def _answer_all(self, kind: str, message: str, details: str) -> None:
         for job in self._open:
@@ -390,11 +430,19 @@ class Worker:
                 return self._broken_part(last)
             return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
         said = f", last saying: {last}" if last else ""
-        if code == -getattr(signal, "SIGKILL", 9) or last.startswith("MemoryError"):
+        if child.hung:
+            return f"the worker process closed its output and did not end{said}; {self._advice.crash}"
+        kills, before, signal_name = out_of_memory_kills(), self._kills_before, _signal_name(code)
+        by_system = signal_name == "SIGKILL" and kills is not None and before is not None and kills > before
+        if by_system or _says_memory_ran_out(child.last_words()):
             return (
-                f"the worker process ended {_ending(code)}{said}; probably memory ran out: capture fewer "
-                "frames at a time"
+                f"memory ran out, and the worker process ended {_ending(code)}{said}; capture fewer frames "
+                "at a time, or smaller pictures"
             )
+        if signal_name and signal_name not in _CRASHES:
+            # A system that does not count may have done it itself, for whatever reason.
+            who = "from outside" if kills is not None else "from outside or by the system"
+            return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
         if self._hello is None and not self.blenders_own:
             return (
                 f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
@@ -422,9 +470,20 @@ def _last_line(words: str) -> str:
     return next((line for line in lines if line.startswith("Fatal Python error")), lines[-1] if lines else "")
 
 
+def _says_memory_ran_out(words: str) -> bool:
+    """Whether that is what ended a process: an error of Python's or NumPy's, or of C++, which then aborts."""
+    return "MemoryError" in _last_line(words).partition(":")[0] or "std::bad_alloc" in words
+
+
+def _signal_name(code: int) -> str:
+    """The signal that ended a process, by its exit code; empty where none did."""
+    with contextlib.suppress(ValueError):
+        return signal.Signals(-code).name if code < 0 else ""
+    return f"{-code}"
+
+
 def _ending(code: int) -> str:
     if code < 0:
-        with contextlib.suppress(ValueError):
-            return f"by signal {signal.Signals(-code).name}"
+        return f"by signal {_signal_name(code)}"
     # Windows gives what Unix calls a signal as a large number that is known in hexadecimal.
     return f"with exit code {code if code < 256 else hex(code)}"

@@ -14,6 +14,7 @@ from typing import Any
 
 from handfit_core.errors import ProtocolError
 from handfit_core.worker import protocol
+from handfit_core.worker.protocol import LONGEST_EVENT
 
 from .pipes import ReadEnd, pipe_from_child, pipe_to_child, wait_for
 
@@ -67,10 +68,15 @@ class ChildProcess:
         self.pid = self._process.pid
         self.noise = 0
         """Lines on its stdout that were no messages"""
+        self.endless = False
+        """Whether it was cut off within a line that is longer than any message"""
+        self.hung = False
+        """Whether it was killed here, as it had closed its output and did not end"""
         self._echo = echo
         self._said = b""
         self._line: list[bytes] = []
         """The beginning of a line on its stdout"""
+        self._line_size = 0
         self._received: list[dict[str, Any]] = []
         self._to_send: deque[memoryview] = deque()
         self._ending_since: float | None = None
@@ -116,6 +122,7 @@ class ChildProcess:
         self._ending_since = self._ending_since or now
         if now - self._ending_since < _LINGER:
             return False
+        self.hung = not exited
         self.kill()
         return exited  # some other process holds its pipes: nothing of interest comes from there
 
@@ -171,10 +178,16 @@ class ChildProcess:
     def _take_output(self, chunk: bytes) -> None:
         first, *others = chunk.split(b"\n")
         self._line.append(first)
+        self._line_size += len(first)
+        if self._line_size > LONGEST_EVENT:
+            self.endless = True
+            self._line = []
+            self._stdout.close()
+            return
         noise: list[bytes] = []
         for other in others:
             line = b"".join(self._line)
-            self._line = [other]
+            self._line, self._line_size = [other], len(other)
             if not line.strip():
                 continue
             message = _message(line)
@@ -193,6 +206,16 @@ class ChildProcess:
 
     def _remember(self, words: bytes) -> None:
         self._said = (self._said + words)[-_KEPT:]
+
+
+def out_of_memory_kills() -> int | None:
+    """How many processes the system has killed since it started because memory ran out; None where it does
+    not tell, which Linux alone does."""
+    with contextlib.suppress(OSError), open("/proc/vmstat", "rb") as lines:
+        for line in lines:
+            if line.startswith(b"oom_kill "):
+                return int(line.split()[1])
+    return None
 
 
 def reap() -> None:

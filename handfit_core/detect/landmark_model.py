@@ -14,7 +14,7 @@ import zipfile
 from pathlib import Path
 
 from handfit_core.errors import LandmarkModelError
-from handfit_core.files import written_whole
+from handfit_core.files import is_file, shown, written_whole
 from handfit_core.paths import cache_dir
 
 FILE_NAME = "hand_landmarker.task"
@@ -42,8 +42,8 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
     for named in (explicit, os.environ.get("HANDFIT_LANDMARK_MODEL")):
         if named:
             path = Path(named).expanduser()
-            if not path.is_file():
-                raise LandmarkModelError(f"{path}: there is no such landmark model file")
+            if not is_file(path):
+                raise LandmarkModelError(f"{shown(path)}: there is no such landmark model file")
             return path
     for path in (Path(__file__).parent / "data" / FILE_NAME, cached_path()):
         if path.is_file():

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.errors import HandModelError
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, SIDES
+from handfit_core.values import shortly
+
+MOST_VERTICES: Final = 50_000
+MOST_FACES: Final = 2 * MOST_VERTICES
+"""MANO has 778 vertices and 1538 faces, the open hand 1609 and 1598"""
+
+SMALLEST_HAND: Final = 0.01
+LARGEST_HAND: Final = 10.0
+"""metres across"""
+
+LARGEST: Final = 1e4
+"""of any number of a model: metres, weights and radians"""
 
 
 def checked_model(
@@ -35,9 +47,17 @@ def checked_model(
     `where` names the file in messages. Raises HandModelError.
     """
     if side not in SIDES:
-        raise HandModelError(f"{where}: the side must be left or right, not {side!r}")
+        raise HandModelError(f"{where}: the side must be left or right, not {shortly(side)}")
     v_template = _floats(where, "v_template", v_template, (None, 3))
     count = len(v_template)
+    if not 0 < count <= MOST_VERTICES:
+        raise HandModelError(f"{where}: a hand model has 1 to {MOST_VERTICES} vertices, not {count}")
+    size = float(np.ptp(v_template, axis=0).max())
+    if not SMALLEST_HAND <= size <= LARGEST_HAND:
+        raise HandModelError(
+            f"{where}: this hand is {size:.3g} m long; a hand model is in metres, from {SMALLEST_HAND:g} to "
+            f"{LARGEST_HAND:g} m"
+        )
     faces = _indices(where, "faces", faces, 3, count)
     shapedirs = _floats(where, "shapedirs", shapedirs, (count, 3, None))
     if shapedirs.shape[2] < NUM_BETAS:
@@ -50,6 +70,15 @@ def checked_model(
     tips = _indices(where, "tip_vertices", np.reshape(tip_vertices, (-1, 1)), 1, count).reshape(-1)
     if tips.shape != (5,):
         raise HandModelError(f"{where}: tip_vertices must name 5 vertices, not {len(tips)}")
+    quads = None if quads is None else _indices(where, "quads", quads, 4, count)
+    if uv is None or uv_faces is None:
+        uv = uv_faces = None
+    else:
+        polygons = faces if quads is None else quads
+        uv = _floats(where, "uv", uv, (None, 2))
+        uv_faces = _indices(where, "uv_faces", uv_faces, polygons.shape[1], len(uv))
+        if len(uv_faces) != len(polygons):
+            raise HandModelError(f"{where}: uv_faces has {len(uv_faces)} rows for {len(polygons)} polygons")
     return HandModel(
         name=name,
         side=side,
@@ -63,11 +92,9 @@ def checked_model(
         hands_mean=_floats(where, "hands_mean", hands_mean, (45,)),
         hands_components=_floats(where, "hands_components", hands_components, (45, 45)),
         tip_vertices=tips,
-        quads=None if quads is None else _indices(where, "quads", quads, 4, count),
-        uv=None if uv is None else _floats(where, "uv", uv, (None, 2)),
-        uv_faces=None
-        if uv_faces is None or uv is None
-        else _indices(where, "uv_faces", uv_faces, np.shape(uv_faces)[1], len(uv)),
+        quads=quads,
+        uv=uv,
+        uv_faces=uv_faces,
         source=source,
     )
 
@@ -85,11 +112,15 @@ def _floats(where: str, key: str, array: Any, shape: tuple[int | None, ...]) -> 
         raise HandModelError(f"{where}: {key} has shape {found}, a MANO-format file has {expected}")
     if not np.all(np.isfinite(array)):
         raise HandModelError(f"{where}: {key} holds values that are not finite (NaN or infinity)")
+    if np.any(np.abs(array) > LARGEST):
+        raise HandModelError(f"{where}: {key} holds values beyond {LARGEST:g}")
     return _frozen(array)
 
 
 def _indices(where: str, key: str, array: Any, width: int, limit: int) -> np.ndarray:
     array = np.asarray(array)
+    if array.ndim and len(array) > MOST_FACES:
+        raise HandModelError(f"{where}: {key} has {len(array)} rows, more than {MOST_FACES}")
     if array.ndim != 2 or array.shape[1] != width or not np.issubdtype(array.dtype, np.integer):
         raise HandModelError(
             f"{where}: {key} has shape {'x'.join(map(str, array.shape))} and type {array.dtype}, expected "

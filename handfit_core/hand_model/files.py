@@ -12,13 +12,22 @@ from typing import Any
 import numpy as np
 
 from handfit_core.errors import HandModelError
-from handfit_core.files import written_whole
+from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
+from handfit_core.npz import NotNpz, NpzArchive
 from handfit_core.skeleton import SIDES, Side
+from handfit_core.values import text, whole
 
 OPEN_HAND = "open-hand"
 """Name of the bundled model; anything else given as a model is a path."""
+
+MAX_FILE_BYTES = 64_000_000
+"""of a model; MANO's have 4 MB, and larger meshes in its format 10 MB"""
+
+_LONGEST_NAME = 200
+_MOST_MEMORY = 200_000_000
+"""bytes that the arrays of a model may have: twelve times those of the open hand"""
 
 FORMAT_NAME = "handfit-model"
 FORMAT_VERSION = 1
@@ -56,13 +65,19 @@ def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
         raise HandModelError(f"a hand's side must be left or right, not {side!r}")
     if model is None or str(model) == OPEN_HAND:
         return _open_hand(side)
-    path = Path(model).expanduser()
-    if not path.exists():
-        raise HandModelError(
-            f"{path}: there is no such hand model; give a MANO .pkl or .npz, a folder with both sides, "
-            f"or '{OPEN_HAND}'"
-        )
-    return _read(_file_of_side(path, side), side)
+    try:
+        path = Path(model).expanduser()
+        if not path.exists():
+            raise HandModelError(
+                f"{shown(path)}: there is no such hand model; give a MANO .pkl or .npz, a folder with both "
+                f"sides, or '{OPEN_HAND}'"
+            )
+        path = _file_of_side(path, side)
+    except RuntimeError as error:  # the home folder of a user who does not exist
+        raise HandModelError(f"{shown(model)}: there is no such hand model ({error})") from error
+    except (OSError, ValueError) as error:
+        raise HandModelError(f"{shown(model)}: this hand model cannot be read ({why(error)})") from error
+    return _read(path, side)
 
 
 def _file_of_side(path: Path, side: Side) -> Path:
@@ -111,17 +126,22 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
     """Read a model that `save_model_npz` wrote. Raises HandModelError."""
     path = Path(path)
     try:
-        # Opened here, because NumPy leaves a damaged file open.
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays: dict[str, Any] = {name: archive[name] for name in archive.files}
-        header = json.loads(str(arrays.pop("header")[()]))
-        if header["format"] != FORMAT_NAME:
-            raise KeyError("format")
-        version, name, side = int(header["version"]), str(header["name"]), header["side"]
-        missing = [key for key in _REQUIRED if key not in arrays]
-    except Exception as error:  # a damaged zip can fail in any way
+        archive = NpzArchive(read_file(path, MAX_FILE_BYTES), _MOST_MEMORY)
+        header = archive.header()
+        if header.get("format") != FORMAT_NAME:
+            raise NotNpz("is of another format")
+        version = whole("version", header.get("version"), 1)
+        name, side = (
+            text("name", header.get("name"), _LONGEST_NAME),
+            text("side", header.get("side"), _LONGEST_NAME),
+        )
+        arrays = {key: archive.array(key, "fiu") for key in ARRAY_NAMES if key in archive}
+    except OSError as error:
+        raise HandModelError(f"{shown(path)}: this hand model cannot be read ({why(error)})") from error
+    except (NotNpz, KeyError, ValueError) as error:
+        reason = f"it {error}" if isinstance(error, NotNpz) else error
         raise HandModelError(
-            f"{path}: not a hand model of ours, or a damaged one; make it again with "
+            f"{path}: not a hand model of ours, or a damaged one ({reason}); make it again with "
             "'python -m handfit_core model convert'"
         ) from error
     if version > FORMAT_VERSION:
@@ -129,6 +149,7 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
             f"{path}: this hand model has format version {version}, this program reads up to "
             f"{FORMAT_VERSION}; update the add-on"
         )
+    missing = [key for key in _REQUIRED if key not in arrays]
     if missing:
         raise HandModelError(f"{path}: the hand model lacks {', '.join(missing)}")
     return checked_model(

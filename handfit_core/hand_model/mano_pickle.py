@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from handfit_core.errors import HandModelError
-from handfit_core.files import written_whole
+from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
 from handfit_core.safe_pickle import STAND_INS, NotAnArray, Refused, StandIn, array_of, load, reshaped
@@ -183,21 +183,16 @@ class _Unfit(Exception):
 
 def _unpickled(path: Path) -> Any:
     try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise HandModelError(
-                f"{path}: {size // 1_000_000} MB is too large for a hand model; MANO's files have 4 MB"
-            )
-        data = path.read_bytes()
-    except OSError as error:
+        data = read_file(path, MAX_FILE_BYTES)
+    except (OSError, ValueError) as error:
         raise HandModelError(
-            f"{path}: cannot be read ({error.strerror or error}); give the path of a MANO .pkl file"
+            f"{shown(path)}: cannot be read ({why(error)}); give the path of a MANO .pkl file, which has 4 MB"
         ) from error
     try:
         return load(data, _stand_in)
     except Refused as error:
         raise HandModelError(
-            f"{path}: refused: the file asks to run {error}; a MANO file never does, do not trust it"
+            f"{path}: refused: the file {error}; a MANO file never does, do not trust it"
         ) from error
     except Exception as error:  # a damaged pickle can fail in any way
         raise HandModelError(

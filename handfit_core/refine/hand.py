@@ -18,6 +18,16 @@ START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_
 """The pose to start from, and its shapes behind T"""
 
 
+RESULT_SHAPES: Final[dict[str, tuple[int, ...]]] = {
+    **START_ARRAYS,
+    "joints_3d": (NUM_KEYPOINTS, 3),
+    "projected": (NUM_KEYPOINTS, 2),
+    "landmarks_2d": (NUM_KEYPOINTS, 2),
+    "reprojection_error": (),
+}
+"""The arrays of a result, and their shapes behind T"""
+
+
 @dataclass(frozen=True, eq=False)
 class RefineHand:
     """T consecutive frames of one hand, and what the artist says about them.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import fields
@@ -14,12 +13,14 @@ from handfit_core.camera import Intrinsics
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.keypoints import HandDetection
-from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
+from handfit_core.refine.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.recent import Recent
 from handfit_core.refine.refit import refit_each, refit_range
 from handfit_core.skeleton import NUM_KEYPOINTS, other_side
 from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.solvers.result import ShouldStop
+from handfit_core.take import LARGEST
+from handfit_core.values import Unfit, number, shortly
 from handfit_core.worker.protocol import pack, unpack
 
 MODES = ("each", "draft", "range")
@@ -68,7 +69,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
         raise ProtocolError("refit: hand must be an object")
     side = message.get("side")
     if side not in ("left", "right"):
-        raise OptionError(f"side must be left or right, not {side!r}")
+        raise OptionError(f"side must be left or right, not {shortly(side)}")
     points = {name: _array(message, name) for name in _POINTS}
     count = points["keypoints"].shape[0] if points["keypoints"].ndim else 0
     for name, array in points.items():
@@ -133,12 +134,18 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
     return {"result": packed, "seconds": time.perf_counter() - begin}
 
 
-def result_from_message(done: Mapping[str, Any]) -> RefineResult:
-    """What a `refit` request's `done` event carries. Raises ProtocolError."""
+def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
+    """What the `done` event of a `refit` request for `count` frames carries. Raises ProtocolError."""
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")
-    return RefineResult(**{f.name: _array(result, f.name).astype(np.float64) for f in fields(RefineResult)})
+    arrays = {f.name: _array(result, f.name).astype(np.float64) for f in fields(RefineResult)}
+    for name, array in arrays.items():
+        if array.shape != (count, *RESULT_SHAPES[name]):
+            raise ProtocolError(f"refit: the answer's {name} has the wrong shape, {array.shape}")
+        if np.any(np.abs(array) > LARGEST):  # NaN, in rows without a hand, is not
+            raise ProtocolError(f"refit: the answer's {name} holds numbers beyond {LARGEST:g}")
+    return RefineResult(**arrays)
 
 
 def _array(message: Mapping[str, Any], name: str) -> np.ndarray:
@@ -155,7 +162,7 @@ def _numbers(message: Mapping[str, Any], name: str, count: int | None = None) ->
     numbers = isinstance(values, list) and all(_is_number(v) for v in values)
     if not isinstance(values, list) or not numbers or (count is not None and len(values) != count):
         expected = "numbers" if count is None else f"{count} numbers"
-        raise ProtocolError(f"refit: {name} must be a list of {expected}, not {_shortly(values)}")
+        raise ProtocolError(f"refit: {name} must be a list of {expected}, not {shortly(values)}")
     return values
 
 
@@ -163,34 +170,27 @@ def _rows(message: Mapping[str, Any], name: str) -> tuple[int, ...]:
     """Optional whole numbers."""
     values = _numbers(message, name) if name in message else []
     if any(v != int(v) for v in values):
-        raise ProtocolError(f"refit: {name} must be whole numbers, not {_shortly(values)}")
+        raise ProtocolError(f"refit: {name} must be whole numbers, not {shortly(values)}")
     return tuple(int(v) for v in values)
 
 
 def _number(message: Mapping[str, Any], name: str, default: float) -> float:
     value = message.get(name, default)
     if not _is_number(value):
-        raise ProtocolError(f"refit: {name} must be a number, not {_shortly(value)}")
+        raise ProtocolError(f"refit: {name} must be a number, not {shortly(value)}")
     return float(value)
 
 
 def _text(message: Mapping[str, Any], name: str, default: str) -> str:
     value = message.get(name)
     if value is not None and not isinstance(value, str):
-        raise ProtocolError(f"refit: {name} must be a text, not {_shortly(value)}")
+        raise ProtocolError(f"refit: {name} must be a text, not {shortly(value)}")
     return value or default
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is one that a float can hold; JSON's whole numbers have no limit."""
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        return False
     try:
-        return math.isfinite(value)
-    except OverflowError:
+        number("it", value)
+    except Unfit:
         return False
-
-
-def _shortly(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}..."
+    return True

@@ -5,6 +5,13 @@ pin lies from where the point was: so a dragged fingertip takes its finger along
 does, while the other fingers stay. A knuckle turns the palm about the wrist and takes all fingers along,
 the wrist takes the palm along. A pin that lies where the point is already changes nothing.
 
+A pose is corrected in two steps. First the fingers with pins beyond their knuckles go alone, bent no
+farther than joints can be or than they were; palm and other fingers do not move at all. Where that brings
+every point to within `REACHED` of its pin, that is the answer. Else the palm must follow: from that pose, it
+and the fingers go for what is left, and the other fingers ride along. So the palm moves by about as much as
+the fingers fall short, and nothing jumps where they begin to. Pins of the wrist and of knuckles move the
+palm by their nature: no finger can bring them nearer.
+
 A picture hardly tells how far away a hand is: a pin that a finger cannot reach would draw the whole hand
 nearer. So the wrist's distance is kept, the less firmly the farther a pin moves the palm itself.
 
@@ -24,6 +31,11 @@ from handfit_core.solvers.fast.observe import Landmarked
 
 PIN_SIGMA: Final = 0.2
 """pixels"""
+REACHED: Final = 0.5
+"""pixels from its pin: there a point has reached it"""
+LIMITS_SIGMA: Final = float(np.radians(0.3))
+"""radians beyond what joints can do, as `Kept.limits_sigma` has it: pins are surer than landmarks, and would
+bend fingers far beyond it where a capture's landmarks do not"""
 KEPT_SIGMA: Final = 0.005
 """of the hand's size in the picture: how firmly points of a pose that is corrected stay where they are"""
 KEPT_DEPTH_SIGMA: Final = 0.02
@@ -82,6 +94,23 @@ def followed(displaced: np.ndarray) -> np.ndarray:
     return np.maximum(doubt, WRIST_SHARE * displaced[:, :1])
 
 
+def of_fingers(pins: np.ndarray) -> np.ndarray:
+    """(N, 21, 2) only the pins that a finger can move to by itself, which are those beyond its knuckle."""
+    own = pins.copy()
+    own[:, _PALM] = np.nan
+    return own
+
+
+def of_palm(displaced: np.ndarray) -> np.ndarray:
+    """(N, 21) only the displacements of wrist and knuckles, else 0."""
+    return np.where(np.isin(np.arange(NUM_KEYPOINTS), _PALM), displaced, 0.0)
+
+
+def unpinned(pins: np.ndarray) -> np.ndarray:
+    """(N, 21, 2) -> (N, 5) bool: fingers without a pin beyond their knuckle."""
+    return np.asarray(np.isnan(of_fingers(pins)[:, _FINGERS, 0]).all(axis=2))
+
+
 def sizes(pixels: np.ndarray) -> np.ndarray:
     """(N, 21, 2) -> (N,) a hand's size in the picture, pixels."""
     return np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)
@@ -115,15 +144,8 @@ def over_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarr
     return spread
 
 
-def pinned(
-    seen: Landmarked, pins: np.ndarray, doubt: np.ndarray, detected: Landmarked | None = None
-) -> Landmarked:
-    """`seen` with pins (N, 21, 2) in their place and (N, 21) `doubt` added to the expected errors.
-
-    Where `detected` has numbers, points in doubt go back to what it has.
-    """
-    if detected is not None:
-        seen = _forgetting(seen, detected, doubt)
+def pinned(seen: Landmarked, pins: np.ndarray, doubt: np.ndarray) -> Landmarked:
+    """`seen` with pins (N, 21, 2) in their place and (N, 21) `doubt` added to the expected errors."""
     at = np.asarray(np.isfinite(pins).all(axis=-1))
     sigma = np.hypot(seen.pixel_sigma, FOLLOW * doubt[..., None])
     return replace(
@@ -135,7 +157,9 @@ def pinned(
     )
 
 
-def _forgetting(seen: Landmarked, detected: Landmarked, doubt: np.ndarray) -> Landmarked:
+def forgetting(seen: Landmarked, detected: Landmarked, doubt: np.ndarray) -> Landmarked:
+    """`seen` of a pose, whose points go back to what `detected` has the more they are in doubt (N, 21),
+    where that has numbers."""
     size = sizes(seen.pixels)[:, None]
     share = np.square(doubt) / (np.square(doubt) + np.square(FORGET * size))
 

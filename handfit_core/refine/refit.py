@@ -19,11 +19,12 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
     """Every frame by itself, with the shape as it is.
 
     A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
-    as it is, and with pins the joints of fingers that none of them moves do. A frame without a pose is
-    fitted to its detection and pins; without a detection too it stays empty. `guess`, an earlier result for
-    the same hand, is where the solver begins too, beside the frame's own pose: it counts where it leads
-    to a clearly better place. `draft`: a few steps from the guess alone, for the time until a mouse button
-    is released.
+    as it is, and with pins the joints of fingers that none of them moves do. Where the pinned fingers reach
+    their pins by themselves, the palm stays too, and only what they fall short of moves it (see `pins`).
+    A frame without a pose is fitted to its detection and pins; without a detection too it stays empty.
+
+    `draft`: a few steps from `guess`, an earlier result for the same hand, for the time until a mouse button
+    is released. Otherwise the guess does not count: the result depends on where the pins are alone.
 
     Raises HandModelError.
     """

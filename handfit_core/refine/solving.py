@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 import torch
 
+from handfit_core.camera import Intrinsics
 from handfit_core.errors import Cancelled
+from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.keypoints import HandDetection
 from handfit_core.refine import pins as pinning
@@ -17,7 +19,7 @@ from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points
 from handfit_core.residuals.reprojection import NEAREST
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.solvers.fast.angles import angles_of
+from handfit_core.solvers.fast.angles import angles_of, rotation_of
 from handfit_core.solvers.fast.chain import State, joined
 from handfit_core.solvers.fast.fit import CHUNK, TRUST, FastFitter, fitter_of, over_time
 from handfit_core.solvers.fast.gaps import jumps, missing_between
@@ -30,13 +32,15 @@ from handfit_core.torch_threads import one_thread
 
 LOOSE: Final = 4.0
 """times the expected errors of a pose's points, where they stand in for a detection among others"""
-MAX_ITERATIONS: Final = 30
+MAX_ITERATIONS: Final = 50
 """More than captures take. Where they are too few, a drag's result does still not depend on the way there:
 from the frame's own pose the steps are the same every time."""
 DRAFT_ITERATIONS: Final = 6
 """While a point is dragged, each answer goes on where the one before ended"""
 CHEAPER: Final = 0.9
-"""of the cost from the frame's own pose: where the guess leads to less, its result counts"""
+"""of the cost from the first start: where another leads to less, its result counts"""
+OTHER_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
+"""of what a finger's three joints can do: where a finger that cannot reach its pin begins again"""
 
 _JOINTS: Final = np.array([FINGER_JOINTS[f] for f in FINGERS])
 """(5, 3) MANO's joints, finger by finger"""
@@ -60,35 +64,159 @@ def each(
     if not len(rows):
         return pose
     detected = _detected(hand, rows)
-    keep = pinning.kept(points[rows], hand.intrinsics)
-    seen = _first_or_second(posed[rows], keep, detected)
-    pins, size = hand.pins[rows], pinning.sizes(seen.pixels)
-    displaced = pinning.displacement(pins, seen.pixels)
-    doubt = pinning.followed(displaced)
-    seen = pinning.pinned(seen, pins, doubt, detected)
+    seen = _first_or_second(posed[rows], pinning.kept(points[rows], hand.intrinsics), detected)
     held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
-    held[rows, 1:] |= posed[rows, None] & _of_joints(pinning.untouched(doubt))
-    # A frame without a pose has nothing to keep.
-    far = np.where(posed[rows], pinning.distance_sigma(displaced, size), np.inf)
-    turned = np.where(posed[rows, None], pinning.angle_sigma(doubt, size), np.inf)
     fitter = fitter_of(model, torch.float32)
     with one_thread(), torch.inference_mode():
         for at, part in _chunks(rows):
             observed = _rows(seen, part).observation(hand.intrinsics, fitter.dtype)
             own = _start(fitter, hand, hand, posed[at], observed, at)
-            kept = Kept(own.wrist, own.wrist.new_tensor(far[part]), angles_of(own.local).flatten(2),
-                        own.wrist.new_tensor(turned[part]))  # fmt: skip
-            starts = [own]
-            if guess is not None:
+            near = own if draft else None
+            if draft and guess is not None:
                 there = guess.present[at]
                 near = _start(fitter, hand, guess, there, observed, at).where(torch.tensor(there), own)
-                starts = [near] if draft else [own, near]
-            observed = replace(observed, kept=kept)
-            most = DRAFT_ITERATIONS if draft else MAX_ITERATIONS
-            state = _cheapest(fitter, observed, starts, _held(held[at], own), most)
+            frames = _Frames(
+                fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
+                _rows(seen, part), _rows(detected, part), own, near,
+            )  # fmt: skip
+            state, held[at] = frames.corrected()
             for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
                 pose[name][at] = values
     return _with_held(hand, held, pose)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """B frames that are corrected, each by itself."""
+
+    fitter: FastFitter
+    intrinsics: Intrinsics
+    pins: np.ndarray
+    """(B, 21, 2) pixels"""
+    posed: np.ndarray
+    """(B,) bool: frames that have a pose, which is corrected"""
+    locked: np.ndarray
+    """(B, 16) bool: joints of those that stay as they are"""
+    seen: Landmarked
+    """That pose's landmarks, or the detected ones where there is none"""
+    detected: Landmarked
+    """NaN where nothing is detected"""
+    own: State
+    """That pose, or a relaxed hand"""
+    near: State | None
+    """Where a draft begins; None: this is no draft"""
+
+    def corrected(self) -> tuple[State, np.ndarray]:
+        """Their poses, and which joints (B, 16) bool have not moved."""
+        state, held = self.own, self.locked | self.posed[:, None]
+        alone = np.flatnonzero(self.posed & ~pinning.unpinned(self.pins).all(axis=1))
+        if len(alone):
+            some = self._select(alone)
+            found, held[alone] = some._fingers_alone()
+            state = _put(state, alone, found)
+        seen = _first_or_second(
+            self.posed, pinning.kept(_points(self.fitter, state), self.intrinsics), self.seen
+        )
+        left = pinning.displacement(self.pins, seen.pixels)
+        fall_short = (left.max(axis=1) > pinning.REACHED) & ~self.locked[:, 0]
+        palm = np.flatnonzero(fall_short | ~self.posed)
+        if len(palm):
+            some = self._select(palm)
+            found, held[palm] = some._palm_follows(
+                state.select(torch.tensor(palm)), _rows(seen, palm), left[palm]
+            )
+            state = _put(state, palm, found)
+        return state, held
+
+    def _select(self, rows: np.ndarray) -> _Frames:
+        index = torch.tensor(rows)
+        return replace(
+            self, pins=self.pins[rows], posed=self.posed[rows], locked=self.locked[rows],
+            seen=_rows(self.seen, rows), detected=_rows(self.detected, rows), own=self.own.select(index),
+            near=None if self.near is None else self.near.select(index),
+        )  # fmt: skip
+
+    def _fingers_alone(self) -> tuple[State, np.ndarray]:
+        """Fingers with pins beyond their knuckles go for these; all else is held."""
+        pins = pinning.of_fingers(self.pins)
+        doubt = pinning.followed(pinning.displacement(pins, self.seen.pixels))
+        seen = pinning.pinned(pinning.forgetting(self.seen, self.detected, doubt), pins, doubt)
+        held = self.locked | _joints(np.ones(len(pins), dtype=bool), pinning.unpinned(pins))
+        anywhere = np.full(len(pins), np.inf)
+        # A pin that a finger cannot reach must not pull it beyond what joints can do.
+        seen = replace(seen, pinned=None)
+        start = self.own if self.near is None else replace(self.own, local=self.near.local)
+        found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+        if self.near is None:
+            left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
+            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
+            if len(short):
+                some, kept = self._select(short), self.own.select(torch.tensor(short))
+                starts = [found.select(torch.tensor(short)), *some._other_bends()]
+                others = _rows(seen, short), kept, anywhere[short], doubt[short], held[short], starts
+                found = _put(found, short, some._solved(*others))
+        return found, held
+
+    def _other_bends(self) -> list[State]:
+        """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
+        upper = joint_limits(self.fitter.model.side).upper[_JOINTS - 1]  # (5, 3, 3)
+        states = []
+        for bends in OTHER_BENDS:
+            angles = np.zeros((1, 5, 3, 3))
+            angles[0, ..., 2] = np.array(bends) * upper[..., 2]
+            local = rotation_of(self.own.local.new_tensor(angles)).expand_as(self.own.local)
+            states.append(replace(self.own, local=local))
+        return states
+
+    def _palm_follows(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
+        """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
+        (B, 21) pixels."""
+        doubt, size = pinning.followed(left), pinning.sizes(seen.pixels)
+        forget = pinning.followed(pinning.of_palm(left))
+        far = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
+        aim = pinning.pinned(pinning.forgetting(seen, self.detected, forget), self.pins, doubt)
+        still = pinning.untouched(doubt) & pinning.unpinned(self.pins)
+        held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
+        # A finger draws the hand along as it is; wrist and knuckles rather turn it.
+        shifted = self._shifted(reached, seen.pixels)
+        if self.near is None:
+            start = reached.where(torch.tensor(pinning.of_palm(left).any(axis=1)), shifted)
+        else:
+            start = replace(self.near, local=reached.local)
+        starts = [start, shifted]
+        return self._solved(aim, reached, far, doubt, held, starts), held
+
+    def _shifted(self, state: State, pixels: np.ndarray) -> State:
+        """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
+        average."""
+        at = np.asarray(np.isfinite(self.pins).all(axis=-1))
+        off = (
+            np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1)
+            / np.maximum(at.sum(axis=1), 1)[:, None]
+        )
+        focal = np.array([self.intrinsics.fx, self.intrinsics.fy])
+        moved = state.wrist.clone()
+        moved[:, :2] += state.wrist[:, 2:] * state.wrist.new_tensor(off / focal)
+        return replace(state, wrist=moved)
+
+    def _solved(
+        self,
+        seen: Landmarked,
+        kept: State,
+        far: np.ndarray,
+        doubt: np.ndarray,
+        held: np.ndarray,
+        starts: list[State],
+    ) -> State:
+        observed = seen.observation(self.intrinsics, self.fitter.dtype)
+        # A frame without a pose has nothing to keep.
+        turned = np.where(self.posed[:, None], pinning.angle_sigma(doubt, pinning.sizes(seen.pixels)), np.inf)
+        near = Kept(
+            kept.wrist, kept.wrist.new_tensor(far), angles_of(kept.local).flatten(2),
+            kept.wrist.new_tensor(turned), pinning.LIMITS_SIGMA,
+        )  # fmt: skip
+        most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
+        return _cheapest(self.fitter, replace(observed, kept=near), starts, _held(held, kept), most)
 
 
 def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
@@ -168,11 +296,24 @@ def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) 
     }
 
 
-def _of_joints(fingers: np.ndarray) -> np.ndarray:
-    """(N, 5) of fingers -> (N, 15) of their joints, in MANO's order."""
-    joints = np.zeros((len(fingers), NUM_JOINTS), dtype=fingers.dtype)
+def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
+    """(N,) of wrists and (N, 5) of fingers -> (N, 16) of their joints, in MANO's order."""
+    joints = np.empty((len(fingers), NUM_JOINTS), dtype=fingers.dtype)
+    joints[:, 0] = wrist
     joints[:, _JOINTS] = fingers[..., None]
-    return joints[:, 1:]
+    return joints
+
+
+def _points(fitter: FastFitter, state: State) -> np.ndarray:
+    """(B, 21, 3) landmarks, metres, camera frame."""
+    return fitter.chain.pose(state).points.double().numpy()
+
+
+def _put(state: State, rows: np.ndarray, found: State) -> State:
+    """`state` with other poses in those rows."""
+    order = np.arange(len(state))
+    order[rows] = len(state) + np.arange(len(rows))
+    return joined([state, found]).select(torch.tensor(order))
 
 
 def _check(should_stop: ShouldStop) -> None:
@@ -235,7 +376,7 @@ def _loosely(seen: Landmarked) -> Landmarked:
 
 
 def _rows(seen: Landmarked, rows: np.ndarray) -> Landmarked:
-    return Landmarked(*(getattr(seen, name)[rows] for name in (*_ARRAYS, "pinned")))
+    return Landmarked(*(getattr(seen, name)[rows] for name in _ARRAYS))
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

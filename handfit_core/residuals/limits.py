@@ -12,21 +12,30 @@ SPREAD_LEFT = 0.3
 
 
 def limits(
-    angles: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor, sigma: float, knuckles: torch.Tensor
+    angles: torch.Tensor,
+    lower: torch.Tensor,
+    upper: torch.Tensor,
+    sigma: float,
+    knuckles: torch.Tensor,
+    more: torch.Tensor | None = None,
 ) -> AngleRows:
     """angles (B, 5, 9) radians, finger by finger (twist, spread, bend) x 3; lower and upper (5, 9); sigma
     in radians; knuckles (5,) 1 where a finger's first joint is a knuckle whose spread shrinks with its
     bend (not the thumb's), else 0.
 
     Nine rows, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma below. A knuckle's
-    range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
+    range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90. `more`
+    (B, 5, 9) radians widens every range on both sides; None: by nothing.
     """
     per_radian = (1.0 - SPREAD_LEFT) / (torch.pi / 2) * knuckles
     bend = angles[..., BEND]
     within = bend.clamp(0.0, torch.pi / 2)
     left = torch.ones_like(angles)
     left[..., SPREAD] -= per_radian * within
-    outside = angles - angles.clamp(lower * left, upper * left)
+    least, most = lower * left, upper * left
+    if more is not None:
+        least, most = least - more, most + more
+    outside = angles - angles.clamp(least, most)
     slope = outside.sign().abs() / sigma
     jacobian = torch.diag_embed(slope)
     edge = torch.where(outside[..., SPREAD] > 0, upper[:, SPREAD], lower[:, SPREAD])

@@ -62,6 +62,7 @@ OPTIONS: Final[dict[str, tuple[str, Callable[[Any], Any]]]] = {
     "plain_detection": ("persistent", lambda value: not _flag(value)),
     "landmark_model": ("landmark_model", _text),
     "hand_length": ("hand_length", _number),
+    "max_megapixels": ("max_megapixels", _number),
 }
 """Option of the request -> argument of `pipeline.capture`, and how its value is read"""
 

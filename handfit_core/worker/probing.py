@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from handfit_core.media import open_media
-from handfit_core.worker.capturing import source_of
+from handfit_core.worker.capturing import arguments, source_of
 
 
 def answer(message: Mapping[str, Any]) -> dict[str, Any]:
@@ -14,7 +14,8 @@ def answer(message: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises OptionError and InputError.
     """
-    media = open_media(source_of(message))
+    limit = arguments({"max_megapixels": message.get("max_megapixels")})
+    media = open_media(source_of(message), **limit)
     first, last = media.first_and_last
     return {
         "kind": media.source.kind,

@@ -9,12 +9,13 @@ import base64
 import binascii
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.errors import ProtocolError
+from handfit_core.values import Unfit, number, shortly, text, whole
 
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
@@ -24,6 +25,17 @@ JOBS: Final = ("capture", "probe", "refit", "warm", "check")
 
 REQUESTS: Final = (*JOBS, "cancel", "end")
 """`cancel` and `end` act at once and have no answer of their own"""
+
+LONGEST_REQUEST: Final = 1 << 28
+"""bytes of a request's line; a range of an hour needs about half of it"""
+
+LONGEST_EVENT: Final = 1 << 27
+"""bytes of an event's line; the answer to a range of an hour has 115 MB"""
+
+_LONGEST_TEXT: Final = 1 << 24
+"""characters of a text in an event"""
+_LONGEST_WORD: Final = 200
+_MOST_DIMENSIONS: Final = 8
 
 _DTYPES: Final = ("bool", "uint8", "int32", "int64", "float32", "float64")
 
@@ -79,22 +91,93 @@ def unpack(packed: object) -> np.ndarray:
     """What `pack` made -> the array, writable and in the machine's byte order. Raises ProtocolError."""
     try:
         assert isinstance(packed, dict)
-        name, shape = packed["dtype"], [int(n) for n in packed["shape"]]
+        name, shape = packed["dtype"], packed["shape"]
         assert name in _DTYPES
+        assert isinstance(shape, list)
+        assert len(shape) <= _MOST_DIMENSIONS
+        shape = [whole("shape", n, 0, LONGEST_REQUEST) for n in shape]
         data = base64.b64decode(packed["data"], validate=True)
         dtype = np.dtype(name)
-        assert min(shape, default=0) >= 0
         assert len(data) == math.prod(shape) * dtype.itemsize
+        return np.frombuffer(data, dtype=dtype.newbyteorder("<")).astype(dtype).reshape(shape)
     except (AssertionError, KeyError, TypeError, ValueError, binascii.Error) as error:
         raise ProtocolError(
             "an array in a message must be an object with dtype, shape and data in base64 of that size"
         ) from error
-    return np.frombuffer(data, dtype=dtype.newbyteorder("<")).astype(dtype).reshape(shape)
 
 
 def check_id(message: Mapping[str, Any], key: str = "id") -> int:
     """The message's `id`, or `job` of a cancel. Raises ProtocolError unless it is a positive integer."""
-    number = message.get(key)
-    if not isinstance(number, int) or isinstance(number, bool) or number < 1:
-        raise ProtocolError(f"a request's {key} must be a positive whole number, not {number!r}")
-    return number
+    try:
+        return whole(key, message.get(key), 1)
+    except Unfit as error:
+        raise ProtocolError(
+            f"a request's {key} must be a positive whole number, not {shortly(message.get(key))}"
+        ) from error
+
+
+def _word(name: str, value: Any) -> str:
+    return text(name, value, _LONGEST_WORD)
+
+
+def _text(name: str, value: Any) -> str:
+    return text(name, value, _LONGEST_TEXT)
+
+
+def _count(name: str, value: Any) -> int:
+    return whole(name, value, 0)
+
+
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise Unfit(f"{name} must be true or false, not {shortly(value)}")
+    return value
+
+
+_EVENTS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
+    "ready": {"protocol": whole, "version": _word},
+    "unfit": {"python": _word},
+    "progress": {"stage": _word, "done": _count, "total": _count},
+    "warning": {"message": _text},
+    "error": {"type": _word, "message": _text, "details": _text},
+    "done": {},
+}
+"""Event -> its fields that a client reads, and how each is checked; `id` comes on top"""
+
+_ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
+    "capture": {"stopped": _flag},
+    "probe": {
+        "kind": _word,
+        "width": _count,
+        "height": _count,
+        "fps": number,
+        "frames": _count,
+        "first": whole,
+        "last": whole,
+    },
+    "refit": {"seconds": number},
+    "warm": {},
+    "check": {"report": _text, "ok": _flag},
+}
+"""The same of a `done` event, by the request that it answers"""
+
+_MAY_LACK: Final = ("details", "stopped", "seconds", "report", "ok")
+"""Without these a client does, too"""
+
+
+def check_event(message: Mapping[str, Any], request: str | None = None) -> None:
+    """Raise ProtocolError where an event lacks a field, or has one of another kind than the protocol says.
+
+    `request`: the kind of the request that a `done` event answers. Events and fields that are not known are
+    none of this version, and are passed.
+    """
+    kind = message.get("event")
+    try:
+        fields = dict(_EVENTS.get(_word("event", kind), {}))
+        if kind == "done":
+            fields |= _ANSWERS.get(request or "", {})
+        for name, check in fields.items():
+            if name in message or name not in _MAY_LACK:
+                check(name, message.get(name))
+    except Unfit as error:
+        raise ProtocolError(f"in the event {shortly(kind)}, {error}") from error

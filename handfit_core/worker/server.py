@@ -21,17 +21,23 @@ from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Final
 
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.values import shortly
 from handfit_core.version import __version__
-from handfit_core.worker.protocol import JOBS, PROTOCOL, REQUESTS, check_id, decode, encode
+from handfit_core.worker.protocol import (
+    JOBS,
+    LONGEST_REQUEST,
+    PROTOCOL,
+    REQUESTS,
+    check_id,
+    decode,
+    encode,
+)
 
 PROGRESS_EVERY: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
 
 GRACE: Final = 1.0
 """seconds that the work gets, once nobody listens any more, to take its temporary files away"""
-
-LONGEST_LINE: Final = 1 << 28
-"""bytes of a request; a range of an hour needs about half of it"""
 
 THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS",
@@ -104,8 +110,8 @@ class Server:
 
     def _read(self, leave: Callable[[], None] | None) -> None:
         try:
-            while line := self._requests.readline(LONGEST_LINE):
-                if len(line) == LONGEST_LINE and not line.endswith(b"\n"):
+            while line := self._requests.readline(LONGEST_REQUEST):
+                if len(line) == LONGEST_REQUEST and not line.endswith(b"\n"):
                     del line
                     self._skip_line()
                 elif line.strip() and not self._receive(line):
@@ -125,7 +131,7 @@ class Server:
         """Read on to the end of a line that is too long, and say so."""
         while (rest := self._requests.readline(1 << 20)) and not rest.endswith(b"\n"):
             pass
-        message = f"a line of more than {LONGEST_LINE} bytes came; send fewer frames at a time"
+        message = f"a line of more than {LONGEST_REQUEST} bytes came; send fewer frames at a time"
         self._send(event="error", id=None, type=ProtocolError.__name__, message=message, details="")
 
     def _receive(self, line: bytes) -> bool:
@@ -141,7 +147,7 @@ class Server:
                 return True
             number = check_id(message)
             if kind not in JOBS:
-                raise ProtocolError(f"there is no request {kind!r}; known are {', '.join(REQUESTS)}")
+                raise ProtocolError(f"there is no request {shortly(kind)}; known are {', '.join(REQUESTS)}")
             if number in self._jobs:
                 number = None  # the open request of that id must not seem to have failed
                 raise ProtocolError(f"a request with the id {message['id']} is still open; use a new id")
@@ -261,7 +267,7 @@ class _WarningEvents(logging.Handler):
 
 def _as_error(error: Exception, details: str) -> dict[str, str]:
     """The fields of an error's event; `message` is one sentence."""
-    message = str(error)
+    message, kind = str(error), type(error).__name__
     if isinstance(error, ImportError):
         message = (
             f"the Python {sys.executable} lacks what capturing needs ({error}); install handfit-core's "
@@ -269,9 +275,10 @@ def _as_error(error: Exception, details: str) -> dict[str, str]:
         )
     elif isinstance(error, MemoryError):
         message = "memory ran out; capture fewer frames at a time, or smaller pictures"
+        kind = MemoryError.__name__  # NumPy has one of its own
     elif not isinstance(error, HandfitError):
         message = f"unexpected error: {type(error).__name__}: {error}; the details say where"
-    return {"type": type(error).__name__, "message": _one_line(message), "details": details}
+    return {"type": kind, "message": _one_line(message), "details": details}
 
 
 def _one_line(text: str) -> str:

@@ -80,6 +80,32 @@ def test_sequence_range_and_single_frame(settings):
 
 
 @needs_capture
+def test_a_shot_keeps_its_time_and_the_hand_begins_where_the_button_was_pressed(settings):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1001, 1120
+    scene.frame_set(1010)
+    settings.source = str(SAMPLE)
+    settings.use_frames, settings.first_frame, settings.last_frame = True, 3, 6
+    job = new_job(bpy.context, only_frame=False)
+    jobs.submit(job)
+    _tick_until(lambda: job.state == "building")
+    scene.frame_set(1050)
+    _tick_until(lambda: job.finished)
+    assert job.state == "done", job.message
+    (hand,) = _hands()
+    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (1001, 1120, 1050)
+    assert (scene.render.fps, scene.render.resolution_x, scene.camera) == (24, 1920, None)
+    action = hand.armature.animation_data.action
+    assert tuple(action.frame_range) == (1010.0, 1013.0)
+    assert not job.matched
+    assert job.scene_said == "Hand came at frame 1010, 24 fps: the scene stays as it is"
+    settings.matching = "MATCH"
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    assert (scene.frame_start, scene.frame_end) == (3, 6)
+    assert jobs.jobs()[-1].scene_said.startswith("Scene became ")
+
+
+@needs_capture
 def test_onto_a_hand_that_is_there(settings, photo):
     settings.source = str(SAMPLE)
     settings.use_frames, settings.first_frame, settings.last_frame = True, 1, 4
@@ -205,7 +231,7 @@ def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
     os.kill(pid, 9)
     _tick_until(lambda: job.finished)
     assert job.state == "failed"
-    assert "worker process ended" in job.message
+    assert "worker process was killed from outside" in job.message
     assert "Traceback" not in job.message
     text = bpy.data.texts["Hand Capture Details"].as_string()
     assert job.message in text

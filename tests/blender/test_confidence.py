@@ -121,6 +121,17 @@ def test_own_colors_come_back(armature):
     assert armature.manient.own_colors == ""
 
 
+@pytest.mark.parametrize(
+    "text", ["no json", "[1]", '{"wrist.R": 3}', '{"wrist.R": ["A", 1, 2, 3]}', "[" * 100_000]
+)
+def test_colors_that_somebody_else_wrote(armature, text):
+    """A .blend comes from anybody: what cannot be given back is left."""
+    armature.manient.show_confidence = True
+    armature.manient.own_colors = text
+    armature.manient.show_confidence = False
+    assert armature.manient.own_colors == ""
+
+
 def test_linked_duplicates_have_colors_of_their_own(armature):
     """They share the bones' data, but colours are the object's."""
     armature.pose.bones["wrist.R"].color.palette = "THEME03"

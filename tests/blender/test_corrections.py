@@ -170,7 +170,14 @@ def test_text_and_back():
         '{"version":1,"frames":{"3":{"pins":{},"spread":1,"rotation":[1]}}}',
         '{"version":1,"frames":{"3":{"pins":{},"spread":NaN}}}',
         '{"version":99,"frames":{}}',
+        '{"version":1e999,"frames":{}}',
+        '{"version":1,"frames":[]}',
+        '{"version":1,"frames":{"1e999":{"pins":{},"spread":1}}}',
+        '{"version":1,"frames":{"3":{"pins":{"2":[]},"spread":1}}}',
+        '{"version":1,"frames":{"3":{"pins":{},"spread":1,"location":[1e300,0,0]}}}',
+        '{"version":1,"frames":' + "[" * 100_000,
     ],
+    ids=lambda text: text[:60],
 )
 def test_what_is_no_correction_is_refused(text):
     with pytest.raises(TakeError, match="corrections"):

@@ -212,7 +212,7 @@ def test_metres_in_any_unit(make_take, tmp_path, fmt):
         data = path.read_bytes()
         content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
         extras = [set(node["extras"]) for node in content["nodes"] if "extras" in node]
-        own = {"side", "betas", "model", "solver", "source", "reprojection_error_px"}
+        own = {"side", "betas", "model", "solver", "source"}
         assert extras == [own, own]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.scene.render.fps = 30

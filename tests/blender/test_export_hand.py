@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -11,13 +12,14 @@ import pytest
 from mathutils import Matrix
 
 import blender_manient
-from blender_manient.scene import export
+from blender_manient.blender_versions import use_nodes
+from blender_manient.scene import export, proof
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from handfit_core.take import Take
+from handfit_core.take import Source, Take
 
-from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world
+from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world, write_png
 from .fbx_file import read_fbx
 
 BETAS = np.array([1.0, -1.0, 0.5, 0.0, 1.5, -0.5, 0.3, 0.0, -1.0, 0.8])
@@ -560,3 +562,143 @@ def test_copies_of_a_hand_are_left_out(hands, tmp_path):
     bpy.context.view_layer.objects.active = left.armature
     take = Take.load(write(tmp_path / "a.npz", file_format="npz"))
     np.testing.assert_allclose(take.hands[1].betas, made.take.hands[1].betas, atol=1e-5)
+
+
+def test_linked_hands_are_written_and_stay_as_they_are(make_take, tmp_path):
+    built = build_take(make_take(sides=("right",)).take)
+    name = built.collection.name
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.collections = [name]
+    bpy.context.scene.collection.children.link(bpy.data.collections[name])
+    armature = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE")
+    bpy.context.view_layer.objects.active = armature
+    bpy.context.view_layer.update()
+    before = snapshot()
+    for preset in ("PLAIN", "UNITY", "UNREAL"):
+        for fmt in ("fbx", "glb"):
+            path = write(tmp_path / f"{preset}.{fmt}", file_format=fmt, preset=preset)
+            assert str(tmp_path).encode() not in path.read_bytes()
+    assert snapshot() == before
+
+
+SECRET = "folder_of_a_secret_project"
+
+
+@pytest.mark.parametrize("fmt", ["glb", "fbx", "usd", "bvh", "abc"])
+@pytest.mark.parametrize("preset", ["PLAIN", "UNREAL"])
+def test_no_folder_leaves_in_an_export(make_take, tmp_path, monkeypatch, fmt, preset):
+    """Of the picture, the model, a texture, the open file and the file itself only names are told."""
+    if not export.available(export.FORMATS[fmt]):
+        pytest.skip(f"this Blender cannot write {fmt}")
+    secret = tmp_path / SECRET
+    secret.mkdir()
+    made = make_take(sides=("right",), source=Source("photo", (str(secret / "hand.png"),)))
+    built = build_take(made.take)
+    armature, mesh = built.hands[0].armature, built.hands[0].mesh
+    armature["model"] = str(secret / "MANO_RIGHT.pkl")
+    before = [armature[key] for key in ("source", "model", "side")]
+    material = bpy.data.materials.new("Skin")
+    texture = use_nodes(material).nodes.new("ShaderNodeTexImage")
+    texture.image = bpy.data.images.load(str(write_png(secret / "skin.png", np.ones((4, 4, 4)))))
+    material.node_tree.links.new(
+        texture.outputs["Color"], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
+    )
+    mesh.data.materials.clear()
+    mesh.data.materials.append(material)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.wm.save_as_mainfile(filepath=str(secret / "scene of a hand.blend"))
+    if fmt == "usd":  # the same as text, whose writer compresses nothing
+        monkeypatch.setitem(
+            export.FORMATS, "usd", replace(export.FORMATS["usd"], suffix=".usda", write=export._usd)
+        )
+        monkeypatch.setitem(proof._ENDS, ".usda", lambda _stream, _size: True)
+    path = write(secret / f"out{export.FORMATS[fmt].suffix}", file_format=fmt, preset=preset)
+    content = path.read_bytes()
+    assert SECRET.encode() not in content
+    assert str(tmp_path).encode() not in content
+    if fmt in {"glb", "fbx"}:
+        assert b"hand.png" in content
+        assert b"MANO_RIGHT.pkl" in content
+    if fmt == "fbx":
+        assert b"skin.png" in content
+    if fmt == "abc":
+        assert b"scene of a hand.blend" in content
+        bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)  # it can still be read
+    assert [armature[key] for key in ("source", "model", "side")] == before
+
+
+def view_state() -> list:
+    """All that a window shows and how: nothing of it is an export's business."""
+    found = []
+    for window in bpy.context.window_manager.windows:
+        found.append((window.scene.name, window.view_layer.name, window.scene.camera))
+        for area in window.screen.areas:
+            for space in area.spaces:
+                if space.type != "VIEW_3D":
+                    continue
+                views = [v for v in (space.region_3d, *space.region_quadviews) if v is not None]
+                found.append(
+                    (
+                        space.camera,
+                        space.use_local_camera,
+                        space.shading.type,
+                        [
+                            (
+                                v.view_perspective,
+                                v.view_camera_zoom,
+                                list(v.view_camera_offset),
+                                list(v.view_rotation),
+                                list(v.view_location),
+                                v.view_distance,
+                            )
+                            for v in views
+                        ],
+                    )
+                )
+    return found
+
+
+@pytest.mark.parametrize("local", [False, True])
+@pytest.mark.parametrize("fmt", ["fbx", "glb", "usd", "bvh", "abc", "npz"])
+def test_no_view_is_changed(hands, tmp_path, fmt, local):
+    """Through the scene's camera or one of the view's own, in a second view layer, with two cameras."""
+    if fmt != "npz" and not export.available(export.FORMATS[fmt]):
+        pytest.skip(f"this Blender cannot write {fmt}")
+    scene = bpy.context.scene
+    other = bpy.data.objects.new("Another camera", bpy.data.cameras.new("Another camera"))
+    scene.collection.objects.link(other)
+    scene.camera = hands[1].camera
+    bpy.context.window.view_layer = scene.view_layers.new("Second")
+    bpy.context.view_layer.objects.active = hands[1].hands[1].armature
+    spaces = [s for a in bpy.context.screen.areas for s in a.spaces if s.type == "VIEW_3D"]
+    if not spaces:
+        pytest.skip("the empty file's screen has no 3D view")
+    for space in spaces:
+        if local:
+            space.use_local_camera = True
+            space.camera = other
+        space.region_3d.view_perspective = "CAMERA"
+        space.region_3d.view_camera_zoom = 12.5
+    before = view_state()
+    write(tmp_path / "out", file_format=fmt)
+    assert view_state() == before
+    assert {s.region_3d.view_perspective for s in spaces} == {"CAMERA"}
+
+
+@pytest.mark.parametrize("fmt", ["fbx", "glb", "bvh", "npz"])
+def test_a_pose_without_keys_stays(hands, tmp_path, fmt):
+    """What was moved and not keyed yet, of hands and of what else is animated."""
+    built = hands[1]
+    bone = built.hands[1].armature.pose.bones[6]
+    bone.rotation_quaternion = (0.5, 0.5, -0.5, 0.5)
+    built.camera.keyframe_insert("location", frame=3)
+    built.camera.location = (0.1, 0.2, 0.3)
+    bpy.context.view_layer.update()
+    before = [list(bone.rotation_quaternion), list(bone.matrix), list(built.camera.matrix_world)]
+    write(tmp_path / "out", file_format=fmt, preset="UNREAL")
+    bpy.context.view_layer.update()
+    after = [list(bone.rotation_quaternion), list(bone.matrix), list(built.camera.matrix_world)]
+    for one, two in zip(before, after, strict=True):
+        np.testing.assert_allclose(np.array(one), np.array(two), atol=1e-6)

@@ -17,9 +17,10 @@ import pytest
 
 import blender_manient
 from blender_manient import preferences
-from blender_manient.correction_field import correction_between
+from blender_manient.correction_field import changed_quats, correction_between
 from blender_manient.keypoint_mode.mode import KeypointMode
 from blender_manient.operators import edit_keypoints
+from blender_manient.operators.refit_range import replaced
 from blender_manient.refiner import BonePoses, Refiner
 from blender_manient.scene import corrections
 from blender_manient.scene.armature import bone_names
@@ -250,6 +251,29 @@ def test_fitting_a_range_again(armature):
     field = corrections.corrections_of(armature)
     assert set(field.pins(FRAME)) == {TIP}
     assert not field.at(np.array([FRAME]))[0].any()
+
+
+def test_what_a_range_was_fitted_to_is_no_key_by_hand(armature):
+    """Fitting again replaces a key by hand and says so before; after it there is nothing of the artist's."""
+    keys = all_keys(armature)
+    here = keys.frames == FRAME
+    moved = changed_quats(keys.quats[here], np.zeros((1, 16, 3)), np.full((1, 16, 3), 0.2))
+    write_pose_keys(armature, armature.manient.side, PoseKeys.everywhere(keys.frames[here], moved))
+    assert "Replaces 16 keys set by hand, on 1 frame" in replaced(bpy.context, 9, 15)[0]
+    assert bpy.ops.manient.refit_range(scope="CUSTOM", first=9, last=15) == {"FINISHED"}
+    assert differing(keys, all_keys(armature))[keys.frames == FRAME].any()
+    assert replaced(bpy.context, 1, 24) == ("Fits 24 frames again. Replaces no key set by hand", False)
+
+
+def test_a_point_dragged_in_a_relaxed_frame_starts_from_there_and_goes_back_to_it(armature):
+    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    relaxed = all_keys(armature)
+    ring = landmarks(armature)[16]
+    drag(armature, by=0.5 * FARTHER)
+    assert np.linalg.norm(landmarks(armature)[16] - ring) < 4.0, "the other fingers stay relaxed"
+    assert bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=TIP, remove=True) == {"FINISHED"}
+    assert np.linalg.norm(correction_between(all_keys(armature).quats, relaxed.quats), axis=-1).max() < 1e-4
+    assert corrections.corrected_frames(armature) == [FRAME]
 
 
 def test_a_range_that_was_not_captured(armature):

@@ -8,12 +8,15 @@ import pytest
 
 import blender_manient
 from blender_manient import axes
+from blender_manient.correction_field import changed_quats, correction_between
+from blender_manient.scene import corrections
 from blender_manient.scene.armature import bone_names, rest_frames
 from blender_manient.scene.build import build_take
-from blender_manient.scene.keys import displayed_pose, read_pose_keys, remove_pose_keys
+from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, remove_pose_keys
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
 from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
+from handfit_core.take import Source
 
 
 @pytest.fixture(autouse=True)
@@ -56,6 +59,80 @@ def test_fingers_relax_and_the_wrist_stays(hand):
     assert after.rotation_keyed[here][0].tolist() == [False] + [True] * 15
     assert not after.location_keyed[here].any()
     np.testing.assert_array_equal(after.frames[~here], keys.frames)
+
+
+def turned(before: PoseKeys, after: PoseKeys) -> np.ndarray:
+    """(N, 16) radians by which the keys differ on the frames that both have."""
+    both = np.isin(after.frames, before.frames)
+    return np.linalg.norm(correction_between(before.quats, after.quats[both]), axis=-1)
+
+
+def test_it_fades_out_over_spread_and_clear_takes_it_back(hand):
+    armature, side, _ = hand
+    bpy.context.scene.manient.spread = 4
+    before = read_pose_keys(armature, side)
+    bpy.context.scene.frame_set(6)
+    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    after = read_pose_keys(armature, side)
+    change = turned(before, after)
+    assert change[:, 0].max() == 0.0
+    np.testing.assert_array_equal(change.max(axis=1) > 1e-4, np.abs(before.frames - 6) < 4)
+    np.testing.assert_array_equal(after.locations, before.locations)
+    largest = [change[before.frames == frame].max() for frame in (6, 5, 4)]
+    assert largest[0] > largest[1] > largest[2] > 0.0
+    assert corrections.corrected_frames(armature) == [6]
+    assert bpy.ops.manient.clear_corrections(scope="FRAME") == {"FINISHED"}
+    assert turned(before, read_pose_keys(armature, side)).max() < 1e-5
+
+
+def test_without_a_spread_it_stays_in_its_frame(hand):
+    armature, side, _ = hand
+    bpy.context.scene.manient.spread = 0
+    before = read_pose_keys(armature, side)
+    bpy.context.scene.frame_set(6)
+    bpy.ops.manient.relax_pose()
+    change = turned(before, read_pose_keys(armature, side)).max(axis=1)
+    np.testing.assert_array_equal(change > 1e-4, before.frames == 6)
+
+
+def test_between_the_frames_of_a_retimed_clip(make_take, picture):
+    """The current frame is relaxed, although the clip has none there; clearing takes its key away again."""
+    scene = bpy.context.scene
+    scene.render.fps = 24
+    scene.frame_set(1001)
+    made = make_take(sides=("right",), source=Source("video", (str(picture),)), fps=30.0)
+    armature = build_take(made.take, match_scene=False, picture=False).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    model = load_model("open-hand", "right")
+    before = read_pose_keys(armature, "right")
+    scene.frame_set(1003)
+    bpy.ops.manient.relax_pose()
+    scene.frame_set(1003)
+    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, "right"), expected, atol=1e-4)
+    assert corrections.corrected_frames(armature) == [1003]
+    bpy.ops.manient.clear_corrections(scope="FRAME")
+    after = read_pose_keys(armature, "right")
+    np.testing.assert_array_equal(after.frames, before.frames)
+    assert turned(before, after).max() < 1e-5
+
+
+def test_pins_that_come_and_go_leave_it(hand):
+    """A point that is dragged in a relaxed frame is measured against the relaxed pose."""
+    armature, side, _ = hand
+    bpy.context.scene.frame_set(6)
+    bpy.ops.manient.relax_pose()
+    relaxed = pose_at(armature, side, np.array([6.0]))
+    dragged = changed_quats(relaxed[0][0], np.zeros((16, 3)), np.full((16, 3), 0.1))
+    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, dragged, relaxed[1][0], 4)
+    one = corrections.corrections_of(armature).corrections[6]
+    start = changed_quats(dragged, one.rotation, one.start_rotation)
+    assert np.linalg.norm(correction_between(start, relaxed[0][0]), axis=-1).max() < 1e-6
+    # It is the artist's own, even where the frame had been keyed anew before.
+    corrections.end_corrections(armature, [6])
+    assert corrections.corrected_frames(armature) == []
+    bpy.ops.manient.relax_pose()
+    assert corrections.corrected_frames(armature) == [6]
 
 
 def test_bones_without_keys_are_only_posed(hand):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import os
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -9,8 +13,10 @@ import pytest
 import blender_manient
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
+from blender_manient.scene.models import kept_model
 from blender_manient.scene.timing import Timing
-from handfit_core.errors import TakeError
+from handfit_core.errors import HandModelError, TakeError
+from handfit_core.take import Take
 
 from .conftest import FRAMES
 
@@ -128,6 +134,73 @@ def test_a_damaged_take(make_take, no_memory):
         assert store.hand_of(built.hands[0].armature) is None
         with pytest.raises(TakeError, match="damaged; import the take file"):
             store.kept_take(built.collection)
+
+
+def keep_bytes(collection, data: bytes) -> None:
+    """Keep bytes as a take whose fingerprint is right, as whoever sends a .blend can."""
+    packed = store.pack_take(None, data)  # type: ignore[arg-type]
+    collection.manient.take, collection.manient.digest = packed.text, packed.digest
+
+
+def test_a_take_in_a_blend_is_checked_like_a_file(make_take, no_memory):
+    """Its fingerprint says only that it is whole."""
+    made = make_take(sides=("right",))
+    built = build_take(made.take)
+    with np.load(io.BytesIO(made.take.to_bytes())) as archive:
+        arrays = dict(archive)
+    zeros = np.zeros((1_000_000, 45))
+    for name, array in (
+        ("hand0_betas", np.full(10, np.nan)),
+        ("hand0_transl", np.full_like(arrays["hand0_transl"], 1e30)),
+        ("hand0_detected", arrays["hand0_detected"].astype(float)),
+        ("frame_numbers", arrays["frame_numbers"].astype(float)),
+        ("hand0_hand_pose", zeros),
+        ("header", np.array("[" * 100_000)),
+    ):
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **(arrays | {name: array}))
+        keep_bytes(built.collection, stream.getvalue())
+        no_memory()
+        assert store.hand_of(built.hands[0].armature) is None
+        with pytest.raises(TakeError, match="the take in the collection"):
+            store.kept_take(built.collection)
+
+
+@pytest.mark.parametrize("where", ["pipe", "/dev/zero", "a" * 5000, "~nobody-of-that-name/x.npz", "/nowhere"])
+def test_the_model_that_a_take_names_is_read_like_any_other(make_take, tmp_path, where):
+    """Blender reads what a .blend or take of somebody else's names: it is never waited for."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    take = replace(make_take().take, model=str(path) if where == "pipe" else where)
+    with pytest.raises(HandModelError, match="hand model"):
+        build_take(take)
+    with pytest.raises(HandModelError, match="hand model"):
+        kept_model(take.model, "right")
+    assert not bpy.data.collections
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"frame_numbers": FRAMES + 20_240_101_123_456_789}, "Blender's timeline ends at 1048574"),
+        ({"frame_numbers": np.append(FRAMES[:-1], 2**61)}, "Blender's timeline ends at 1048574"),
+    ],
+)
+def test_frames_beyond_blenders_timeline_are_a_sentence(make_take, changes, said):
+    """Pictures that are numbered by the time at which they were taken."""
+    take = replace(make_take().take, **changes)
+    with pytest.raises(TakeError, match=said):
+        build_take(take)
+    assert not bpy.data.collections
+
+
+def test_names_that_are_no_utf8(make_take):
+    """Linux has such files, and Blender's texts do not."""
+    made = make_take().take
+    take = replace(made, source=replace(made.source, kind="photo", files=("/nowhere/H\udce4nde.jpg",)))
+    built = build_take(Take.from_bytes(take.to_bytes()))
+    assert built.collection.name == "H?nde"
+    assert built.hands[0].armature["source"] == "/nowhere/H?nde.jpg"
 
 
 def test_deleted_mesh_and_camera_are_none(make_take):

@@ -17,7 +17,7 @@ import pytest
 
 import blender_manient
 from blender_manient import preferences
-from blender_manient.worker import pipes, process, shared
+from blender_manient.worker import client, pipes, process, shared
 from blender_manient.worker.client import (
     CaptureOptions,
     Worker,
@@ -25,7 +25,7 @@ from blender_manient.worker.client import (
     as_error,
 )
 from blender_manient.worker.process import reap
-from handfit_core.errors import Cancelled, InputError, NoHandFoundError, OutputError
+from handfit_core.errors import Cancelled, InputError, NoHandFoundError, OutputError, ProtocolError
 from handfit_core.worker import protocol
 
 needs_scripts = pytest.mark.skipif(
@@ -370,7 +370,32 @@ def test_errors_are_raised_as_what_they_were(kind):
             "sys.stderr.write(\"No module named 'handfit_core'\\n\"); sys.exit(1)",
             r"handfit_core.*preferences",
         ),
-        ("ready()\nos.kill(os.getpid(), signal.SIGKILL)", "memory ran out.*fewer frames"),
+        (
+            "ready()\nos.kill(os.getpid(), signal.SIGKILL)",
+            r"^the worker process was killed from outside[^;]*, by signal SIGKILL; try again",
+        ),
+        (
+            "ready()\nos.kill(os.getpid(), signal.SIGTERM)",
+            "killed from outside.*by signal SIGTERM; try again",
+        ),
+        (
+            "ready()\nsys.stderr.write('Traceback ...\\nMemoryError\\n'); sys.exit(1)",
+            "^memory ran out, and the worker process ended with exit code 1.*fewer frames",
+        ),
+        (
+            "ready()\nsys.stderr.write('numpy._core._exceptions._ArrayMemoryError: no\\n'); sys.exit(1)",
+            "^memory ran out.*fewer frames",
+        ),
+        (
+            "import faulthandler; faulthandler.enable(); ready()\n"
+            "sys.stderr.write(\"terminate called after throwing an instance of 'std::bad_alloc'\\n\")\n"
+            "sys.stderr.flush(); os.abort()",
+            "^memory ran out, and the worker process ended by signal SIGABRT.*fewer frames",
+        ),
+        (
+            "ready()\nos.close(1); os.close(2); time.sleep(60)",
+            "^the worker process closed its output and did not end; try again",
+        ),
         (
             "ready()\nsys.stderr.write('out of paper\\n\\n'); sys.stderr.flush(); os.abort()",
             "SIGABRT.*out of paper",
@@ -382,17 +407,28 @@ def test_errors_are_raised_as_what_they_were(kind):
         ),
         ("ready(99)\ntime.sleep(60)", "protocol 99.*needs 1.*install"),
         ("say(event='done', id=1)\ntime.sleep(60)", "unknown way"),
+        ("say(event='ready', protocol=[1])\ntime.sleep(60)", "unknown way"),
+        ("say(event=['ready'])\ntime.sleep(60)", "unknown way"),
+        ("say(event='unfit', python={})\ntime.sleep(60)", "unknown way"),
         ("say(event='unfit', python='3.9.1'); sys.exit(3)", "version 3.9.1.*3.11 or newer.*choose a Python"),
         ("while True: print('y')", "is not one.*choose a Python"),
     ],
     ids=[
         "no-package",
         "killed",
+        "terminated",
+        "python-memory",
+        "numpy-memory",
+        "c++-memory",
+        "hung",
         "abort",
         "silent",
         "segfault",
         "version",
         "no-ready",
+        "odd-protocol",
+        "odd-event",
+        "odd-python",
         "old-python",
         "garbage",
     ],
@@ -405,6 +441,100 @@ def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected):
             worker.wait(request, timeout=30)
         assert "\n" not in str(caught.value)
     assert not worker.alive
+
+
+@needs_scripts
+def test_the_systems_own_count_tells_that_memory_ran_out(peer, start, monkeypatch):
+    """A SIGKILL while Linux has killed for memory is called that; its count is /proc/vmstat's."""
+    counts = iter([4, 5])
+    monkeypatch.setattr(client, "out_of_memory_kills", lambda: next(counts))
+    worker = start(peer("ready()\nfor r in requests(): os.kill(os.getpid(), signal.SIGKILL)"))
+    with pytest.raises(WorkerError, match=r"^memory ran out.*by signal SIGKILL; capture fewer frames"):
+        worker.wait(worker.request("capture"), timeout=20)
+
+
+@pytest.mark.skipif(not Path("/proc/vmstat").exists(), reason="only Linux counts what it kills for memory")
+def test_linux_counts_what_it_kills_for_memory():
+    count = process.out_of_memory_kills()
+    assert isinstance(count, int)
+    assert count >= 0
+
+
+@needs_scripts
+@pytest.mark.parametrize("hello", ["ready()", ""], ids=["worker", "no-worker"])
+def test_an_endless_line_is_cut_off(peer, start, monkeypatch, hello):
+    """After so much of it, nothing more is kept, and the process ends. Here after 1 MB."""
+    monkeypatch.setattr(process, "LONGEST_EVENT", 1 << 20)
+    worker = start(peer(f"{hello}\nwhile True: sys.stdout.write('{{' * 10_000)"))
+    expected = "a line of more than .* MB, and was stopped; try again" if hello else "is not one; choose"
+    with pytest.raises(WorkerError, match=expected):
+        worker.wait(worker.request("capture"), timeout=60)
+    assert not worker.alive
+
+
+@needs_scripts
+def test_what_is_kept_of_an_endless_line_is_bounded(peer, start, monkeypatch):
+    monkeypatch.setattr(process, "LONGEST_EVENT", 1 << 20)
+    worker = start(peer("ready()\nwhile True: sys.stdout.write('x' * 100_000)"))
+    worker.start()
+    child = worker._child
+    assert child is not None
+    deadline = time.monotonic() + 20
+    while not child.endless and time.monotonic() < deadline:
+        child.exchange()
+        assert sum(map(len, child._line)) <= 1 << 20
+    assert child.endless
+    assert not child._line
+
+
+@needs_scripts
+@pytest.mark.parametrize(
+    "event",
+    [
+        "event='done', id=[1]",
+        "event='done', id={}",
+        "event='done', id=True",
+        "event='done', id='1'",
+        "event='done', id=1.0",
+        "event='done', id=-1",
+        "event='done', id=10**30",
+        "event='progress', id=None, stage='fit', done=0, total=1",
+        "event='progress', id=r['id'], stage='fit', done='1', total=2",
+        "event='progress', id=r['id'], stage='fit', done=[], total=2",
+        "event='progress', id=r['id'], stage='fit', done=1, total=None",
+        "event='progress', id=r['id']",
+        "event='warning', id=r['id'], message=[]",
+        "event='error', id=r['id'], type=[], message='a'",
+        "event='error', id=r['id'], type='InputError', message={}",
+        "event='done', id=r['id'], kind='photo', width='4', height=3, fps=24, frames=1, first=1, last=1",
+        "event='done', id=r['id'], message=3",
+    ],
+)
+def test_an_event_of_wrong_types_is_a_protocol_error(peer, start, event):
+    """Nothing else leaves the client, whatever the process says; then it is ended."""
+    worker = start(peer(f"ready()\nfor r in requests(): say({event})\ntime.sleep({SLEEPS})"))
+    with pytest.raises(ProtocolError, match="worker process said something unknown") as caught:
+        worker.wait(worker.request("probe", input=["a"]), timeout=20)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+    assert not worker.alive
+
+
+@needs_scripts
+def test_sentences_of_a_worker_are_sentences(peer, start):
+    code = "say(event='error', id=r['id'], type='InputError', message='a\\nb  ' + 'c' * 10**6)"
+    worker = start(peer(f"ready()\nfor r in requests(): {code}"))
+    with pytest.raises(InputError, match=r"^a b ccc") as caught:
+        worker.wait(worker.request("probe"), timeout=20)
+    assert len(str(caught.value)) <= 2000
+
+
+def test_more_than_the_worker_reads_is_not_sent(start, monkeypatch):
+    monkeypatch.setattr(protocol, "LONGEST_REQUEST", 1000)
+    worker = start()
+    with pytest.raises(ProtocolError, match=r"a refit of .* is too large; give it fewer frames"):
+        worker.request("refit", hand="x" * 1000)
+    assert not worker.busy
 
 
 @needs_scripts

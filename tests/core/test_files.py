@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.errors import OutputError
-from handfit_core.files import check_writable, written_whole
+from handfit_core.files import check_room, check_writable, is_file, read_file, storable, written_whole
 
 
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
@@ -102,3 +103,85 @@ def test_results_are_ordinary_files(tmp_path: Path) -> None:
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
+
+
+def test_only_files_are_read_and_only_so_much_of_them(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_file(path, 5) == b"12345"
+    with pytest.raises(OSError, match="too large"):
+        read_file(path, 4)
+    with path.open("wb") as stream:
+        stream.truncate(1 << 40)  # sparse, takes no room
+    with pytest.raises(OSError, match="too large: 1099511 MB"):
+        read_file(path, 1 << 31)
+    with pytest.raises(FileNotFoundError):
+        read_file(tmp_path / "nowhere", 5)
+    with pytest.raises(OSError, match="folder"):
+        read_file(tmp_path, 5)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    """Nobody writes into this pipe: opening it as a file would wait for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/tty")):
+        with pytest.raises(OSError, match="no file, but a pipe, a device"):
+            read_file(path, 5)
+
+
+def test_names_that_no_file_can_have_are_no_files() -> None:
+    assert is_file(__file__)
+    for name in ("a" * 5000, "a\0b", "/nowhere/\udcff"):
+        assert not is_file(name)
+    assert storable("Hände\udcff.png") == "Hände?.png"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of a process are POSIX only")
+def test_room_is_asked_for_and_given_back(tmp_path: Path) -> None:
+    import resource
+
+    path = tmp_path / "a.abc"
+    path.write_text("old")
+    check_room(path, 100_000)
+    assert path.stat().st_size == 0
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+    try:
+        with pytest.raises(OutputError, match="free some space"), written_whole(tmp_path / "b.abc") as beside:
+            check_room(beside, 100_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.abc"]
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="this system always writes")
+def test_room_is_written_where_it_cannot_be_asked_for(tmp_path: Path, monkeypatch) -> None:
+    import resource
+
+    monkeypatch.delattr(os, "posix_fallocate")
+    check_room(tmp_path / "a.abc", 3_000_000)
+    assert (tmp_path / "a.abc").stat().st_size == 0
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            check_room(tmp_path / "a.abc", 3_000_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.skipif(not hasattr(errno, "EDQUOT"), reason="this system has no quotas")
+def test_what_only_the_disk_itself_reports_is_seen(tmp_path: Path, monkeypatch) -> None:
+    """Network disks and quotas accept a write and refuse it when it is to be kept."""
+    path = tmp_path / "a.npz"
+    path.write_text("old")
+
+    def refuse(_handle: int) -> None:
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OutputError, match=r"quota.*free some space"), written_whole(path) as beside:
+        beside.write_text("new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -24,6 +24,7 @@ from handfit_core.skeleton import (
     SIDES,
     Side,
 )
+from scripts.build_open_hand import by_rule, pose_covariance, pose_directions
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "handfit_core" / "hand_model" / "data"
@@ -334,6 +335,32 @@ def test_pose_space(model):
     first = np.einsum("jc,jc->j", model.hands_components[0].reshape(15, 3), axes[:, :, 2])
     assert np.all(first[:12] > 0.05), "the first direction closes all four fingers"
     assert not model.has_pose_blendshapes
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_directions_of_the_same_width_are_those_of_a_rule(seed):
+    """Not those that the eigenvectors of this processor happen to be. In half of the spaces axes tie."""
+    rng = np.random.default_rng(seed)
+    rows = np.linalg.qr(rng.normal(size=(45, 4)))[0].T
+    if seed % 2:
+        rows = np.zeros((4, 45))
+        rows[np.arange(8) // 2, rng.permutation(45)[:8]] = rng.choice([-1.0, 1.0], 8) / np.sqrt(2.0)
+    turned = np.linalg.qr(rng.normal(size=(4, 4)))[0] @ rows
+    found = by_rule(rows)
+    np.testing.assert_allclose(by_rule(turned), found, atol=1e-12)
+    np.testing.assert_allclose(found @ found.T, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(found.T @ found, rows.T @ rows, atol=1e-12)
+
+
+def test_pose_directions_are_the_covariances(model):
+    """Row by row: an eigenvector, of the width that its place says."""
+    axes = anatomical_axes(load_model(None, "right"))
+    angles = np.einsum("jca,pjc->pja", axes, pose_directions(axes).reshape(45, 15, 3)).reshape(45, 45)
+    covariance = pose_covariance()
+    widths = np.diag(angles @ covariance @ angles.T)
+    np.testing.assert_allclose(angles @ covariance, widths[:, None] * angles, atol=1e-8 * widths[0])
+    np.testing.assert_allclose(widths, np.linalg.eigvalsh(covariance)[::-1], rtol=1e-8)
+    np.testing.assert_allclose(np.abs(model.hands_components), np.abs(pose_directions(axes)), atol=1e-6)
 
 
 def test_files_are_small_and_free_of_pickles(side):

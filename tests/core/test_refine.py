@@ -462,18 +462,34 @@ def test_a_take_without_poses_is_its_capture(smoothing: float) -> None:
     assert distance(found.joints_3d, aims).max() < 1e-5
 
 
-def test_answers_go_on_from_the_last() -> None:
-    """A thumb that is drawn far aside, step by step, comes to a better place than at one go."""
+def test_drafts_go_on_from_the_last() -> None:
+    """Those of a thumb that is drawn far aside, step by step, each begin where the one before ended."""
     steps = [dragged(4, (share * 120.0, 0.0))[0] for share in (0.25, 0.5, 0.75, 0.95, 1.0)]
-    requests = [{"mode": "each", "hand": to_message(hand)} for hand in steps]
+    requests = [{"mode": "draft", "hand": to_message(hand)} for hand in steps]
     answer({"mode": "each", "hand": to_message(corrected_clip())}, lambda: False)  # of many frames: forgotten
     answers = [result_from_message(answer(request, lambda: False)) for request in requests]
     led = None
     for hand in steps:
-        led = refit_each(hand, led)
+        led = refit_each(hand, led, draft=True)
     assert led is not None
-    assert distance(answers[-1].joints_3d, led.joints_3d).max() < 0.002
-    assert distance(answers[-1].joints_3d, refit_each(steps[-1]).joints_3d).max() > 0.01
+    assert distance(answers[-1].landmarks_2d, led.landmarks_2d).max() < 1.0
+    assert distance(led.landmarks_2d, steps[-1].pins)[0, 4] < 3.0
+    assert distance(led.landmarks_2d, refit_each(steps[-1], draft=True).landmarks_2d).max() > 1.0
+
+
+def test_the_way_of_a_drag_does_not_count() -> None:
+    """What is kept is the same after any drafts, at one go too, and comes as near to its pin."""
+    steps = [dragged(4, (share * 120.0, 0.0))[0] for share in (0.25, 0.5, 0.75, 0.95, 1.0)]
+    kept = []
+    for way in (steps[:0], steps[:-1], steps[-2::-1]):
+        for hand in way:
+            answer({"mode": "draft", "hand": to_message(hand)}, lambda: False)
+        kept.append(
+            result_from_message(answer({"mode": "each", "hand": to_message(steps[-1])}, lambda: False))
+        )
+    for other in kept[1:]:
+        np.testing.assert_array_equal(other.landmarks_2d, kept[0].landmarks_2d)
+    assert distance(kept[0].landmarks_2d, steps[-1].pins)[0, 4] < 1.5
 
 
 def test_the_error_counts_pins() -> None:
@@ -738,3 +754,23 @@ def test_importing_is_light() -> None:
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("transl", np.zeros((2, 3))),
+        ("transl", np.zeros((0, 3))),
+        ("hand_pose", np.zeros((1, 44))),
+        ("joints_3d", np.zeros((1, 63))),
+        ("projected", np.full((1, 21, 2), np.inf)),
+        ("landmarks_2d", np.full((1, 21, 2), 1e30)),
+    ],
+    ids=lambda value: str(np.shape(value)),
+)
+def test_answers_of_another_shape_are_named(name: str, array: np.ndarray) -> None:
+    done = answer({"mode": "draft", "hand": to_message(dragged(TIP, (1.0, 1.0))[0])}, lambda: False)
+    with pytest.raises(ProtocolError, match=name):
+        result_from_message({"result": {**done["result"], name: pack(array)}})
+    with pytest.raises(ProtocolError, match="wrong shape"):
+        result_from_message(done, 2)

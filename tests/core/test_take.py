@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+import os
 import pickle
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -354,7 +357,7 @@ def test_pickles_inside_are_not_run(tmp_path: Path) -> None:
             return (exec, (f"open({str(trace)!r}, 'w').close()",))
 
     path = edited(take().save(tmp_path / "t.npz"), hand0_betas=np.array([Evil()], dtype=object))
-    assert "not a take file" in message_of(path)
+    assert "holds object as hand0_betas" in message_of(path)
     assert not trace.exists()
 
 
@@ -384,3 +387,115 @@ def test_unwritable_targets(tmp_path: Path) -> None:
     (tmp_path / "t.npz").mkdir()
     with pytest.raises(OutputError, match="could not be written"):
         take().save(tmp_path / "t.npz")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"version": "1"}, "not a take file"),
+        ({"version": True}, "not a take file"),
+        ({"version": 0}, "not a take file"),
+        ({"fps": True}, "fps must be a finite number"),
+        ({"fps": 10**400}, "fps must be a finite number"),
+        ({"fps": float("inf")}, "fps must be a finite number"),
+        ({"fps": 1e-300}, "frame rate"),
+        ({"width": 10**30}, "width must be a whole number"),
+        ({"width": 2**40}, "frame rate and size"),
+        ({"height": 720.5}, "height must be a whole number"),
+        ({"solver": ["fast"]}, "solver must be a text"),
+        ({"solver": "a" * 1000}, "solver must be a text"),
+        ({"model": None}, "model must be a text"),
+        ({"model": "a\0b"}, "model must be a text"),
+        ({"model": "a" * 100_000}, "model must be a text"),
+        ({"model_digests": "abc"}, "model_digests must be an object"),
+        ({"model_digests": {"left": 3}}, "model_digests must be a text"),
+        ({"sides": "right"}, "sides must be a list"),
+        ({"sides": [["right"], {}]}, "sides must be"),
+        ({"sides": ["right"] * 100_000}, "sides must be at most"),
+        ({"intrinsics": {"fx": "1", "fy": 1.0, "cx": 0.0, "cy": 0.0}}, "fx must be a finite number"),
+        ({"intrinsics": {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "k1": 0.0}}, "intrinsics must be"),
+        ({"source": {"kind": "clip", "files": ["/a"], "orientation": 1}}, "kind must be one of"),
+        ({"source": {"kind": "photo", "files": "/a", "orientation": 1}}, "files must be a list"),
+        ({"source": {"kind": "photo", "files": [3], "orientation": 1}}, "files must be a text"),
+        ({"source": {"kind": "photo", "files": ["\ud800"], "orientation": 1}}, "files must be a text"),
+        ({"source": {"kind": "photo", "files": ["/a"], "orientation": 9}}, "orientation must be"),
+        ({"frame_numbers": np.array([1.0, 2.0, 3.0, 4.0])}, "frame_numbers"),
+        ({"frame_numbers": np.array([1, 2, 3, 2**63 - 1])}, "frame_numbers lie beyond"),
+        ({"frame_numbers": np.array([1, 2, 3, 2**64 - 1], dtype=np.uint64)}, "frame_numbers lie beyond"),
+        ({"frame_numbers": np.array([-(2**63), 0, 1, 2**62])}, "frame_numbers lie beyond"),
+        ({"hand0_betas": np.full(10, np.nan)}, "betas is not finite"),
+        ({"hand0_betas": np.full(10, 1e6)}, "betas holds numbers beyond"),
+        ({"hand0_betas": np.arange(10)}, "holds int64 as hand0_betas"),
+        ({"hand0_detected": np.ones(FRAMES)}, "holds float64 as hand0_detected"),
+        ({"hand0_hand_pose": np.full((FRAMES, 45), np.inf)}, "hand_pose is not finite"),
+        ({"hand0_transl": np.full((FRAMES, 3), 1e12)}, "transl holds numbers beyond"),
+        ({"hand0_transl": np.array([[0.0] * 3] * 2 + [[np.inf] * 3] + [[0.0] * 3])}, "transl holds numbers"),
+        ({"hand0_score": np.array(["1.0"] * FRAMES)}, "as hand0_score"),
+    ],
+    ids=lambda value: str(value)[:60],
+)
+def test_everything_in_a_file_is_of_its_kind(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    message = message_of(edited(take().save(tmp_path / "t.npz"), **changes))
+    assert said in message
+    assert len(message) < 500 + len(str(tmp_path))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_take_that_is_no_file(tmp_path: Path) -> None:
+    """A named pipe would be waited for, and a device has no end."""
+    pipe = tmp_path / "t.npz"
+    os.mkfifo(pipe)
+    assert "no file, but a pipe" in message_of(pipe)
+    assert "no file, but a pipe" in message_of(Path("/dev/zero"))
+    assert "cannot be read" in message_of(tmp_path)
+    with pytest.raises(TakeError, match="cannot be read"):
+        Take.load("a" * 5000)
+
+
+def test_a_small_file_takes_no_more_memory_than_small_takes(tmp_path: Path) -> None:
+    """Members that nobody knows are not read, and known ones not beyond what such a take can have."""
+    path = take().save(tmp_path / "t.npz")
+    zeros = np.zeros((200_000, 45))  # 72 MB
+    hundred = {f"hand{i}_hand_pose": zeros for i in range(100, 103)} | {"what": zeros}
+    with np.load(path) as archive:
+        np.savez_compressed(path, **dict(archive), **hundred)
+    del zeros, hundred
+    tracemalloc.start()
+    try:
+        assert len(Take.load(path).frame_numbers) == FRAMES
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_mutated_takes_are_takes_or_a_sentence() -> None:
+    """Bytes changed, cut and doubled anywhere: nothing but a TakeError ever comes of it."""
+    rng, messages = np.random.default_rng(13), []
+    seeds = [take(hands=(as_detected(),)).to_bytes(), _stored(take(hands=(bridged(),)))]
+    for number in range(1500):
+        data = bytearray(seeds[number % len(seeds)])
+        for _ in range(rng.integers(1, 6)):
+            at = int(rng.integers(len(data)))
+            match rng.integers(4):
+                case 0:
+                    data[at] = rng.integers(256)
+                case 1:
+                    data[at : at + 4] = rng.choice([0, 1, 2**31 - 1, 2**32 - 1]).astype("<u4").tobytes()
+                case 2:
+                    del data[at : at + int(rng.integers(1, 40))]
+                case 3:
+                    data[at:at] = data[at : at + int(rng.integers(1, 40))]
+        try:
+            Take.from_bytes(bytes(data))
+        except TakeError as error:
+            messages.append(str(error))
+    assert len(messages) > 1000
+    assert not any("\n" in message for message in messages)
+
+
+def _stored(one: Take) -> bytes:
+    """A take whose arrays are not compressed, so that changes reach their descriptions and the header."""
+    with np.load(io.BytesIO(one.to_bytes())) as archive:
+        stream = io.BytesIO()
+        np.savez(stream, **dict(archive))
+    return stream.getvalue()

@@ -164,6 +164,40 @@ def test_takes_become_files(batch, take_file, tmp_path):
         assert (found["rigs"], found["bones"], found["animated"]) == (1, [16], True), suffix
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process are POSIX only")
+def test_a_report_that_cannot_be_written_does_not_end_the_batch(take_file, tmp_path):
+    """Long names make report.json the largest file of the batch; at last it is larger than a file may be."""
+    import resource
+
+    names = [f"{number:02}{'x' * 200}" for number in range(24)]
+    takes = [take_file(name, frames=1) for name in names]
+
+    def run(output: Path, limit: int) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            list(map(str, [sys.executable, SCRIPT, *takes, "--output", output, "--format", ""])),
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            timeout=TIMEOUT,
+            check=False,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        )
+
+    done = run(tmp_path / "one", resource.RLIM_INFINITY)
+    assert done.returncode == 0, done.stderr
+    size = (tmp_path / "one" / "report.json").stat().st_size
+    done = run(tmp_path / "two", int(0.9 * size))
+    assert done.returncode == 1, "some failed; that nothing was tried would be 2"
+    assert [line.split()[1] for line in lines(done.stdout)] == ["ok:"] * len(takes)
+    assert all((tmp_path / "two" / name / f"{name}.take.npz").stat().st_size for name in names)
+    said = [line for line in done.stderr.splitlines() if "report.json" in line]
+    assert said
+    assert all("could not be written" in line and "Traceback" not in line for line in said)
+    kept = report(tmp_path / "two")
+    assert kept[0]["status"] == "ok", "what could be written last stays, and whole"
+    assert kept[-1]["status"] == "pending"
+
+
 def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path):
     (tmp_path / "text.jpg").write_text("these are words")
     (tmp_path / "empty.mp4").touch()

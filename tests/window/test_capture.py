@@ -110,6 +110,24 @@ def test_dropped_video(blender, make_clip):
     assert hand["frames"] == CLIP
 
 
+def test_a_shot_keeps_its_time_size_and_camera(blender, make_clip):
+    played = blender.play("capture.into_a_shot", source=make_clip(CLIP), timeout=240).value
+    assert played["kept"] == played["before"] == [24, 1001, 1120, 1001, 1920, 1080, "Shot Camera"]
+    assert played["begins"] == 1001
+    assert played["said"].startswith("Hand came at frame 1001, 24 fps")
+    # Asked for, it is matched all the same.
+    assert played["matched"][:3] == [25, 1, CLIP]
+    assert played["matched"][4:6] == [640, 480]
+
+
+def test_the_start_up_scene_is_matched_as_the_panel_says(blender, make_clip):
+    played = blender.play("capture.into_the_start_up_scene", source=make_clip(CLIP), timeout=240).value
+    assert played["told"] == f"Scene becomes 25 fps, 1-{CLIP}, 640×480"
+    assert played["said"] == f"Scene became 25 fps, 1-{CLIP}, 640×480"
+    assert played["scene"] == [25, 1, CLIP, 640, 480]
+    assert played["camera"]
+
+
 def assert_sentence(text: str) -> None:
     """What an artist can read: one sentence, with a remedy, no program's words."""
     assert 20 < len(text) < 300, text

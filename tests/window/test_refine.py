@@ -21,6 +21,22 @@ def test_keypoint_dragged_undone_redone_and_saved(blender, make_clip, tmp_path):
     assert played["keys_now"] == played["keys_then"]
 
 
+def test_a_range_is_fitted_again_only_after_it_was_asked_for(blender, make_clip):
+    played = blender.play("refine.range_refitted", source=make_clip(CLIP), timeout=240).value
+    assert played["unchanged"] == []
+    # Half a second around frame 30, at 25 frames per second, and one of the two keys set by hand.
+    assert played["said"] == "Fits 25 frames again. Replaces 1 key set by hand, on 1 frame"
+    # Then six frames more, with the second: a wheel's press and its release are a step each.
+    assert {32, 45} <= set(played["changed"]) <= set(range(18, 49))
+    assert played["undone"] == []
+
+
+def test_a_relaxed_pose_fades_out_and_is_cleared(blender, make_clip):
+    played = blender.play("refine.relaxed", source=make_clip(CLIP), timeout=240).value
+    assert played["changed"] == list(range(25, 36))
+    assert played["cleared"] == []
+
+
 def test_the_worker_dies_between_two_drags(blender, make_clip):
     played = blender.play("refine.worker_killed", source=make_clip(CLIP), timeout=240).value
     assert played["followed"]

@@ -168,7 +168,7 @@ class Energy:
         rates = rates_of(angles)
         flat = angles.flatten(2)
         turn = (rates.unsqueeze(4) * self._same_joint).reshape(*flat.shape, 9)  # (B, 5, 9, 9)
-        outside = limits(flat, self._lower, self._upper, self._weights.limits_sigma, self._knuckles)
+        outside = self._limits(flat, kept)
         habit = self._habit
         away = flat - habit.best
         pull = (away.flatten(1) @ habit.precision).view_as(flat)
@@ -185,6 +185,13 @@ class Energy:
         gradient = torch.baddbmm(pull.reshape(-1, 9, 1), sloped, outside.residual.view(-1, 9, 1))
         right = torch.cat([torch.bmm(by_angle.view(-1, 9, 9), turn), gradient], dim=-1)
         return torch.bmm(turn.mT, right).view(*flat.shape, 10), cost
+
+    def _limits(self, flat: torch.Tensor, kept: Kept | None) -> AngleRows:
+        """What angles (B, 5, 9) beyond their ranges cost."""
+        if kept is None or kept.limits_sigma is None:
+            return limits(flat, self._lower, self._upper, self._weights.limits_sigma, self._knuckles)
+        already = limits(kept.angles, self._lower, self._upper, 1.0, self._knuckles).residual.abs()
+        return limits(flat, self._lower, self._upper, kept.limits_sigma, self._knuckles, already)
 
     def _point_rows(self, posed: Posed, seen: Observation) -> tuple[torch.Tensor, torch.Tensor]:
         """Weighted rows (B, 21, c, 3 + m + 1) by the point and by the terms' offsets, and their residuals;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -19,7 +19,11 @@ class Kept:
     """(B, 5, 9) radians, finger by finger"""
     angle_sigma: torch.Tensor
     """(B, 5) radians"""
+    limits_sigma: float | None = None
+    """radians beyond what joints can do, or beyond the kept angles where these are there already, that cost
+    as much as one sigma; None: as hands without a pose to keep have it"""
 
     def __getitem__(self, index: torch.Tensor) -> Kept:
         """The hands of that index."""
-        return Kept(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        arrays = ("wrist", "distance_sigma", "angles", "angle_sigma")
+        return replace(self, **{name: getattr(self, name)[index] for name in arrays})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import ProtocolError
-from handfit_core.worker.protocol import check_id, decode, encode, pack, unpack
+from handfit_core.worker.protocol import check_event, check_id, decode, encode, pack, unpack
 
 
 @pytest.mark.parametrize(
@@ -113,3 +113,65 @@ def test_ids_are_positive_whole_numbers(number: object) -> None:
     assert check_id({"job": 3}, "job") == 3
     with pytest.raises(ProtocolError, match="id must be a positive whole number"):
         check_id({"id": number})
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [["2"], [2.0], [True], "2", {"2": 1}, [-1], [2**70], [0, 2**70], [1] * 100, [2**20] * 8, [[2]]],
+    ids=str,
+)
+def test_a_shape_is_a_short_list_of_whole_numbers(shape: object) -> None:
+    with pytest.raises(ProtocolError, match="dtype, shape and data"):
+        unpack({**pack(np.zeros(2)), "shape": shape})
+
+
+PROBED = {"kind": "photo", "width": 4, "height": 3, "fps": 24.0, "frames": 1, "first": 1, "last": 1}
+
+
+@pytest.mark.parametrize(
+    ("message", "request_kind"),
+    [
+        ({"event": "progress", "stage": "fit", "done": 3, "total": 0}, "capture"),
+        ({"event": "warning", "message": "dark"}, "capture"),
+        ({"event": "error", "type": "InputError", "message": "no"}, "probe"),
+        ({"event": "done", **PROBED, "newer": [1]}, "probe"),
+        ({"event": "done", "stopped": True}, "capture"),
+        ({"event": "newer", "done": "x"}, "capture"),
+    ],
+    ids=str,
+)
+def test_events_that_are_of_the_protocol(message: dict[str, Any], request_kind: str) -> None:
+    check_event(message, request_kind)
+
+
+@pytest.mark.parametrize(
+    ("message", "request_kind", "said"),
+    [
+        ({"event": ["progress"]}, "capture", "event must be a text"),
+        ({"event": "progress", "stage": "fit", "done": "3", "total": 0}, "capture", "done must be a whole"),
+        ({"event": "progress", "stage": "fit", "done": 3, "total": [0]}, "capture", "total must be a whole"),
+        ({"event": "progress", "stage": "fit", "done": -3, "total": 3}, "capture", "done must be a whole"),
+        (
+            {"event": "progress", "stage": "fit", "done": 10**400, "total": 3},
+            "capture",
+            "done must be a whole",
+        ),
+        ({"event": "progress", "stage": {}, "done": 3, "total": 3}, "capture", "stage must be a text"),
+        ({"event": "progress"}, "capture", "stage must be a text"),
+        ({"event": "warning", "message": 3}, "capture", "message must be a text"),
+        ({"event": "error", "type": 3, "message": "a"}, "capture", "type must be a text"),
+        ({"event": "error", "type": "a" * 1000, "message": "a"}, "capture", "type must be a text"),
+        ({"event": "error", "type": "a", "message": "a", "details": []}, "capture", "details must be a text"),
+        ({"event": "done", "stopped": "yes"}, "capture", "stopped must be true or false"),
+        ({"event": "done", **PROBED, "fps": "24"}, "probe", "fps must be a finite number"),
+        ({"event": "done", **PROBED, "width": True}, "probe", "width must be a whole number"),
+        ({"event": "done", "kind": "photo"}, "probe", "width must be a whole number"),
+        ({"event": "done", "seconds": []}, "refit", "seconds must be a finite number"),
+        ({"event": "done", "report": {}}, "check", "report must be a text"),
+    ],
+    ids=str,
+)
+def test_events_that_are_not(message: dict[str, Any], request_kind: str, said: str) -> None:
+    with pytest.raises(ProtocolError, match=said) as caught:
+        check_event(message, request_kind)
+    assert len(str(caught.value)) < 300

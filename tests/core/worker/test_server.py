@@ -157,6 +157,10 @@ def test_tells_what_an_input_is(warm: Worker) -> None:
     assert warm.ask(16, "probe", input=[PHOTO])["kind"] == "photo"
     assert warm.ask(17, "probe", input=["/nowhere/a.png"])["type"] == "InputError"
     assert warm.ask(18, "probe")["type"] == "OptionError"
+    assert (
+        "no more than 0.01 are read" in warm.ask(151, "probe", input=[PHOTO], max_megapixels=0.01)["message"]
+    )
+    assert warm.ask(152, "probe", input=[PHOTO], max_megapixels="9")["type"] == "OptionError"
 
 
 def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
@@ -473,7 +477,7 @@ def test_threads_reach_torch_and_the_others() -> None:
 
 
 def test_a_line_without_an_end_is_refused_and_the_next_understood() -> None:
-    code = "from handfit_core.worker import server\nserver.LONGEST_LINE = 4096\nserver.serve()\n"
+    code = "from handfit_core.worker import server\nserver.LONGEST_REQUEST = 4096\nserver.serve()\n"
     worker = Worker(code=code)
     try:
         for length in (4096, 4097, 3_000_000):

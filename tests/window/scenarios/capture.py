@@ -239,6 +239,76 @@ def said_of(job) -> dict:
     }
 
 
+def into_a_shot(stage, source):
+    """A clip dropped into a shot that an artist has set up, and then captured into it by the panel."""
+    scene, shot = bpy.context.scene, bpy.data.cameras.new("Shot Camera")
+    camera = bpy.data.objects.new("Shot Camera", shot)
+    scene.collection.objects.link(camera)
+    camera.location, camera.rotation_euler = (0.0, -4.0, 1.0), (1.4, 0.0, 0.0)
+    scene.camera = camera
+    scene.frame_start, scene.frame_end = 1001, 1120
+    scene.frame_set(1001)
+
+    def state():
+        render = scene.render
+        size = render.resolution_x, render.resolution_y
+        return [render.fps, scene.frame_start, scene.frame_end, scene.frame_current, *size, scene.camera.name]
+
+    before = state()
+    folder, _, name = source.rpartition("/")
+    with stage.override():
+        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=folder, files=[{"name": name}])
+    yield 0.5
+    yield from stage.key("C")
+    yield 0.5
+    yield from stage.screenshot("dropped-into-a-shot")
+    yield from stage.key("RET")
+    job = yield from stage.until(
+        lambda: next((j for j in jobs() if j.name == name), None), 5.0, "the dropped file's capture"
+    )
+    yield from finish(stage, job)
+    done(job)
+    yield from stage.open_sidebar()
+    yield 1.0
+    yield from stage.screenshot("captured-into-a-shot")
+    kept = state()
+    (armature,) = hands()
+    begins = armature.animation_data.action.frame_range[0]
+    scene.manient.matching = "MATCH"
+    yield 0.3
+    yield from stage.screenshot("match-anyway")
+    other = yield from begin(stage, source)
+    yield from finish(stage, other)
+    done(other)
+    yield from stage.screenshot("matched-anyway")
+    return {"before": before, "kept": kept, "begins": begins, "said": job.scene_said, "matched": state()}
+
+
+def into_the_start_up_scene(stage, source):
+    """A clip in the scene that Blender starts with: what the panel says before, and what is true after."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    yield 0.5
+    yield from stage.move_to(stage.region())
+    yield from stage.open_sidebar()
+    scene = bpy.context.scene
+    scene.manient.source = source
+    yield from stage.until(lambda: part("source_info").of(scene.manient).width, 30.0, "the clip's size")
+    yield from stage.screenshot("start-up-scene-before")
+    settings, info = scene.manient, part("source_info").of(scene.manient)
+    footage = part("source_info").footage(settings, info)
+    told = part("scene.matching").said(scene, "AUTO", footage, scene.frame_current)
+    job = yield from capture(stage, source)
+    yield from stage.screenshot("start-up-scene-after")
+    render = scene.render
+    size = render.resolution_x, render.resolution_y
+    return {
+        "told": told,
+        "said": job.scene_said,
+        "scene": [render.fps, scene.frame_start, scene.frame_end, *size],
+        "camera": hands()[0].manient.capture.manient.camera == scene.camera,
+    }
+
+
 def fails(stage, source, shot="", **settings):
     """A capture that must fail: what the artist reads."""
     yield from stage.open_sidebar()

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from scenarios import redraws
-from scenarios.capturing import capture, hands, keys_of, pose_of
+from scenarios.capturing import capture, hands, keys_of, part, pose_of
 from scenarios.traces import workers
 
 INDEX_TIP = 8
@@ -119,6 +119,90 @@ def worker_killed(stage, source):
     after = _pose_at(hands()[0], 30)
     yield from stage.key("RET")
     return {"message": message, "followed": before != after}
+
+
+def range_refitted(stage, source):
+    """Re-fit Range by its button's click: the dialog, another last frame, and what was changed."""
+    yield from stage.open_sidebar()
+    yield from capture(stage, source)
+    (armature,) = hands()
+    bpy.context.view_layer.objects.active = armature
+    bpy.context.scene.frame_set(30)
+    bone = armature.pose.bones["index_proximal.R"]
+    for frame in (32, 45):
+        bpy.context.scene.frame_set(frame)
+        bone.rotation_quaternion = (0.8, 0.1, 0.5, 0.3)
+        bone.keyframe_insert("rotation_quaternion", frame=frame)
+    bpy.context.scene.frame_set(30)
+    bpy.ops.ed.undo_push(message="By hand")
+    before = {frame: _pose_at(armature, frame) for frame in range(1, 61)}
+    bpy.context.scene.frame_set(30)
+    yield from stage.invoke("manient.refit_range")
+    yield 0.5
+    yield from stage.screenshot("refit-range-asks")
+    unchanged = _changed(armature, before)
+    bpy.context.scene.frame_set(30)
+    said = refit().replaced(bpy.context, *refit().suggested_range(bpy.context))[0]
+    yield from stage.key("ESC")
+    yield 0.3
+    cancelled = _changed(armature, before)
+    bpy.context.scene.frame_set(30)
+
+    yield from stage.invoke("manient.refit_range")
+    yield 0.5
+    # The dialog opens with its field Last under the mouse.
+    for _ in range(3):
+        yield from stage.key("WHEELUPMOUSE", ctrl=True)
+        yield 0.1
+    yield from stage.screenshot("refit-range-wider")
+    yield from stage.key("RET")
+    yield from stage.until(lambda: refit().MANIENT_OT_refit_range._running, 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().MANIENT_OT_refit_range._running, WARM, "the fit")
+    yield 0.3
+    changed = _changed(armature, before)
+    yield from stage.screenshot("refit-range-done")
+    yield from stage.undo()
+    yield 0.3
+    (armature,) = hands()
+    return {
+        "said": said,
+        "unchanged": unchanged + cancelled,
+        "changed": changed,
+        "undone": _changed(armature, before),
+    }
+
+
+def relaxed(stage, source):
+    """Relaxed Pose in the middle of a clip: how far fingers turn from frame to frame, then Clear."""
+    yield from stage.open_sidebar()
+    yield from capture(stage, source)
+    (armature,) = hands()
+    bpy.context.view_layer.objects.active = armature
+    bpy.context.scene.frame_set(30)
+    before = {frame: _pose_at(armature, frame) for frame in range(1, 61)}
+    bpy.context.scene.frame_set(30)
+    yield from stage.invoke("manient.relax_pose")
+    yield 0.5
+    changed = _changed(armature, before)
+    bpy.context.scene.frame_set(30)
+    yield from stage.look_through_camera()
+    for frame in (30, 33, 36):
+        bpy.context.scene.frame_set(frame)
+        yield 0.2
+        yield from stage.screenshot(f"relaxed-{frame}")
+    bpy.context.scene.frame_set(30)
+    yield from stage.invoke("manient.clear_corrections", scope="FRAME")
+    yield 0.5
+    return {"changed": changed, "cleared": _changed(armature, before)}
+
+
+def _changed(armature, before) -> list[int]:
+    """The frames whose pose is another one now."""
+    return [frame for frame in before if before[frame] != _pose_at(armature, frame)]
+
+
+def refit():
+    return part("operators.refit_range")
 
 
 def _edited(stage, source):

@@ -1,0 +1,145 @@
+"""How far a captured hand is from the picture over time: a graph along the bottom of the time editors.
+
+It is drawn from the take that the hand keeps, with the frames where those editors have them. A curve in the
+hand's own action would be in the way of animating: a few percent or a hundred pixels beside rotations of
+one make *View All* useless for either.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+from .scene.confidence import FAIR, POOR, colors_of, hand_errors
+from .scene.store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
+
+_HEIGHT: Final = (18.0, 64.0)
+"""least and most pixels of a hand's graph, at a user interface scale of 1"""
+_BELOW: Final = 14.0
+"""pixels under the graph at scale 1, for the scroll bar"""
+_ABOVE: Final = 26.0
+"""pixels over the graph at scale 1, for the frame numbers"""
+_SPACES: Final = {"GRAPH_EDITOR": "SpaceGraphEditor", "DOPESHEET_EDITOR": "SpaceDopeSheetEditor"}
+"""Area type -> class; the Timeline is a Dope Sheet"""
+
+_handles: dict[str, object] = {}
+
+
+def segments(
+    frames: np.ndarray, errors: np.ndarray, span: tuple[float, float], size: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The graph's lines: (N, 2, 2) pixels from its lower left corner, and (N, 2) errors at their ends.
+
+    `frames` (T,) and `errors` (T,), parts of the hand, NaN where it was not detected: no line leads there.
+    `span`: first and last visible frame; `size`: width and height in pixels, of which the full height
+    stands for POOR or the largest error.
+    """
+    x = (frames - span[0]) / ((span[1] - span[0]) or 1.0) * size[0]
+    y = errors / np.nanmax(np.append(errors, POOR)) * size[1]
+    points = np.stack([x, y], axis=-1)
+    ends = np.stack([points[:-1], points[1:]], axis=1)
+    values = np.stack([errors[:-1], errors[1:]], axis=-1)
+    seen = np.isfinite(values).all(axis=1) & (ends[:, 1, 0] >= 0.0) & (ends[:, 0, 0] <= size[0])
+    return ends[seen], values[seen]
+
+
+def label(hand: CapturedHand, errors: np.ndarray, frame: float) -> str:
+    """What is written over the graph: the error at a scene frame and the largest one."""
+    row = int(rows_at(hand.collection, hand.take, np.array([frame]))[0])
+    here = "" if row < 0 or np.isnan(errors[row]) else f"{100 * errors[row]:.1f} % here, "
+    return f"{hand.armature.name}: off by {here}{100 * np.nanmax(errors):.1f} % of the hand at most"
+
+
+def shown_hands(scene: bpy.types.Scene) -> list[CapturedHand]:
+    """The hands whose graph is switched on, by name, and that were ever detected."""
+    found = [hand_of(o) for o in captured_hands(scene) if o.manient.show_error]
+    return [hand for hand in found if hand is not None and hand.track.detected.any()]
+
+
+def redraw(context: bpy.types.Context) -> None:
+    """Draw the time editors again."""
+    manager = context.window_manager
+    for window in manager.windows if manager else ():
+        for area in window.screen.areas:
+            if area.type in _SPACES:
+                area.tag_redraw()
+
+
+def _draw() -> None:
+    context = bpy.context
+    scene, region, space = context.scene, context.region, context.space_data
+    if scene is None or region is None or getattr(space, "mode", "") == "DRIVERS":
+        return
+    hands = shown_hands(scene)
+    if not hands:
+        return
+    scale = context.preferences.system.ui_scale if context.preferences else 1.0
+    span = region.view2d.region_to_view(0, 0)[0], region.view2d.region_to_view(region.width, 0)[0]
+    room = (region.height - (_BELOW + _ABOVE) * scale) / len(hands)
+    height = min(max(room, _HEIGHT[0] * scale), _HEIGHT[1] * scale)
+    gpu.state.blend_set("ALPHA")
+    try:
+        for number, hand in enumerate(hands):
+            low = _BELOW * scale + number * (height + 2.0 * scale)
+            _draw_one(hand, scene.frame_current_final, span, (region.width, height), low, scale)
+    finally:
+        gpu.state.blend_set("NONE")
+
+
+def _draw_one(
+    hand: CapturedHand,
+    frame: float,
+    span: tuple[float, float],
+    size: tuple[float, float],
+    low: float,
+    scale: float,
+) -> None:
+    width, height = size
+    errors = hand_errors(hand.take, hand.track)
+    frames = scene_frames(hand.collection, hand.take)
+    _rectangle((0.0, low, width, low + height), (0.0, 0.0, 0.0, 0.45))
+    fair = low + height * FAIR / float(np.nanmax(np.append(errors, POOR)))
+    _rectangle((0.0, fair, width, fair + scale), (1.0, 1.0, 1.0, 0.15))
+    ends, values = segments(frames, errors, span, size)
+    if len(ends):
+        points = np.zeros((2 * len(ends), 3), dtype=np.float32)
+        points[:, :2] = ends.reshape(-1, 2)
+        points[:, 1] += low
+        colors = np.ones((2 * len(ends), 4), dtype=np.float32)
+        colors[:, :3] = colors_of(values.reshape(-1))
+        shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
+        shader.bind()
+        shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+        shader.uniform_float("lineWidth", 2.0 * scale)
+        batch_for_shader(shader, "LINES", {"pos": points, "color": colors}).draw(shader)
+    blf.size(0, 11.0 * scale)
+    blf.color(0, 0.92, 0.92, 0.92, 1.0)
+    blf.position(0, 8.0 * scale, low + height - 13.0 * scale, 0.0)
+    blf.draw(0, label(hand, errors, frame))
+
+
+def _rectangle(corners: tuple[float, float, float, float], color: tuple[float, ...]) -> None:
+    left, bottom, right, top = corners
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    shader.bind()
+    shader.uniform_float("color", color)
+    points = [(left, bottom, 0.0), (right, bottom, 0.0), (left, top, 0.0), (right, top, 0.0)]
+    batch_for_shader(shader, "TRI_STRIP", {"pos": points}).draw(shader)
+
+
+def register() -> None:
+    """Draw in all time editors."""
+    for name in _SPACES.values():
+        _handles[name] = getattr(bpy.types, name).draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+
+
+def unregister() -> None:
+    """Draw no more."""
+    for name, handle in _handles.items():
+        getattr(bpy.types, name).draw_handler_remove(handle, "WINDOW")
+    _handles.clear()

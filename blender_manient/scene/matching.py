@@ -1,0 +1,183 @@
+"""Whether a scene takes over the footage's frame rate, frame range, size and camera, and what is said of it.
+
+An artist's shot keeps its own unless the artist wants otherwise. A scene counts as nobody's shot while its
+settings are those that Blender starts with, or those of the last footage that it was matched to, while no
+camera was set and nothing moves in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import bpy
+
+from handfit_core.take import Take
+
+from ..blender_versions import has_strips
+from .store import kept_here
+from .timing import frame_rate, nearest_rate
+
+Choice = Literal["AUTO", "MATCH", "KEEP"]
+
+CHOICES = (
+    ("AUTO", "Auto", "Match a scene in which nothing moves and nothing was set up; keep any other"),
+    ("MATCH", "Match Footage", "Give the scene the footage's frame rate, frame range, size and camera"),
+    ("KEEP", "Keep", "The scene stays as it is: the hand begins at the current frame, at the scene's rate"),
+)
+"""The items of the properties in which artists choose"""
+
+_RENDER = (
+    "fps",
+    "fps_base",
+    "resolution_x",
+    "resolution_y",
+    "resolution_percentage",
+    "pixel_aspect_x",
+    "pixel_aspect_y",
+)
+_START_UP_CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0)
+"""Place, rotation and lens of the camera in Blender's start-up file"""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What a scene can take over from a clip or picture."""
+
+    fps: float = 0.0
+    first: int = 0
+    last: int = 0
+    """Source frames; the same as `first` for a picture, which has no time"""
+    width: int = 0
+    """0: before a camera of the scene's own, whose size stays"""
+    height: int = 0
+
+    @classmethod
+    def of_take(cls, take: Take, *, own_camera: bool = False) -> Footage:
+        """What `build_take` gives to a scene."""
+        numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
+        return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size)
+
+    def is_that_of(self, scene: bpy.types.Scene) -> bool:
+        """Whether a clip's rate, range and size are the scene's already."""
+        render = scene.render
+        return (
+            self.last > self.first
+            and nearest_rate(self.fps) == (render.fps, render.fps_base)
+            and (self.first, self.last) == (scene.frame_start, scene.frame_end)
+            and (self.width, self.height) == (render.resolution_x, render.resolution_y)
+        )
+
+    def __str__(self) -> str:
+        size = f"{self.width}×{self.height}" if self.width else ""
+        time = f"{self.fps:.5g} fps, {self.first}-{self.last}" if self.last > self.first else ""
+        return ", ".join(filter(None, (time, size)))
+
+
+def matches(scene: bpy.types.Scene, choice: Choice, footage: Footage | None = None) -> bool:
+    """Whether the scene is matched to the footage under this choice."""
+    return choice == "MATCH" or (choice == "AUTO" and not why_kept(scene, footage))
+
+
+def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
+    """What tells that the scene is somebody's shot, for a sentence; empty where nothing does.
+
+    A scene that has the footage's rate, range and size already loses nothing by it.
+    """
+    camera = scene.camera
+    if camera is not None and not _is_start_up_camera(camera) and not _is_of_a_capture(camera):
+        return f"its camera is {camera.name}"
+    if footage is not None and footage.is_that_of(scene):
+        return ""
+    if not _untouched(scene):
+        return "it has settings of its own"
+    if scene.use_preview_range or len(scene.timeline_markers):
+        return "it has a preview range" if scene.use_preview_range else "it has markers"
+    if has_strips(scene):
+        return "it has strips in the sequencer"
+    moving = next(_moving(scene), None)
+    return "" if moving is None else f"{moving} is animated"
+
+
+def said(
+    scene: bpy.types.Scene,
+    choice: Choice,
+    footage: Footage | None,
+    frame: float,
+    *,
+    done: bool | None = None,
+) -> str:
+    """What becomes of the scene, in words; `done` says what has become of it: whether it was matched."""
+    matched = matches(scene, choice, footage) if done is None else done
+    if matched:
+        news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)
+        if footage is not None and not news:
+            return f"Hand {'comes' if done is None else 'came'} at frame {footage.first}"
+        return f"Scene {'becomes' if done is None else 'became'} {news}"
+    comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
+    why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""
+    return f"{comes}: the scene stays, as {why}" if why else f"{comes}: the scene stays as it is"
+
+
+def note_matched(scene: bpy.types.Scene) -> None:
+    """Remember that the scene's present settings are the footage's, and not the artist's."""
+    if kept_here():
+        scene.manient.matched = _settings(scene)
+
+
+def _untouched(scene: bpy.types.Scene) -> bool:
+    return _settings(scene) in (_settings(None), scene.manient.matched if kept_here() else "")
+
+
+def _settings(scene: bpy.types.Scene | None) -> str:
+    """The settings that matching changes, as text; of no scene: those that Blender starts with."""
+    found = []
+    for cls, owner, names in (
+        (bpy.types.RenderSettings, scene and scene.render, _RENDER),
+        (bpy.types.Scene, scene, ("frame_start", "frame_end")),
+    ):
+        for name in names:
+            value = getattr(owner, name) if owner else cls.bl_rna.properties[name].default
+            found.append(f"{value:.6g}")
+    return " ".join(found)
+
+
+def _is_start_up_camera(camera: bpy.types.Object) -> bool:
+    """Whether it is the camera of Blender's start-up file, and nobody has touched it."""
+    if camera.type != "CAMERA" or camera.name != "Camera" or camera.parent or len(camera.constraints):
+        return False
+    found = (*camera.location, *camera.rotation_euler, camera.data.lens)
+    return all(abs(a - b) < 1e-4 for a, b in zip(found, _START_UP_CAMERA, strict=True))
+
+
+def _is_of_a_capture(camera: bpy.types.Object) -> bool:
+    """Whether a capture built it: one of the artist's own lies in no capture's collection."""
+    return kept_here() and any(c.manient.camera == camera for c in camera.users_collection)
+
+
+def _moving(scene: bpy.types.Scene) -> Iterator[str]:
+    """The names of what is animated in the scene; a hand captured from one picture only stands there."""
+    if len(bpy.data.actions) == 0:  # panels ask at every redraw
+        return
+    for block in _blocks(scene):
+        data = getattr(block, "animation_data", None)
+        if block is None or data is None:
+            continue
+        action = data.action
+        still = action is not None and _is_hand(block) and action.frame_range[0] == action.frame_range[1]
+        if (action is not None and not still) or any(len(track.strips) for track in data.nla_tracks):
+            yield block.name
+
+
+def _blocks(scene: bpy.types.Scene) -> Iterator[bpy.types.ID | None]:
+    """What can be animated in a scene; None for what is not there."""
+    yield from (scene, scene.world, scene.world and scene.world.node_tree)
+    for obj in scene.objects:
+        yield from (obj, obj.data, getattr(obj.data, "shape_keys", None))
+        for slot in obj.material_slots:
+            yield from (slot.material, slot.material and slot.material.node_tree)
+
+
+def _is_hand(block: bpy.types.ID) -> bool:
+    return kept_here() and isinstance(block, bpy.types.Object) and block.manient.is_hand

@@ -1,0 +1,109 @@
+"""Which of a captured hand's keys are the artist's own: neither a capture nor Re-fit Range put them there.
+
+What the capture found is in the take; what Re-fit Range found is kept on the armature. A key with another
+pose than either, after corrections are taken out of it, was made by hand: keyed, moved, applied.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from handfit_core.hand_model import ShapedHand
+from handfit_core.skeleton import NUM_JOINTS
+
+from .. import axes
+from ..correction_field import correction_between
+from .armature import rest_frames
+from .corrections import without_field
+from .keys import PoseKeys, nearest, read_pose_keys
+from .models import kept_model
+from .store import CapturedHand, hand_of, scene_frames
+
+_SAME_TURN = 0.01
+"""radians. Rotations that are nearer than this are the same"""
+_SAME_PLACE = 0.001
+"""metres"""
+_POSE = 3 + 45 + 3
+"""Numbers of a pose: global_orient and hand_pose as axis-angle in radians, and where the wrist is in the
+camera frame, metres. They stay true when the hand's proportions change"""
+
+
+def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
+    """(N, 17) bool: whether the 16 bones' rotations and the wrist's location have a key of the artist's own
+    on the scene frames of the take's `rows` (N,), increasing. Raises TakeError and HandModelError."""
+    frames = scene_frames(hand.collection, hand.take)[rows]
+    found = np.zeros((len(rows), NUM_JOINTS + 1), dtype=bool)
+    if len(rows) == 0:
+        return found
+    keys = without_field(
+        hand.armature, read_pose_keys(hand.armature, hand.side, float(frames[0]), float(frames[-1]))
+    )
+    at, on = nearest(frames, keys.frames)
+    keyed = np.column_stack([keys.rotation_keyed, keys.location_keyed])
+    track, captured = hand.track, np.full((len(rows), _POSE), np.nan)
+    captured[:, :3], captured[:, 3:48] = track.global_orient[rows], track.hand_pose[rows]
+    rest = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
+    captured[:, 48:] = rest + track.transl[rows]
+    fitted = _fitted(hand.armature, np.asarray(hand.take.frame_numbers)[rows])
+    own = keyed & ~_holds(hand, keys, captured[at]) & ~_holds(hand, keys, fitted[at])
+    found[at[on]] = own[on]
+    return found
+
+
+def note_fitted(
+    armature: bpy.types.Object, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
+) -> None:
+    """Remember poses that Re-fit Range has keyed: (N,) source frames, quats (N, 16, 4) and wrist locations
+    (N, 3) in metres, relative to the bones' rest."""
+    hand = hand_of(armature)
+    if hand is None or len(frames) == 0:
+        return
+    shaped = _shaped(hand)
+    orient, pose, transl = axes.pose_from_bones(shaped, rest_frames(armature, hand.side), quats, locations)
+    new = np.column_stack([frames, orient, np.reshape(pose, (-1, 45)), shaped.joints[0] + transl])
+    old = _noted(armature)
+    table = np.concatenate([old[~np.isin(old[:, 0], new[:, 0])], new])
+    table = table[np.argsort(table[:, 0])].astype("<f4")
+    armature.manient.fitted = base64.b64encode(table.tobytes()).decode("ascii")
+
+
+def _fitted(armature: bpy.types.Object, numbers: np.ndarray) -> np.ndarray:
+    """(N, 51) the noted poses of source frames (N,); NaN for those that were not fitted again."""
+    noted, found = _noted(armature), np.full((len(numbers), _POSE), np.nan)
+    if len(noted):
+        at, on = nearest(noted[:, 0], np.asarray(numbers, dtype=np.float64))
+        found[on] = noted[at[on], 1:]
+    return found
+
+
+def _holds(hand: CapturedHand, keys: PoseKeys, poses: np.ndarray) -> np.ndarray:
+    """(N, 17) bool: whether keys (N) hold these poses (N, 51); never where a pose is NaN."""
+    same = np.zeros((len(keys.frames), NUM_JOINTS + 1), dtype=bool)
+    known = np.isfinite(poses).all(axis=-1)
+    shaped, rest, poses = _shaped(hand), rest_frames(hand.armature, hand.side), poses[known]
+    transl = poses[:, 48:] - shaped.joints[0]
+    quats, locations = axes.bone_pose(shaped, rest, poses[:, :3], poses[:, 3:48], transl)
+    turned = np.linalg.norm(correction_between(keys.quats[known], quats), axis=-1)
+    moved = np.linalg.norm(keys.locations[known] - locations, axis=-1)
+    same[known] = np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
+    return same
+
+
+def _shaped(hand: CapturedHand) -> ShapedHand:
+    model = kept_model(hand.take.model, hand.side)
+    return model.shaped(np.array(hand.armature.manient.betas, dtype=np.float64))
+
+
+def _noted(armature: bpy.types.Object) -> np.ndarray:
+    """(N, 52) what `note_fitted` has kept: source frame, increasing, and pose. Nothing where that cannot be
+    read: then keys count as made by hand."""
+    try:
+        data = base64.b64decode(armature.manient.fitted, validate=True)
+        return np.frombuffer(data, dtype="<f4").reshape(-1, 1 + _POSE).astype(np.float64)
+    except (ValueError, binascii.Error):
+        return np.empty((0, 1 + _POSE))

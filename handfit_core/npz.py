@@ -1,0 +1,168 @@
+"""NumPy's `.npz` files from anywhere: looked through before anything is read.
+
+What a zip and the arrays in it declare costs nothing to write: a thousand members, a terabyte of zeros,
+objects that are code. Here only the members that are asked for are read, by name, and each only after what
+the zip says of its size, what its own header says, and what the caller allows are in agreement.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import struct
+import zipfile
+from typing import Any, Final
+
+import numpy as np
+
+LONGEST_HEADER: Final = 1 << 24
+"""characters of a file's JSON header: it names each picture of a sequence, so 80 000 of long names"""
+
+_MOST_MEMBERS: Final = 4096
+_LONGEST_ENTRY: Final = 512
+"""bytes of a member in the zip's table of contents, on average"""
+_LONGEST_DESCRIPTION: Final = 1024
+"""characters with which a member describes its array; those of plain arrays have 128"""
+_END: Final = struct.Struct("<4s4H2LH")
+"""A zip's last record: mark, four counts of which the last is of members, the table's size and place, and the
+length of a comment"""
+
+
+class NotNpz(Exception):
+    """Why a file is no `.npz` that can be trusted, to be put after its name."""
+
+
+class NpzArchive:
+    """The arrays of an `.npz`, each read when it is asked for."""
+
+    def __init__(self, data: bytes, most_bytes: int) -> None:
+        """`most_bytes`: what all arrays together may take once they are read, with 8 bytes for each float.
+
+        Raises NotNpz.
+        """
+        self._left = most_bytes
+        try:
+            table = _table_start(data)
+            self._archive = zipfile.ZipFile(io.BytesIO(data))
+            self._members = _members(self._archive, table)
+        except NotNpz:
+            raise
+        except Exception as error:  # a damaged zip can fail in any way
+            raise NotNpz(f"is no zip, or a damaged one ({error})") from error
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._members
+
+    def array(self, name: str, kinds: str) -> np.ndarray:
+        """One member, writable and in native byte order; floats as float64.
+
+        `kinds`: which of NumPy's kinds of numbers it may hold, as in "f" or "iu". Raises KeyError where there
+        is no such member, and NotNpz.
+        """
+        info = self._members[name]
+        try:
+            with self._archive.open(info) as stream:
+                shape, fortran, dtype = _description(stream)
+                # Before anything is computed from it: no number of the shape is beyond what the zip declares.
+                if (
+                    dtype.kind not in kinds
+                    or dtype.hasobject
+                    or dtype.shape
+                    or dtype.itemsize not in _SIZES[dtype.kind]
+                ):
+                    raise NotNpz(f"holds {dtype} as {name}, which is none of its kinds")
+                if not all(type(n) is int and 0 <= n <= info.file_size for n in shape):
+                    raise NotNpz(f"holds {name} with an impossible shape")
+                count = math.prod(shape)
+                if count * dtype.itemsize + stream.tell() != info.file_size:
+                    raise NotNpz(f"holds {name} with another size than it declares")
+                self._pay(name, count * (8 if dtype.kind == "f" else dtype.itemsize))
+                raw = stream.read(count * dtype.itemsize)
+                if (
+                    stream.read(1) or len(raw) != count * dtype.itemsize
+                ):  # the end is where the sum is compared
+                    raise NotNpz(f"holds {name} with another size than it declares")
+        except (NotNpz, MemoryError):
+            raise
+        except Exception as error:
+            raise NotNpz(f"holds {name}, which is damaged ({error})") from error
+        flat = np.frombuffer(bytearray(raw), dtype=dtype)
+        del raw
+        wanted = np.dtype(np.float64) if dtype.kind == "f" else dtype.newbyteorder("=")
+        return flat.astype(wanted, copy=False).reshape(shape, order="F" if fortran else "C")
+
+    def header(self, name: str = "header") -> dict[str, Any]:
+        """The JSON object that a member holds as its only text. Raises KeyError and NotNpz."""
+        if self._members[name].file_size > 4 * LONGEST_HEADER:
+            raise NotNpz(f"has a {name} of more than {LONGEST_HEADER} characters")
+        try:
+            array = self.array(name, "U")
+            if array.shape != ():
+                raise NotNpz(f"has a {name} that is no single text")
+            content = json.loads(str(array[()]))
+        except (ValueError, RecursionError) as error:
+            raise NotNpz(f"has a {name} that is no JSON") from error
+        if not isinstance(content, dict):
+            raise NotNpz(f"has a {name} that is no JSON object")
+        return content
+
+    def _pay(self, name: str, size: int) -> None:
+        self._left -= size
+        if self._left < 0:
+            raise NotNpz(f"would take more memory than such a file ever needs, with its {name}")
+
+
+_SIZES: Final[dict[str, range | tuple[int, ...]]] = {
+    "b": (1,),
+    "i": (1, 2, 4, 8),
+    "u": (1, 2, 4, 8),
+    "f": (2, 4, 8),
+    "U": range(4, 4 * LONGEST_HEADER + 1, 4),
+}
+"""Bytes of an item, by NumPy's kind"""
+
+
+def _table_start(data: bytes) -> int:
+    """Where the zip's table of contents begins, once it is known to be short enough to be read at all."""
+    if len(data) < _END.size:
+        raise NotNpz("is no zip")
+    mark, _, _, _, count, size, _, comment = _END.unpack(data[-_END.size :])
+    # Without a comment, the record that zipfile finds is this one. NumPy writes none, and uses the longer
+    # records before it only for more than 4 GB.
+    if mark != b"PK\5\6" or comment or data[-_END.size - 20 :].startswith(b"PK\6\7"):
+        raise NotNpz("is no zip, or does not end where it should")
+    if count > _MOST_MEMBERS or size > count * _LONGEST_ENTRY:
+        raise NotNpz(f"has more than {_MOST_MEMBERS} members, or members with very long names")
+    return len(data) - _END.size - size
+
+
+def _members(archive: zipfile.ZipFile, table: int) -> dict[str, zipfile.ZipInfo]:
+    """The members by their arrays' names, none of which overlaps another or is packed as NumPy never does."""
+    infos = sorted(archive.infolist(), key=lambda info: info.header_offset)
+    ends = [*(info.header_offset for info in infos[1:]), table]
+    for info, end in zip(infos, ends, strict=False):
+        if info.header_offset + _LOCAL + info.compress_size > end:
+            raise NotNpz("has members that lie in each other")
+        if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise NotNpz("is encrypted, or compressed in a way that NumPy never uses")
+    members = {info.filename.removesuffix(".npy"): info for info in infos}
+    if len(members) != len(infos):
+        raise NotNpz("has two members of one name")
+    return members
+
+
+_LOCAL: Final = 30
+"""bytes before each member, and its name"""
+
+
+def _description(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """The shape, whether it is in Fortran's order, and the type, with which an array begins."""
+    version = np.lib.format.read_magic(stream)
+    size = struct.Struct("<H" if version == (1, 0) else "<I")
+    raw = stream.read(size.size)
+    if version not in ((1, 0), (2, 0)) or size.unpack(raw)[0] > _LONGEST_DESCRIPTION:
+        raise ValueError("it is described at length")
+    whole = io.BytesIO(raw + stream.read(size.unpack(raw)[0]))
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read(whole)

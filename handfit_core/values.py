@@ -1,0 +1,73 @@
+"""Values out of a file or from another process: each is of its kind and within its range, or is named.
+
+All raise `Unfit`, whose text is a sentence that its callers put behind the file's or the message's name.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any, Final
+
+LONGEST_PATH: Final = 32_767
+"""characters: the longest path that any system has (Windows'); Linux's are shorter"""
+
+LARGEST_WHOLE: Final = 2**62
+"""Whole numbers below it can be subtracted from each other in 64 bits"""
+
+
+class Unfit(ValueError):
+    """What is wrong with a value: which it is, what it must be, and what it is."""
+
+
+def number(name: str, value: Any, least: float = -math.inf, most: float = math.inf) -> float:
+    """A finite number from `least` to `most`. JSON's whole numbers have no limit, and true is none."""
+    real = isinstance(value, int | float) and not isinstance(value, bool)
+    # Before math looks at it, which cannot hold all whole numbers.
+    if real and -sys.float_info.max <= value <= sys.float_info.max and least <= value <= most:
+        return float(value)
+    raise Unfit(f"{name} must be a finite number{_between(least, most)}, not {shortly(value)}")
+
+
+def whole(name: str, value: Any, least: int = -LARGEST_WHOLE, most: int = LARGEST_WHOLE) -> int:
+    """A whole number from `least` to `most`."""
+    if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
+        return value
+    raise Unfit(f"{name} must be a whole number{_between(least, most)}, not {shortly(value)}")
+
+
+def text(name: str, value: Any, longest: int, errors: str = "strict") -> str:
+    """A text of at most `longest` characters that UTF-8 can hold, without NUL, which ends texts elsewhere."""
+    if isinstance(value, str) and len(value) <= longest and "\0" not in value:
+        try:
+            value.encode("utf-8", errors)
+        except UnicodeEncodeError:
+            pass
+        else:
+            return value
+    raise Unfit(f"{name} must be a text of at most {longest} characters, not {shortly(value)}")
+
+
+def path(name: str, value: Any) -> str:
+    """A path, also one that Linux has and UTF-8 does not."""
+    return text(name, value, LONGEST_PATH, "surrogateescape")
+
+
+def shortly(value: Any) -> str:
+    """A value as a sentence shows it, whatever it is: without the whole of a long text or list."""
+    if isinstance(value, str | bytes):
+        value = value[:60]
+    elif isinstance(value, list | tuple | dict):
+        return f"a {type(value).__name__} of {len(value)}"
+    elif isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+        return "a number that is too large"
+    shown = repr(value)
+    return shown if len(shown) <= 60 else f"{shown[:60]}..."
+
+
+def _between(least: float, most: float) -> str:
+    if abs(least) in (math.inf, LARGEST_WHOLE) and abs(most) in (math.inf, LARGEST_WHOLE):
+        return ""
+    if most in (math.inf, LARGEST_WHOLE):
+        return f" of at least {least:g}"
+    return f" from {least:g} to {most:g}"

@@ -1,0 +1,95 @@
+"""The error over time as the time editors draw it: from the take, beside all animation."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient import error_graph
+from blender_manient.scene.build import build_take
+from blender_manient.scene.confidence import POOR, hand_errors
+from blender_manient.scene.store import hand_of
+
+from .conftest import FRAMES, UNSEEN
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def armature(make_take):
+    return build_take(make_take(sides=("right",)).take).hands[0].armature
+
+
+def test_errors_are_the_takes_own_in_parts_of_the_hand(make_take):
+    take = make_take(sides=("right",)).take
+    errors = hand_errors(take, take.hands[0])
+    assert np.isnan(errors).tolist() == [row == UNSEEN for row in range(len(FRAMES))]
+    # Pixels over the length of the middle finger and the palm, as the camera sees it at their mean depth.
+    finger = take.hands[0].joints_3d[:, [0, 9, 10, 11, 12]]
+    metres = sum(np.linalg.norm(finger[:, i + 1] - finger[:, i], axis=-1) for i in range(4))
+    pixels = metres * take.intrinsics.fx / finger[..., 2].mean(axis=-1)
+    mean_depth = take.hands[0].joints_3d[..., 2].mean(axis=-1) / finger[..., 2].mean(axis=-1)
+    np.testing.assert_allclose(errors * pixels / mean_depth, take.hands[0].reprojection_error, rtol=1e-6)
+
+
+def test_lines_lie_over_their_frames_and_leave_gaps_open():
+    frames = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
+    errors = np.array([0.0, POOR / 2, np.nan, POOR / 4, 2 * POOR])
+    lines, values = error_graph.segments(frames, errors, (-10.0, 90.0), (1000.0, 80.0))
+    np.testing.assert_allclose(lines, [[[100, 0], [200, 20]], [[400, 10], [500, 80]]])
+    np.testing.assert_allclose(values, [[0.0, POOR / 2], [POOR / 4, 2 * POOR]])
+    assert len(error_graph.segments(frames, errors, (50.0, 90.0), (1000.0, 80.0))[0]) == 0
+    # What is small looks small: the full height stands at least for a poor hand.
+    low, _ = error_graph.segments(frames[:2], errors[:2] / 100, (0.0, 10.0), (100.0, 80.0))
+    assert low[..., 1].max() == pytest.approx(0.4)
+
+
+def test_it_is_shown_for_hands_that_were_detected_and_follows_copies(armature):
+    scene = bpy.context.scene
+    assert error_graph.shown_hands(scene) == []
+    armature.manient.show_error = True
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.manient.mirror_hand()
+    twin = armature.copy()
+    scene.collection.objects.link(twin)
+    for obj in scene.objects:
+        obj.manient.show_error = True
+    shown = [hand.armature for hand in error_graph.shown_hands(scene)]
+    assert set(shown) == {armature, twin}, "nothing was measured on the mirrored hand"
+    assert armature.animation_data.action == twin.animation_data.action
+
+
+def test_its_words_name_the_error_here_and_the_largest(armature):
+    hand = hand_of(armature)
+    errors = hand_errors(hand.take, hand.track)
+    said = error_graph.label(hand, errors, float(FRAMES[2]))
+    assert f"{100 * errors[2]:.1f} % here, {100 * np.nanmax(errors):.1f} % of the hand at most" in said
+    assert "here" not in error_graph.label(hand, errors, float(FRAMES[UNSEEN]))
+    assert "here" not in error_graph.label(hand, errors, 1000.0)
+
+
+def test_switching_it_on_changes_no_animation(armature, tmp_path):
+    def animation():
+        action = armature.animation_data.action
+        return action.name, len(bpy.data.actions), sorted(armature.keys())
+
+    before = animation()
+    armature.manient.show_error = True
+    assert animation() == before
+    assert "reprojection_error_px" not in armature
+    # It comes with a hand that is appended to another file.
+    path, name = str(tmp_path / "hand.blend"), armature.name
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path) as (_, into):
+        into.objects = [name]
+    bpy.context.scene.collection.objects.link(into.objects[0])
+    (hand,) = error_graph.shown_hands(bpy.context.scene)
+    assert hand.armature == into.objects[0]

@@ -1,0 +1,158 @@
+"""Which keys are the artist's own, and the range and the words with which Re-fit Range asks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+import blender_manient
+from blender_manient.correction_field import changed_quats
+from blender_manient.operators.refit_range import replaced, suggested_range
+from blender_manient.scene import corrections
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import PoseKeys, pose_at, write_pose_keys
+from blender_manient.scene.own_keys import keyed_by_hand, note_fitted
+from blender_manient.scene.store import hand_of
+from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.take import Source
+
+from .conftest import FRAMES, UNSEEN
+
+ROWS = np.arange(len(FRAMES))
+ROW = 2
+"""Of frame 5"""
+
+
+@pytest.fixture(autouse=True)
+def registered(empty_file):
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture(params=["matched", "retimed"])
+def armature(request, make_take, picture):
+    """On its own frames, and as a clip of 30 frames per second in a shot of 24 that begins at 1001."""
+    bpy.context.scene.frame_set(1001)
+    made = make_take(sides=("right",), source=Source("video", (str(picture),)), fps=30.0)
+    built = build_take(made.take, match_scene=request.param == "matched", picture=False)
+    bpy.context.view_layer.objects.active = built.hands[0].armature
+    return built.hands[0].armature
+
+
+def place(armature, row: int = ROW) -> float:
+    return float(corrections.timing_of(armature).scene_frames(FRAMES)[row])
+
+
+def turned(armature, row: int = ROW, joints: tuple[int, ...] = (5,), by: float = 0.2) -> np.ndarray:
+    """Rotate bones and key them, as an artist does."""
+    frame = np.array([place(armature, row)])
+    quats, locations = pose_at(armature, "right", frame)
+    keyed = np.isin(np.arange(NUM_JOINTS), joints)[None]
+    quats = changed_quats(quats, np.zeros((1, 16, 3)), np.full((1, 16, 3), by))
+    write_pose_keys(armature, "right", PoseKeys(frame, quats, locations, keyed, np.array([False])))
+    return quats
+
+
+def own(armature) -> list[tuple[int, int]]:
+    """(row, bone) of the artist's keys; bone 16 is the wrist's location."""
+    hand = hand_of(armature)
+    assert hand is not None
+    return [(int(r), int(b)) for r, b in zip(*np.nonzero(keyed_by_hand(hand, ROWS)), strict=True)]
+
+
+def test_what_a_capture_keyed_is_nobodys_own(armature):
+    assert own(armature) == []
+
+
+def test_keys_that_were_changed_or_set_where_there_were_none_are_the_artists(armature):
+    turned(armature, joints=(5, 6))
+    assert own(armature) == [(ROW, 5), (ROW, 6)]
+    turned(armature, UNSEEN, joints=(9,))
+    assert own(armature) == [(ROW, 5), (ROW, 6), (UNSEEN, 9)]
+
+
+def test_a_correction_and_its_fading_are_no_keys_by_hand(armature):
+    frame = np.array([place(armature)])
+    quats, locations = pose_at(armature, "right", frame)
+    dragged = changed_quats(quats[0], np.zeros((16, 3)), np.full((16, 3), 0.2))
+    corrections.correct_frame(armature, FRAMES[ROW], {8: (1.0, 2.0)}, dragged, locations[0] + 0.01, 4)
+    assert own(armature) == []
+    turned(armature, ROW + 1)
+    assert own(armature) == [(ROW + 1, 5)]
+
+
+def test_other_proportions_make_no_key_the_artists(armature):
+    armature.manient.betas = [2.0, -2.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert own(armature) == []
+
+
+def test_what_was_fitted_again_is_nobodys_own_until_it_is_changed(armature):
+    quats = turned(armature, joints=tuple(range(16)))
+    assert len(own(armature)) == 16
+    _, locations = pose_at(armature, "right", np.array([place(armature)]))
+    note_fitted(armature, [int(FRAMES[ROW])], quats, locations)
+    assert own(armature) == []
+    armature.manient.betas[0] += 1.0
+    assert own(armature) == []
+    again = turned(armature, ROW + 1, joints=(3,))
+    assert own(armature) == [(ROW + 1, 3)]
+    note_fitted(armature, [int(FRAMES[ROW + 1])], again, locations)
+    turned(armature, ROW)
+    assert own(armature) == [(ROW, 5)]
+    # What cannot be read protects every key that the take does not know.
+    armature.manient.fitted = "no text of ours"
+    assert len(own(armature)) == 17
+
+
+def test_the_words_follow_the_range(armature):
+    turned(armature, 1, joints=(5, 6))
+    turned(armature, 3, joints=(7,))
+    frames = [round(place(armature, row)) for row in range(len(FRAMES))]
+    said, alert = replaced(bpy.context, frames[0], frames[-1])
+    assert said == "Fits 12 frames again. Replaces 3 keys set by hand, on 2 frames"
+    assert alert
+    said, alert = replaced(bpy.context, frames[5], frames[-1])
+    assert said == "Fits 7 frames again. Replaces no key set by hand"
+    assert not alert
+    assert replaced(bpy.context, 5000, 6000) == ("None of these frames was captured", False)
+    # Locked joints keep their keys.
+    armature.manient.locked[7] = True
+    assert "2 keys set by hand, on 1 frame" in replaced(bpy.context, frames[0], frames[-1])[0]
+
+
+def test_corrections_are_named_too(armature):
+    bpy.context.scene.frame_set(round(place(armature, 0)))
+    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    frame = place(armature, 8)
+    quats, locations = pose_at(armature, "right", np.array([frame]))
+    corrections.correct_frame(armature, FRAMES[8], {8: (1.0, 2.0)}, quats[0], locations[0], 2)
+    said, alert = replaced(bpy.context, round(place(armature, 0)), round(place(armature, 11)))
+    assert said == "Fits 12 frames again. Replaces 1 relaxed pose. The points of 1 corrected frame stay"
+    assert alert
+
+
+def test_the_range_that_is_offered_is_never_everything(make_take):
+    made = make_take(sides=("right",), fps=4.0)
+    doubtful = np.isin(FRAMES, (7, 8))
+    track = replace(made.take.hands[0], doubtful=doubtful)
+    armature = build_take(replace(made.take, hands=(track,))).hands[0].armature
+    scene = bpy.context.scene
+    bpy.context.view_layer.objects.active = armature
+    scene.frame_set(14)
+    assert suggested_range(bpy.context) == (12, 16), "half a second around"
+    scene.frame_set(18)
+    assert suggested_range(bpy.context) == (16, 18), "as far as it was captured"
+    scene.frame_set(99)
+    assert suggested_range(bpy.context) == (16, 18)
+    quats, locations = pose_at(armature, "right", np.array([14.0]))
+    corrections.correct_frame(armature, 14, {8: (1.0, 2.0)}, quats[0], locations[0], 3)
+    scene.frame_set(12)
+    assert suggested_range(bpy.context) == (11, 17), "the correction's reach"
+    scene.frame_set(8)
+    assert suggested_range(bpy.context) == (7, 8), "the doubtful stretch"
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 5, 9
+    assert suggested_range(bpy.context) == (5, 9)

@@ -1,0 +1,144 @@
+"""Hand models from anywhere: read as they were written, or refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import HandModelError
+from handfit_core.hand_model import load_model, save_model_npz
+from tests.imitation_mano import imitation_arrays, imitation_model, write_mano_pickle
+
+
+def message_of(model: str | Path) -> str:
+    with pytest.raises(HandModelError) as caught:
+        load_model(model, "right")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 700
+    return message
+
+
+def edited(path: Path, **changes: Any) -> Path:
+    """A model's file with header fields or arrays changed; None drops an array, and new names add one."""
+    save_model_npz(load_model(None, "right"), path)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    header = json.loads(str(arrays["header"]))
+    for name, value in changes.items():
+        if name in header:
+            header[name] = value
+        elif value is None:
+            del arrays[name]
+        else:
+            arrays[name] = value
+    np.savez_compressed(path, **(arrays | {"header": np.array(json.dumps(header))}))
+    return path
+
+
+def test_a_model_comes_back(tmp_path: Path) -> None:
+    ours = load_model(None, "right")
+    back = load_model(edited(tmp_path / "hand.npz", unknown=np.array([None])), "right")
+    assert back.digest == ours.digest
+    np.testing.assert_array_equal(back.polygons, ours.polygons)
+    np.testing.assert_array_equal(back.uv_faces, ours.uv_faces)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"version": "1"}, "version must be a whole number"),
+        ({"version": 2}, "format version 2"),
+        ({"name": ["hand"]}, "name must be a text"),
+        ({"name": "a" * 10_000}, "name must be a text"),
+        ({"side": {}}, "side must be a text"),
+        ({"side": "up"}, "left or right, not 'up'"),
+        ({"format": "handfit-take"}, "another format"),
+        ({"weights": None}, "lacks weights"),
+        ({"weights": np.array(["1"])}, "holds <U1 as weights"),
+        ({"faces": np.arange(6)}, "faces has shape 6"),
+        ({"faces": np.zeros((3, 3))}, "expected integers"),
+        ({"faces": np.zeros((200_000, 3), dtype=np.int32)}, "more than 100000"),
+        ({"quads": np.arange(8)}, "quads has shape 8"),
+        ({"uv_faces": np.arange(8)}, "uv_faces has shape 8"),
+        ({"uv_faces": np.array(3)}, "uv_faces has shape"),
+        ({"uv_faces": np.zeros((5, 4), dtype=np.int32)}, "uv_faces has 5 rows for 1598 polygons"),
+        ({"uv_faces": np.zeros((1598, 3), dtype=np.int32)}, "uv_faces has shape 1598x3"),
+        ({"uv": np.full((10, 2), np.nan)}, "uv holds values that are not finite"),
+        ({"v_template": np.zeros((1609, 3))}, "0 m long"),
+        ({"v_template": np.zeros((0, 3))}, "1 to 50000 vertices, not 0"),
+        ({"v_template": np.zeros((60_000, 3))}, "1 to 50000 vertices, not 60000"),
+        ({"v_template": np.random.default_rng(0).normal(size=(1609, 3)) * 200}, "a hand model is in metres"),
+        ({"hands_mean": np.full(45, 1e300)}, "hands_mean holds values beyond"),
+        ({"tip_vertices": np.array([1, 2, 3, 4, 5000])}, "do not exist"),
+        ({"tip_vertices": np.array([-1, 2, 3, 4, 5])}, "do not exist"),
+    ],
+    ids=lambda value: str(value)[:50],
+)
+def test_everything_in_a_model_is_of_its_kind(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    assert said in message_of(edited(tmp_path / "hand.npz", **changes))
+
+
+def test_a_small_model_takes_no_memory(tmp_path: Path) -> None:
+    """400 kB that claim 400 MB: known arrays beyond any model's size, and unknown ones."""
+    zeros = np.zeros((12_500_000, 4), dtype=np.uint8)
+    path = edited(tmp_path / "hand.npz", posedirs=None, shapedirs=np.zeros((1609, 3, 6000)), unknown=zeros)
+    tracemalloc.start()
+    try:
+        assert "more memory than such a file ever needs" in message_of(path)
+        assert tracemalloc.get_traced_memory()[1] < 60_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_names_that_are_no_model(tmp_path: Path) -> None:
+    """A take names its model, and Blender reads it: nothing there is waited for, and nothing escapes."""
+    for suffix in (".npz", ".pkl"):
+        pipe = tmp_path / f"pipe{suffix}"
+        os.mkfifo(pipe)
+        assert "no file, but a pipe" in message_of(pipe)
+    os.mkfifo(tmp_path / "MANO_RIGHT.npz")
+    assert "has no MANO_RIGHT" in message_of(tmp_path)
+    assert "no file, but a pipe" in message_of("/dev/zero")
+    for name in ("a\0b", "/nowhere/\udcff.npz", "~nobody-of-that-name/hand.npz", "", "a" * 5000, "a" * 300):
+        assert "hand model" in message_of(name) or "MANO_RIGHT" in message_of(name)
+    large = tmp_path / "large.npz"
+    with large.open("wb") as stream:
+        stream.truncate(1 << 40)  # sparse, takes no room
+    assert "too large" in message_of(large)
+
+
+@pytest.mark.parametrize("kind", ["npz", "pkl"])
+def test_mutated_models_are_models_or_a_sentence(tmp_path: Path, kind: str) -> None:
+    rng, path = np.random.default_rng(5), tmp_path / f"hand.{kind}"
+    if kind == "npz":
+        save_model_npz(imitation_model(), path)
+    else:
+        write_mano_pickle(path, imitation_arrays())
+    whole, refused = path.read_bytes(), 0
+    # Descriptions lie at the beginning, in a zip also at the end, and between arrays.
+    marks = [at for at in range(len(whole) - 8) if whole[at : at + 4] in (b"PK\3\4", b"PK\1\2", b"nump")]
+    for _ in range(150):
+        data = bytearray(whole)
+        near = (
+            int(rng.choice([*marks, len(data) - 22])) if rng.random() < 0.8 else int(rng.integers(len(data)))
+        )
+        for _ in range(rng.integers(1, 4)):
+            at = min(near + int(rng.integers(120)), len(data) - 1)
+            if rng.random() < 0.7:
+                data[at] = rng.integers(256)
+            else:
+                del data[at : at + int(rng.integers(1, 20))]
+        path.write_bytes(data)
+        try:
+            load_model(path, "right")
+        except HandModelError:
+            refused += 1
+    assert refused > 75
