@@ -1,6 +1,6 @@
 """The process in which hostile cases run: it takes them one by one on stdin, and answers on stdout.
 
-`python -m tests.hostile.child MODULE`, whose DOORS are functions that raise HandfitError for what they refuse.
+`python -m tests.hostile.child MODULE`: its DOORS are functions that raise HandfitError for what they refuse.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The command lines: `python -m handfit_core` and scripts/batch_fit.py, with inputs of all the other kinds."""
+"""The command lines: `python -m handfit_core` and scripts/batch_fit.py, with inputs of the other kinds."""
 
 from __future__ import annotations
 

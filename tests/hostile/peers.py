@@ -153,30 +153,37 @@ def raw(data): sys.stdout.buffer.write(data); sys.stdout.buffer.flush()
 def say(**event): raw(json.dumps(event).encode() + b"\\n")
 def ready(**more): say(**{{"event": "ready", "protocol": {PROTOCOL}, "version": "0", "pid": os.getpid(), "python": "3", **more}})
 def request(): return json.loads(sys.stdin.readline())["id"]
+def begin(): ready(); return request()
+def fail(number): say(event="error", id=number, type="InputError", message="x")
 """
 """What a false worker begins with; without it, one of ours would not be believed."""
+
+_READY = f'"event":"ready","protocol":{PROTOCOL},"version":"0"'
 
 WORKERS: dict[str, str] = {
     "endless-line": "ready()\nraw(b'{')\nwhile 1: raw(b'x' * (1 << 20))",
     "endless-first-line": "while 1: raw(b'{' * (1 << 20))",
-    "endless-noise": "ready()\nn = request()\nfor i in range(3000): raw(b'noise\\n' * 1000)\nsay(event='error', id=n, type='InputError', message='x')",
-    "endless-stderr": "ready()\nn = request()\nos.write(2, b'x' * 50_000_000)\nsay(event='error', id=n, type='InputError', message='x')",
-    "endless-warnings": "ready()\nn = request()\nfor i in range(20000): say(event='warning', id=n, message='w' * 99)\nsay(event='error', id=n, type='InputError', message='x')",
-    "deep": f"ready()\nn = request()\nraw(b'{{\"a\":' * {DEEP} + b'\\n')\nsay(event='error', id=n, type='InputError', message='x')",
-    "long-line": "ready()\nn = request()\nsay(event='warning', id=n, message='x' * 30_000_000)\nsay(event='error', id=n, type='InputError', message='x')",
-    "silent-end": "ready()\nrequest()",
+    "endless-noise": "n = begin()\nfor i in range(3000): raw(b'noise\\n' * 1000)\nfail(n)",
+    "endless-stderr": "n = begin()\nos.write(2, b'x' * 50_000_000)\nfail(n)",
+    "endless-warnings": "n = begin()\nfor i in range(20000): say(event='warning', id=n, message='w' * 99)\nfail(n)",
+    "deep": f"n = begin()\nraw(b'{{\"a\":' * {DEEP} + b'\\n')\nfail(n)",
+    "long-line": "n = begin()\nsay(event='warning', id=n, message='x' * 30_000_000)\nfail(n)",
+    "silent-end": "begin()",
     "no-ready": "request()\nsay(event='done', id=1)",
     "binary": "raw(os.urandom(300_000))",
     "nul": "raw(bytes(300_000))",
-    "closes-stdout": "ready()\nrequest()\nos.close(1)\ntime.sleep(60)",
+    "closes-stdout": "begin()\nos.close(1)\ntime.sleep(60)",
     "closes-stdin": "ready()\nos.close(0)\nos._exit(4)",
-    "orphan": "ready()\nrequest()\nif os.fork() == 0: time.sleep(60)\nos._exit(0)",
-    "says-memory": "ready()\nrequest()\nprint('MemoryError', file=sys.stderr)\nos._exit(1)",
-    "says-traceback-half": "ready()\nrequest()\nos.write(2, b'Trace\\xff\\xfe\\n')\nos._exit(1)",
-    **{f"signal-{name}": f"ready()\nrequest()\nos.kill(os.getpid(), signal.{name})" for name in ("SIGKILL", "SIGSEGV", "SIGTERM", "SIGABRT", "SIGUSR1")},
-    **{f"exit-{code}": f"ready()\nrequest()\nos._exit({code})" for code in (0, 1, 3, 137, 255)},
+    "orphan": "begin()\nif os.fork() == 0: time.sleep(60)\nos._exit(0)",
+    "says-memory": "begin()\nprint('MemoryError', file=sys.stderr)\nos._exit(1)",
+    "says-traceback-half": "begin()\nos.write(2, b'Trace\\xff\\xfe\\n')\nos._exit(1)",
     **{
-        f"ready-{field}-{name}": f"raw(b'{{\"event\":\"ready\",\"protocol\":{PROTOCOL},\"version\":\"0\",\"{field}\":{value}}}\\n')\nn = request()\nsay(event='error', id=n, type='InputError', message='x')"
+        f"signal-{name}": f"begin()\nos.kill(os.getpid(), signal.{name})"
+        for name in ("SIGKILL", "SIGSEGV", "SIGTERM", "SIGABRT", "SIGUSR1")
+    },
+    **{f"exit-{code}": f"begin()\nos._exit({code})" for code in (0, 1, 3, 137, 255)},
+    **{
+        f"ready-{field}-{name}": f"raw(b'{{{_READY},\"{field}\":{value}}}\\n')\nfail(request())"
         for field in ("protocol", "version", "pid", "python")
         for name, value in VALUES.items()
         if name in ("null", "list", "object", "huge", "text", "whole")
@@ -203,9 +210,9 @@ def _workers() -> Iterator[Case]:
                 message = {"event": event, "id": "@n", **fields, field: "@@"}
                 text = json.dumps(message).replace('"@@"', "@@")
                 code = (
-                    f"ready()\nn = request()\nbig = {VALUES[lie] if lie != 'deep' else ''!r} or '[' * {DEEP} + ']' * {DEEP}\n"
+                    f"n = begin()\nbig = {VALUES[lie] if lie != 'deep' else ''!r} or '[' * {DEEP} + ']' * {DEEP}\n"
                     f"raw({text!r}.replace('\"@n\"', str(n)).replace('@@', big).encode() + b'\\n')\n"
-                    "say(event='error', id=n, type='InputError', message='x')"
+                    "fail(n)"
                 )
                 kind = (
                     "capture"
@@ -216,14 +223,14 @@ def _workers() -> Iterator[Case]:
                 )
                 yield _worker(f"{event}-{field}-{lie}", code, kind, known=(field, lie) == ("id", "lists"))
     for name in ("Cancelled", "HandfitError", "SystemExit", "annotations", "__name__", "BuildInterrupted"):
-        code = f"ready()\nn = request()\nsay(event='error', id=n, type={name!r}, message='two\\nlines', details=5)"
+        code = f"n = begin()\nsay(event='error', id=n, type={name!r}, message='two\\nlines', details=5)"
         yield _worker(f"error-called-{name}", code, "capture")
     for mutation in MUTATIONS:
         for number in range(4):
 
             def make(place: Place, mutation=mutation) -> dict[str, Any]:
                 line = mutated(encode({"event": "done", "id": 1, **_EVENTS[3][1]}), mutation, place.rng)
-                return _peer(place, f"ready()\nrequest()\nraw({line!r} + b'\\n')", "probe")
+                return _peer(place, f"begin()\nraw({line!r} + b'\\n')", "probe")
 
             yield Case(f"worker-{mutation.__name__}-{number}", "blender.client", make)
 
