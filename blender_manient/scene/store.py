@@ -147,6 +147,8 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
     if not 0 <= index < len(take.hands) or take.hands[index].side != side:
         return None
     camera = collection.manient.camera
+    if camera is not None and camera.type != "CAMERA":  # any script, or file, can name another object
+        camera = None
     return CapturedHand(
         armature,
         _mesh_of(armature, take, side),

@@ -341,3 +341,12 @@ def test_a_shape_that_is_not_finite_is_no_hand(make_take):
     assert store.hand_of(armature) is not None
     armature.manient.betas[3] = float("nan")
     assert store.hand_of(armature) is None
+
+
+def test_what_is_no_camera_saw_no_hand(make_take):
+    built = build_take(make_take().take)
+    armature = built.hands[0].armature
+    built.collection.manient.camera = armature
+    hand = store.hand_of(armature)
+    assert hand is not None
+    assert hand.camera is None
