@@ -204,6 +204,16 @@ def run_again_as_another_processor(session: nox.Session, *paths: str) -> None:
         run_pytest(session, *paths, env=OTHER_PROCESSOR)
 
 
+@nox.session(python=PYTHON)
+def hostile(session: nox.Session) -> None:
+    """Hostile files, names, peers and .blends, thousands of them, each within limits of time and memory.
+
+    `-- -m quick`: a part of each kind, as CI does; `-- -k NAME`: one.
+    """
+    install(session, *RUN_TIME, BPY["4.5"], "pytest")
+    run_pytest(session, "tests/hostile")
+
+
 def run_pytest(
     session: nox.Session, *paths: str, allowed_skips: str = "", env: dict[str, str] | None = None
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import InputError
+from handfit_core.files import shown, why
 from handfit_core.media import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 
 
@@ -37,6 +38,14 @@ def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
 
     Raises InputError with a sentence for the panel.
     """
+    try:
+        return _resolved(path_text, as_sequence)
+    except (OSError, RuntimeError, ValueError) as error:  # names that no file can have, ~nobody
+        why_not = why(error) if isinstance(error, (OSError, ValueError)) else str(error)
+        raise InputError(f"{shown(path_text)} cannot be opened ({why_not}): choose another file") from error
+
+
+def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
     if not path_text:
         raise InputError("Choose a photo, an image sequence or a video")
     # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.

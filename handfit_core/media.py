@@ -36,7 +36,7 @@ from handfit_core.take import Source
 log = logging.getLogger("handfit")
 
 PHOTO_SUFFIXES = frozenset(
-    f".{name}" for name in "jpg jpeg jpe png webp bmp dib tif tiff jp2 ppm pgm pnm hdr".split(" ")
+    f".{name}" for name in "jpg jpeg jpe png webp bmp dib tif tiff ppm pgm pnm hdr".split(" ")
 )
 VIDEO_SUFFIXES = frozenset(
     f".{name}" for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ogv gif".split(" ")
@@ -255,6 +255,10 @@ def _suffixes(suffixes: frozenset[str]) -> str:
     return " ".join(sorted(suffixes))
 
 
+_JPEG_2000 = (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")
+"""What such files begin with. OpenCV 4.11's decoder ends the process on every header that it refuses."""
+
+
 def read_picture(
     path: Path, *, as_stored: bool = False, max_megapixels: float | None = None
 ) -> tuple[np.ndarray, int]:
@@ -271,6 +275,8 @@ def read_picture(
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if data.startswith(_JPEG_2000):
+        raise InputError(f"{path}: JPEG 2000 pictures are not read; save it as .png or .jpg")
     try:
         # From memory, since OpenCV cannot open paths that are not ASCII on Windows.
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)

@@ -86,7 +86,7 @@ class NpzArchive:
         except (NotNpz, MemoryError):
             raise
         except Exception as error:
-            raise NotNpz(f"holds {name}, which is damaged ({error})") from error
+            raise NotNpz(f"holds {name}, which is damaged ({str(error)[:200]})") from error
         flat = np.frombuffer(bytearray(raw), dtype=dtype)
         del raw
         wanted = np.dtype(np.float64) if dtype.kind == "f" else dtype.newbyteorder("=")

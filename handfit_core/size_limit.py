@@ -4,8 +4,10 @@ before anything decodes them. The core asks before OpenCV does, the add-on befor
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -113,12 +115,14 @@ def not_a_video(path: Path) -> str:
     )
 
 
-def _opened(path: Path) -> BinaryIO:
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
     if not path.is_file():  # a named pipe would be waited for
         raise InputError(f"{path}: there is no such file")
     try:
-        return open(path, "rb")
-    except OSError as error:
+        with open(path, "rb") as stream:
+            yield stream
+    except OSError as error:  # also where a header names a place that no file reaches
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 

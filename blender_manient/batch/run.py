@@ -91,7 +91,7 @@ def _run_with(worker: Worker, jobs: list[Job], order: Order, keep_addons: bool) 
         finally:
             result.seconds = round(time.perf_counter() - started, 3)
             if not order.flat:
-                with contextlib.suppress(OSError):
+                with contextlib.suppress(OSError, ValueError):
                     order.folder(job.name).rmdir()  # only if nothing was written
             try:
                 write_report(report, results)

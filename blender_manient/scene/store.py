@@ -20,6 +20,7 @@ import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model.forearm import Wrist, with_wrist
+from handfit_core.media import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 
@@ -31,6 +32,9 @@ _CACHED = 8
 """takes that are kept decoded"""
 _CHUNK = 3 << 18
 """bytes that are encoded at once (a multiple of 3), in some milliseconds"""
+
+_BEYOND = 2.0**31
+"""What Blender takes for no frame number any more, and raises"""
 
 _cache: OrderedDict[str, Take | TakeError] = OrderedDict()
 """Digest -> what it decodes to. Undo and other files change the digest, never what belongs to it"""
@@ -127,13 +131,14 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
     """The captured hand that an armature or its mesh belongs to.
 
     None for all other objects, and for hands whose take is not there: ones that an older version built,
-    or that were copied to another file without their collection. `kept_take` says what is wrong.
+    or that were copied to another file without their collection. `kept_take` says what is wrong. None also
+    for one whose shape is not finite, which only a damaged or hostile file holds.
     """
     armature = _armature_of(obj)
     if armature is None:
         return None
     collection = armature.manient.capture
-    if collection is None:
+    if collection is None or not np.all(np.isfinite(armature.manient.betas)):
         return None
     try:
         take = kept_take(collection)
@@ -143,6 +148,8 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
     if not 0 <= index < len(take.hands) or take.hands[index].side != side:
         return None
     camera = collection.manient.camera
+    if camera is not None and camera.type != "CAMERA":  # any script, or file, can name another object
+        camera = None
     return CapturedHand(
         armature,
         _mesh_of(armature, take, side),
@@ -176,8 +183,11 @@ def rows_at(collection: bpy.types.Collection, take: Take, frames: np.ndarray) ->
 
 
 def timing_of(collection: bpy.types.Collection) -> Timing:
-    """Where the collection's take lies in its scene's time."""
-    return Timing(collection.manient.frame_offset, collection.manient.frame_scale)
+    """Where the collection's take lies in its scene's time; on its own frames, where the file names a place
+    that no timeline reaches."""
+    offset, scale = collection.manient.frame_offset, collection.manient.frame_scale
+    farthest = abs(offset) + abs(scale) * MAX_FRAME_NUMBER
+    return Timing(offset, scale) if scale and farthest < _BEYOND else Timing()
 
 
 def scene_frames(collection: bpy.types.Collection, take: Take) -> np.ndarray:

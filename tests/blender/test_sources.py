@@ -66,3 +66,9 @@ def test_video(tmp_path):
     path = tmp_path / "clip.MP4"
     path.write_bytes(b"video")
     assert sources.resolve(str(path), as_sequence=True).kind == "video"
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "[" * 100_000, "a\0b", "~nobody-of-this-name/x.png"])
+def test_a_name_that_no_file_can_have_is_a_sentence(name):
+    with pytest.raises(InputError, match="choose"):
+        sources.resolve(name, as_sequence=False)

@@ -323,3 +323,30 @@ def test_nothing_is_kept_without_the_add_on(make_take):
             store.kept_take(built.collection)
     finally:
         blender_manient.register()
+
+
+@pytest.mark.parametrize(
+    ("offset", "scale"), [(1e30, 1.0), (0.0, 1e9), (float("nan"), 1.0), (0.0, float("nan"))]
+)
+def test_a_time_that_no_timeline_reaches_is_none(make_take, offset, scale):
+    """As only a hostile file has it: Blender raises for such frames."""
+    made = make_take()
+    collection = build_take(made.take).collection
+    collection.manient.frame_offset, collection.manient.frame_scale = offset, scale
+    np.testing.assert_array_equal(store.scene_frames(collection, made.take), made.take.frame_numbers)
+
+
+def test_a_shape_that_is_not_finite_is_no_hand(make_take):
+    armature = build_take(make_take().take).hands[0].armature
+    assert store.hand_of(armature) is not None
+    armature.manient.betas[3] = float("nan")
+    assert store.hand_of(armature) is None
+
+
+def test_what_is_no_camera_saw_no_hand(make_take):
+    built = build_take(make_take().take)
+    armature = built.hands[0].armature
+    built.collection.manient.camera = armature
+    hand = store.hand_of(armature)
+    assert hand is not None
+    assert hand.camera is None

@@ -255,3 +255,14 @@ def test_range_outside(tmp_path: Path, video: Path) -> None:
 
 def test_names_that_are_not_ascii(tmp_path: Path) -> None:
     assert numbers(write(tmp_path / "手 übung.png", grey(1))) == [1]
+
+
+@pytest.mark.parametrize("cut", [1, 60])
+@pytest.mark.parametrize("suffix", ["png", "xyz"])
+def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: str) -> None:
+    """OpenCV crashes on damaged ones, by whatever name they come."""
+    whole = cv2.imencode(".jp2", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(whole[:-cut])
+    with pytest.raises(InputError, match=r"JPEG 2000|neither a picture"):
+        open_media(path)

@@ -1,0 +1,101 @@
+"""The command lines: `python -m handfit_core` and scripts/batch_fit.py, with inputs of the other kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from tests.hostile import models, pickles, pictures, takes, videos
+from tests.hostile.engine import Case, Place
+from tests.hostile.npz import bomb
+
+BAD: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "picture": ("a.png", lambda: pictures.encoded("png")[:-300]),
+    "jpeg": ("a.jpg", lambda: pictures.jpeg(32000, 32000)),
+    "video": ("a.mp4", lambda: videos.good_bytes()[:500]),
+    "playlist": ("a.mp4", lambda: videos.HLS % b"kept.npz"),
+    "nothing": ("a.jpg", lambda: b""),
+    "words": ("a", lambda: b"words"),
+}
+OPTIONS: dict[str, list[str]] = {
+    "frames": ["--frames", "9" * 5000], "frames-minus": ["--frames=-5"], "threshold-nan": ["--threshold", "nan"],
+    "threshold-huge": ["--threshold", "1e999"], "smoothing": ["--smoothing", "-inf"], "length": ["--hand-length", "nan"],
+    "intrinsics": ["--intrinsics", "nan,inf,1e999,0"], "intrinsics-few": ["--intrinsics", ",,,"], "solver": ["--solver", "../x"],
+    "solver-long": ["--solver", "x" * 5000], "model": ["--model", "/dev/zero"], "landmarks": ["--landmark-model", "kept.npz"],
+    "surrogate": ["--model", "\udcff"], "nul": ["--model", "a\0b"], "unknown": ["--__class__", "x"], "hands": ["--hands", "\u202e"],
+}  # fmt: skip
+
+
+def cases() -> Iterator[Case]:
+    for kind, (file, data) in BAD.items():
+        for output in (
+            "result/out.npz",
+            "kept.npz",
+            "result",
+            "/proc/out.npz",
+            "/dev/full",
+            "result/x/" * 40 + "y.npz",
+            "a\0b",
+            "\udcff.npz",
+        ):
+
+            def capture(place: Place, file=file, data=data, output=output) -> dict[str, Any]:
+                place.write(file, data())
+                return {"argv": ["capture", file, "-o", output]}
+
+            name = f"{kind}-to-{output[:14].replace('/', '-').replace(chr(0), '0')}"
+            yield Case(
+                f"command-{name.encode('ascii', 'replace').decode()}", "core.command", capture, refused=True
+            )
+        yield Case(
+            f"process-{kind}", "core.process",
+            lambda place, file=file, data=data: {"argv": ["capture", str(place.write(file, data())), "-o", "kept.npz"]},
+            refused=True,
+        )  # fmt: skip
+    for name, options in OPTIONS.items():
+
+        def chosen(place: Place, options=options) -> dict[str, Any]:
+            place.write("a.png", pictures.encoded("png")[:-300])
+            return {"argv": ["capture", "a.png", "-o", "result/out.npz", *options]}
+
+        yield Case(f"command-option-{name}", "core.command", chosen)
+    for name, file, made in (
+        ("bomb", "a.npz", lambda: bomb({}, "header", 3 << 29)),
+        ("runs", "MANO_RIGHT.pkl", pickles.system_call),
+        ("cut", "a.npz", lambda: models.good_bytes()[:-50]),
+        ("half", "MANO_LEFT.pkl", lambda: pickles.mano()[:9999]),
+    ):
+        for door in ("command", "process"):
+            for verb in (["info"], ["convert"]):
+
+                def model(place: Place, file=file, made=made, verb=verb) -> dict[str, Any]:
+                    target = ["kept.npz"] if verb == ["convert"] else []
+                    return {"argv": ["model", *verb, str(place.write(file, made())), *target]}
+
+                yield Case(f"{door}-model-{verb[0]}-{name}", f"core.{door}", model, refused=True)
+    for name, make in (
+        ("damaged", lambda: takes.good_bytes()[:-200]),
+        ("runs", pickles.system_call),
+        ("bomb", lambda: bomb({}, "header", 3 << 29)),
+        ("nothing", lambda: b""),
+    ):
+
+        def batch(place: Place, make=make) -> dict[str, Any]:
+            place.write("a.take.npz", make())
+            place.write("good.take.npz", takes.good_bytes())
+            inputs = ["a.take.npz", "good.take.npz"]
+            return {"argv": [*inputs, "-o", "result", "--format", "glb"], "code": 1}
+
+        yield Case(f"batch-{name}", "blender.batch", batch)
+    for name, argv, code in (
+        ("no-input", ["nowhere.npz", "-o", "result"], 1),
+        ("into-a-file", ["kept.npz", "-o", "kept.npz"], 2),
+        ("format", ["kept.npz", "-o", "result", "--format", "exe"], 2),
+        ("long-name", ["x" * 5000, "-o", "result"], 1),
+        ("surrogate", ["\udcff.npz", "-o", "result"], 1),
+        ("nul", ["a\0b", "-o", "result"], 1),
+        ("frames", ["kept.npz", "-o", "result", "--frames", "9" * 5000], 2),
+    ):
+        yield Case(
+            f"batch-{name}", "blender.batch", lambda _, argv=argv, code=code: {"argv": argv, "code": code}
+        )

@@ -1,0 +1,192 @@
+"""The core's doors as hostile cases knock at them, without Blender.
+
+Each opens its input as the program does, goes on as it would, and looks whether what it got is sane.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2  # noqa: F401  (loaded before the first case: its memory is no case's)
+import numpy as np
+
+from handfit_core import errors
+from handfit_core.__main__ import main
+from handfit_core.hand_model import load_model
+from handfit_core.lens import known_intrinsics
+from handfit_core.media import open_media
+from handfit_core.pipeline import hand_summaries
+from handfit_core.skeleton import SIDES
+from handfit_core.take import Take
+from handfit_core.worker import probing, protocol
+from handfit_core.worker.server import Server
+from tests.hostile.engine import MOST_BYTES
+
+FRAMES = 4
+"""How many frames of a video are looked at."""
+
+
+def take(path: str) -> None:
+    """Read a take, and what is read of it when it is listed, kept and shown."""
+    check_take(Take.load(path))
+
+
+def check_take(found: Take) -> None:
+    """Raises AssertionError for a take that nothing behind the door expects."""
+    texts = (*found.source.files, found.source.kind, found.solver, found.model, *found.model_digests.values())
+    assert all(type(text) is str for text in texts), "a text that is none"
+    assert 0 < found.fps <= 1e6, f"fps {found.fps}"
+    assert type(found.width) is type(found.height) is int
+    assert max(found.width, found.height) < 1 << 20
+    assert all(math.isfinite(n) for n in vars(found.intrinsics).values()), "a camera that is not finite"
+    assert found.frame_numbers.dtype.kind in "iu", "frame numbers that are none"
+    assert 0 <= found.frame_numbers.min() <= found.frame_numbers.max() <= 1_048_574, "no frames of Blender's"
+    for track in found.hands:
+        assert track.side in SIDES
+        for name, value in vars(track).items():
+            if isinstance(value, np.ndarray):
+                flags = name in ("detected", "filled", "doubtful", "other_side")
+                assert value.dtype.kind in ("b" if flags else "fiu"), f"{name} is {value.dtype}"
+                seen = value if name == "betas" else value[track.present]
+                seen = seen if name == "betas" else seen[np.isfinite(seen)]
+                most = 1e30 if name == "reprojection_error" else 1e9  # fits close to the camera fail by much
+                assert np.all(np.abs(seen.astype(float)) <= most), f"{name} is beyond all bounds"
+    json.dumps(hand_summaries(found), allow_nan=False)
+    assert found.source.name is not None
+    Take.from_bytes(found.to_bytes())
+
+
+def model(path: str, side: str) -> None:
+    """Read a hand model and pose it."""
+    found = load_model(path, side)  # type: ignore[arg-type]
+    posed = found.posed(np.zeros(10), np.zeros(3), np.zeros(45), np.zeros(3))
+    assert np.all(np.isfinite(posed.vertices)), "vertices that are not finite"
+    assert type(found.name) is str
+    assert found.digest
+    assert np.asarray(found.polygons).ndim == 2
+
+
+def media(path: str | list[str]) -> None:
+    """Probe an input as the panel does, and read its first frames."""
+    answer = probing.answer({"input": [path] if isinstance(path, str) else path})
+    protocol.encode(answer)
+    assert 0 < answer["fps"] <= 1000
+    opened = open_media(path)
+    for frame in itertools.islice(opened.frames(), FRAMES):
+        if frame.rgb is not None:
+            assert frame.rgb.dtype == np.uint8
+            assert frame.rgb.shape == (opened.height, opened.width, 3)
+    known_intrinsics(opened)
+
+
+def command(argv: list[str]) -> None:
+    """The command line: exit code 0, or another one and one sentence on stderr."""
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            code = main(argv)
+        except SystemExit as ended:  # argparse has said what is wrong with the arguments
+            code = ended.code
+    if code == 2:
+        return
+    check_ending(code, said.getvalue())
+
+
+def process(argv: list[str]) -> None:
+    """The same as a process of its own, whose memory the kernel tells when it has ended."""
+    command = [sys.executable, "-m", "handfit_core", *argv]
+    with tempfile.TemporaryFile() as said:
+        started = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        _, status, used = os.wait4(started.pid, 0)
+        code = started.returncode = os.waitstatus_to_exitcode(status)
+        assert used.ru_maxrss * 1024 < MOST_BYTES, f"memory: {used.ru_maxrss // 1000} MB"
+        said.seek(0)
+        check_ending(code, said.read().decode("utf-8", errors="replace"))
+
+
+def check_ending(code: object, said: str) -> None:
+    lines = [line for line in said.splitlines() if line and not line.startswith("warning: ")]
+    if code == 0:
+        assert not any(line.startswith("error: ") for line in lines), said
+        return
+    assert code == 1, f"exit code {code}: {said[-300:]}"
+    assert len(lines) == 1, f"not one sentence: {said[-500:]}"
+    assert lines[0].startswith("error: "), said
+    assert "unexpected error" not in said, said
+    raise errors.HandfitError(lines[0])
+
+
+GOOD = 987_654_321
+"""The id of the request that the server must still answer."""
+
+
+class _Client(io.RawIOBase):
+    """What a client sends, and in the end, once it has its answer, no more."""
+
+    def __init__(self, sent: bytes, endless: int) -> None:
+        self._answered = threading.Event()
+        filling = itertools.repeat(b"x" * 65536, endless // 65536)
+        good = protocol.encode({"id": GOOD, "request": "probe", "input": ["nowhere.jpg"]})
+        self._chunks = itertools.chain((sent or b"\n",), filling, (b"\n", good))
+        self.lines = sent.count(b"\n") + 2
+        self._rest = b""
+        self.events: list[dict[str, Any]] = []
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        if not self._rest:
+            self._rest = next(self._chunks, b"")
+        if not self._rest:
+            self._answered.wait()
+        taken = self._rest[: len(buffer)]
+        buffer[: len(taken)], self._rest = taken, self._rest[len(taken) :]
+        return len(taken)
+
+    def write(self, line: Any) -> int:
+        self.events.append(protocol.decode(bytes(line)))
+        if self.events[-1].get("id") == GOOD:
+            self._answered.set()
+        return len(line)
+
+
+def server(path: str, endless: int = 0) -> None:
+    """The worker's loop, which must go on after whatever a client sends: a good request at the end is
+    answered, and every request has one last event, a sentence where it failed."""
+    client = _Client(Path(path).read_bytes(), endless)
+    Server(io.BufferedReader(client), client).run()  # type: ignore[arg-type]
+    assert client.events[0]["event"] == "ready"
+    last = [event for event in client.events if event["event"] in ("done", "error")]
+    for event in last:
+        if event["event"] == "error":
+            assert type(event["message"]) is str
+            assert "\n" not in event["message"]
+            assert "unexpected error" not in event["message"], (
+                f"{event['message']}: {event['details'][-500:]}"
+            )
+            assert isinstance(getattr(errors, event["type"], None), type), event["type"]
+    assert len(last) <= client.lines, "answered twice"
+
+
+DOORS: dict[str, Callable[..., Any]] = {
+    "take": take,
+    "model": model,
+    "media": media,
+    "command": command,
+    "process": process,
+    "server": server,
+}
+os.environ["OPENCV_FFMPEG_READ_ATTEMPTS"] = "64"

@@ -1,0 +1,89 @@
+"""Damaging bytes, by kind: each is a file that a bad disk, a bad copy or a bad person makes of a good one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from random import Random
+
+from tests.hostile.engine import Case
+
+EXTREMES = (
+    0,
+    1,
+    0x7F,
+    0x80,
+    0xFF,
+    0x7FFF,
+    0xFFFF,
+    0x7FFFFFFF,
+    0x80000000,
+    0xFFFFFFFF,
+    (1 << 63) - 1,
+    (1 << 64) - 1,
+)
+
+
+def flip(data: bytearray, rng: Random) -> None:
+    for _ in range(rng.choice((1, 1, 4, 64))):
+        data[_place(data, rng)] ^= 1 << rng.randrange(8)
+
+
+def cut(data: bytearray, rng: Random) -> None:
+    del data[rng.choice((_place(data, rng), len(data) - rng.randrange(1, 9))) :]
+
+
+def splice(data: bytearray, rng: Random) -> None:
+    start, size = _place(data, rng), rng.randrange(1, 2000)
+    at = _place(data, rng)
+    data[at : at + size] = data[start : start + size]
+
+
+def insert(data: bytearray, rng: Random) -> None:
+    start, size = _place(data, rng), rng.randrange(1, 300)
+    at = _place(data, rng)
+    data[at:at] = data[start : start + size] * rng.choice((1, 2, 50))
+
+
+def drop(data: bytearray, rng: Random) -> None:
+    at = _place(data, rng)
+    del data[at : at + rng.randrange(1, 200)]
+
+
+def extreme(data: bytearray, rng: Random) -> None:
+    for _ in range(rng.choice((1, 1, 3))):
+        size, at = rng.choice((1, 2, 4, 4, 4, 8)), _place(data, rng)
+        value = rng.choice(EXTREMES) & ((1 << 8 * size) - 1)
+        data[at : at + size] = value.to_bytes(size, rng.choice(("little", "big")))
+
+
+def noise(data: bytearray, rng: Random) -> None:
+    at, size = _place(data, rng), rng.choice((1, 8, 400))
+    data[at : at + size] = rng.randbytes(size)
+
+
+def _place(data: bytearray, rng: Random) -> int:
+    """Half of them near the beginning, where headers are."""
+    return rng.randrange(min(len(data), rng.choice((200, len(data)))))
+
+
+MUTATIONS = (flip, cut, splice, insert, drop, extreme, noise)
+
+
+def mutated(data: bytes, mutation: Callable[[bytearray, Random], None], rng: Random) -> bytes:
+    changed = bytearray(data)
+    mutation(changed, rng)
+    return bytes(changed)
+
+
+def mutants(
+    stem: str, door: str, good: Callable[[], bytes], file: str, count: int, **arguments: object
+) -> Iterator[Case]:
+    """Cases for one good file: `count` of each mutation. The door gets its path and `arguments`."""
+    for mutation in MUTATIONS:
+        for number in range(count):
+
+            def make(place, mutation=mutation):
+                path = place.write(file, mutated(good(), mutation, place.rng))
+                return {"path": str(path), **arguments}
+
+            yield Case(f"{stem}-{mutation.__name__}-{number}", door, make)

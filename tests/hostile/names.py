@@ -1,0 +1,151 @@
+"""Names of files: what FFmpeg takes for an address, what is no file, what no terminal can show."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from tests.hostile import models, pictures, takes, videos
+from tests.hostile.engine import Case, Place
+
+CONTENTS: dict[str, tuple[str, Callable[[], bytes], str, dict[str, Any]]] = {
+    "video": (".mp4", videos.good_bytes, "core.media", {}),
+    "picture": (".png", lambda: pictures.encoded("png"), "core.media", {}),
+    "take": (".npz", takes.good_bytes, "core.take", {}),
+    "model": (".npz", models.good_bytes, "core.model", {"side": "right"}),
+    "pickle": (".pkl", lambda: b"N.", "core.model", {"side": "right"}),
+    "footage": (".mp4", videos.good_bytes, "blender.import_of", {"kind": "video"}),
+    "photo": (".png", lambda: pictures.encoded("png"), "blender.import_of", {"kind": "photo"}),
+}
+"""What is in the file: its suffix, bytes, door and the door's other arguments."""
+
+FILES = {
+    **{
+        f"{protocol}-{number}": f"{protocol}:{rest}{{suffix}}"
+        for protocol in (
+            "http",
+            "https",
+            "tcp",
+            "rtmp",
+            "rtsp",
+            "ftp",
+            "mmsh",
+            "icecast",
+            "httpproxy",
+            "tls",
+            "rtp",
+        )
+        for number, rest in enumerate(("127.0.0.1:{port}?x", "127.0.0.1:{port}/x"))
+    },
+    "async": "async:http:127.0.0.1:{port}?x{suffix}",
+    "cache": "cache:http:127.0.0.1:{port}?x{suffix}",
+    "concat": "concat:kept.npz|http:127.0.0.1:{port}?x{suffix}",
+    "hls": "hls+http:127.0.0.1:{port}?x{suffix}",
+    "subfile": "subfile,,start,0,end,9,,:x{suffix}",
+    "file": "file:x{suffix}",
+    "data": "data:text;base64,x{suffix}",
+    "pipe": "pipe:0{suffix}",
+    "percent-d": "a%02d{suffix}",
+    "percent-n": "%n%n%s%s%999999999d{suffix}",
+    "hashes": "####{suffix}",
+    "glob": "[a-z]*?{suffix}",
+    "dash": "-rf{suffix}",
+    "bar": "|touch canary{suffix}",
+    "shell": "$(touch canary);`touch canary`{suffix}",
+    "spaces": "  a  b {suffix}",
+    "newline": "a\nb{suffix}",
+    "escape": "a\x1b[2J\x07\r{suffix}",
+    "turned": "a\u202egnp{suffix}",
+    "greek": "\u03c7\u03ad\u03c1\u03b9{suffix}",
+    "emoji": "\U0001f590" * 20 + "{suffix}",
+    "combining": "e" + "\u0301" * 60 + "{suffix}",
+    "bytes": "\udcff\udcfe{suffix}",
+    "braces": "{{0}}{{x!r}}{suffix}",
+    "tilde": "~nobody{suffix}",
+    "longest": "x" * 240 + "{suffix}",
+    "only-suffix": "{suffix}",
+    "upper": "X{upper}",
+    "dots": "...{suffix}",
+    "quote": "a'b\"c{suffix}",
+    "number": "9" * 200 + "{suffix}",
+}
+"""Names under which good files lie; relative ones, so that nothing stands before them."""
+
+
+def _good(place: Place, name: str, kind: str) -> dict[str, Any]:
+    suffix, data, _, arguments = CONTENTS[kind]
+    file = name.format(suffix=suffix, upper=suffix.upper(), port=place.port)
+    place.write(file, data())
+    return {"path": file, **arguments}
+
+
+def _fifo(folder: Path, file: str) -> None:
+    os.mkfifo(folder / file)
+
+
+def _loop(folder: Path, file: str) -> None:
+    (folder / file).symlink_to(file)
+
+
+def _device(folder: Path, file: str) -> None:
+    (folder / file).symlink_to("/dev/zero")
+
+
+def _unreadable(folder: Path, file: str) -> None:
+    (folder / file).write_bytes(b"x")
+    (folder / file).chmod(0)
+
+
+def _sparse(folder: Path, file: str) -> None:
+    (folder / file).touch()
+    os.truncate(folder / file, 3 << 30)
+
+
+NO_FILES: dict[str, Callable[[Path, str], None]] = {
+    "fifo": _fifo,
+    "loop": _loop,
+    "zeros-without-end": _device,
+    "unreadable": _unreadable,
+    "sparse-3-gb": _sparse,
+    "folder": lambda folder, file: (folder / file).mkdir(),
+    "folder-with-fifo": lambda folder, file: (
+        (folder / file).mkdir(),
+        _fifo(folder / file, f"MANO_RIGHT{file[-4:]}"),
+    )[0],
+    "dangling": lambda folder, file: (folder / file).symlink_to("nowhere"),
+    "memory": lambda folder, file: (folder / file).symlink_to("/proc/self/mem"),
+    "tree-loop": lambda folder, file: ((folder / file).mkdir(), (folder / file / "in").symlink_to(folder))[0],
+}
+"""What a name may lead to that is no file with data."""
+
+TEXTS = {
+    "nothing": "", "nul": "a\0b", "surrogate": "\ud800", "too-long": "x" * 5000, "deep": "a/" * 3000, "dot": ".",
+    "root": "/", "zero": "/dev/zero", "tty": "/dev/tty", "stdin": "/dev/stdin", "url": "http://127.0.0.1:1/x.mp4",
+    "nobody": "~nobody/x.mp4", "percents": "%d" * 500, "stars": "*" * 200 + "/" + "?" * 200, "far": "../" * 900 + "x",
+}  # fmt: skip
+
+
+def cases() -> Iterator[Case]:
+    for kind, (suffix, _, door, arguments) in CONTENTS.items():
+        in_blender = door.startswith("blender")
+        for name, pattern in FILES.items():
+            known = kind in ("video", "footage") and name in ("http-0", "tcp-0")
+            if not in_blender or ":" in pattern or "%" in pattern:
+                make = lambda place, pattern=pattern, kind=kind: _good(place, pattern, kind)  # noqa: E731
+                yield Case(f"name-{kind}-{name}", door, make, known=known)
+        for name, create in NO_FILES.items():
+
+            def none(
+                place: Place, create=create, file=f"MANO_RIGHT{suffix}", more=arguments
+            ) -> dict[str, Any]:
+                create(place.folder, file)
+                return {"path": str(place.folder / file), **more}
+
+            known = (kind, name) in {("model", "fifo"), ("pickle", "fifo")}
+            yield Case(f"no-file-{kind}-{name}", door, none, refused=not in_blender, known=known)
+        for name, text in TEXTS.items():
+            if not in_blender or name not in ("surrogate", "nul"):
+                make = lambda _, text=text, more=arguments: {"path": text, **more}  # noqa: E731
+                yield Case(f"text-{kind}-{name}", door, make, refused=not in_blender)

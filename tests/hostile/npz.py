@@ -1,0 +1,234 @@
+"""Lies that any .npz can tell: in the zip around its arrays, in an array's own header, in its values."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from tests.hostile.engine import Case, Place
+from tests.hostile.pickles import system_call
+
+Arrays = dict[str, np.ndarray]
+
+DEEP = 100_000
+"""Brackets in brackets: more than any parser's stack."""
+
+VALUES: dict[str, str] = {
+    "null": "null",
+    "true": "true",
+    "minus": "-1",
+    "zero": "0",
+    "nan": "NaN",
+    "infinity": "Infinity",
+    "huge": "1e308",
+    "whole": "9" * 400,
+    "text": '"x"',
+    "surrogate": r'"\ud800"',
+    "nul": r'"a\u0000b"',
+    "list": "[]",
+    "lists": "[[[1]], null]",
+    "object": "{}",
+    "deep": "[" * DEEP + "]" * DEEP,
+}
+"""What may stand in JSON where something else is expected, by name."""
+
+
+def member(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, array, allow_pickle=True)
+    return stream.getvalue()
+
+
+def raw_member(shape: str, descr: str = "'<f8'", data: bytes = bytes(64), version: int = 1) -> bytes:
+    header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode("latin1")
+    return (
+        b"\x93NUMPY"
+        + bytes((version, 0))
+        + struct.pack("<H" if version == 1 else "<I", len(header))
+        + header
+        + data
+    )
+
+
+def zipped(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", compression, compresslevel=1) as archive:
+        for name, data in members.items():
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), data, compression)
+    return stream.getvalue()
+
+
+def bomb(members: dict[str, bytes], name: str, size: int, shape: str | None = None) -> bytes:
+    """A zip whose member `name` unpacks from a thousandth to `size` zero bytes (uint8)."""
+    header = raw_member(shape or f"({size},)", "'|u1'", b"")
+    packer = zlib.compressobj(1, zlib.DEFLATED, -15)
+    chunk = bytes(1 << 20)
+    packed, crc = packer.compress(header) + packer.flush(zlib.Z_FULL_FLUSH), zlib.crc32(header)
+    repeated = packer.compress(chunk) + packer.flush(zlib.Z_FULL_FLUSH)
+    for _ in range(size >> 20):
+        crc = zlib.crc32(chunk, crc)
+    packed += repeated * (size >> 20) + zlib.compressobj(1, zlib.DEFLATED, -15).flush()
+    total = len(header) + (size >> 20 << 20)
+    data = zipped({**members, name: b""}, zipfile.ZIP_STORED)
+    # The empty member is the last: its bytes go between its local header and the directory.
+    stream = io.BytesIO(data)
+    with zipfile.ZipFile(stream) as archive:
+        info, start = archive.infolist()[-1], archive.start_dir
+    fields = struct.pack("<III", crc, len(packed), total)
+    local = bytearray(data[info.header_offset : start])
+    local[8:10], local[14:26] = struct.pack("<H", 8), fields
+    directory = bytearray(data[start:])
+    at = directory.rindex(b"PK\x01\x02")
+    directory[at + 10 : at + 12], directory[at + 16 : at + 28] = struct.pack("<H", 8), fields
+    end = directory.rindex(b"PK\x05\x06")
+    directory[end + 16 : end + 20] = struct.pack("<I", start + len(packed))
+    return data[: info.header_offset] + bytes(local) + packed + bytes(directory)
+
+
+_VALUE_LIES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "nan": lambda a: np.full(a.shape, np.nan),
+    "infinity": lambda a: np.full(a.shape, np.inf),
+    "huge": lambda a: np.full(a.shape, 1e300),
+    "large": lambda a: np.full(a.shape, 3e15),
+    "whole": lambda a: np.full(a.shape, np.iinfo(np.int64).min),
+    "minus": lambda a: np.full(a.shape, -1, np.int64),
+    "unsigned": lambda a: np.full(a.shape, np.iinfo(np.uint64).max),
+    "complex": lambda a: np.full(a.shape, 1 + 2j),
+    "text": lambda a: np.full(a.shape, "1"),
+    "bytes": lambda a: np.full(a.shape, b"1"),
+    "time": lambda a: np.zeros(a.shape, "M8[s]"),
+    "record": lambda a: np.zeros(a.shape, [("x", "f8"), ("y", "U3")]),
+    "half": lambda a: np.full(a.shape, 6e4, np.float16),
+    "empty": lambda a: np.zeros((0, *a.shape[1:])),
+    "scalar": lambda _: np.array(1.0),
+    "longer": lambda a: np.concatenate([np.atleast_1d(a)] * 2),
+    "flat": lambda a: np.ravel(a),
+    "deeper": lambda a: a[..., None],
+    "turned": lambda a: a.T if a.ndim > 1 else a[::-1],
+}
+
+_HEADER_LIES: dict[str, bytes] = {
+    "claims-2-31": raw_member("(2147483648, 3)"),
+    "claims-2-62": raw_member(f"({1 << 62},)"),
+    "overflows": raw_member(f"({1 << 32}, {1 << 32})"),
+    "negative": raw_member("(-3, 3)"),
+    "boolean": raw_member("(True, 3)"),
+    "float": raw_member("(1e3,)"),
+    "many-axes": raw_member("(" + "1, " * 70 + ")", data=bytes(8)),
+    "deep-shape": raw_member("(" * 5000 + ")" * 5000),
+    "deep-header": raw_member("()", "[" * 9000 + "]" * 9000),
+    "code": raw_member("()", "__import__('os').system('touch canary')"),
+    "wide-item": raw_member("(4,)", "'<U500000000'"),
+    "no-item": raw_member("(4,)", "'V0'"),
+    "nested-record": raw_member("(4,)", "[('x', [('y', '<f8', (9999, 9999))])]"),
+    "subarray": raw_member("()", "('<f8', (30000, 30000))"),
+    "long-header": b"\x93NUMPY\x02\x00\xff\xff\xff\xff{",
+    "other-version": b"\x93NUMPY\x09\x00\x10\x00" + b" " * 16,
+    "objects": member(np.array([{"a": 1}, None], dtype=object)),
+    "payload": raw_member("(1,)", "'|O'", system_call()),
+    "no-array": b"plain words",
+    "nothing": b"",
+}
+
+
+def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **arguments: object) -> Iterator[Case]:
+    """Cases for an npz of these arrays; the door gets the path and `arguments`."""
+
+    def case(name: str, build: Callable[[dict[str, bytes], Place], bytes], **options: bool) -> Case:
+        def make(place: Place) -> dict[str, Any]:
+            members = {key: member(array) for key, array in good().items()}
+            return {"path": str(place.write(file, build(members, place))), **arguments}
+
+        return Case(f"{stem}-{name}", door, make, **options)
+
+    names = [name for name in good() if name != "header"]
+    for name in names:
+        for lie, change in _VALUE_LIES.items():
+            yield case(
+                f"{name}-{lie}",
+                lambda members, _, name=name, change=change: zipped(
+                    {**members, name: member(np.asarray(change(good()[name])))}
+                ),
+                known=(name, lie) in {("hand0_betas", "nan"), ("faces", "flat")},
+            )
+        yield case(
+            f"{name}-missing",
+            lambda members, _, name=name: zipped({k: v for k, v in members.items() if k != name}),
+        )
+    for number, (lie, data) in enumerate(_HEADER_LIES.items()):
+        for name in ("header", names[number % len(names)], "unknown"):
+            yield case(
+                f"{lie}-{name}",
+                lambda members, _, name=name, data=data: zipped({**members, name: data}),
+                refused=name != "unknown",
+            )
+    for name in ("unknown", names[0], "header"):
+        yield case(
+            f"bomb-{name}",
+            lambda members, _, name=name: bomb(
+                {k: v for k, v in members.items() if k != name}, name, 3 << 29
+            ),
+            known=True,
+        )
+    yield case(
+        "bomb-many",
+        lambda members, _: zipped({**members, **{f"u{n}": bytes(30 << 20) for n in range(60)}}),
+        known=True,
+    )
+    yield case(
+        "members-60000",
+        lambda members, _: zipped(
+            {**members, **dict.fromkeys(map(str, range(60_000)), b"")}, zipfile.ZIP_STORED
+        ),
+        known=True,
+    )
+    yield case("upwards", lambda members, _: zipped({"../../canary": b"x", "/tmp/canary": b"x", **members}))
+    yield case("stored", lambda members, _: zipped(members, zipfile.ZIP_STORED)[:-1])
+    yield case("bzip2", lambda members, _: zipped(members, zipfile.ZIP_BZIP2))
+    yield case("lzma", lambda members, _: zipped(members, zipfile.ZIP_LZMA))
+    yield case("twice", lambda members, _: zipped(members) + zipped({"header": members["header"]}))
+    yield case("a-npy-alone", lambda members, _: members[names[0]], refused=True)
+    yield case("a-pickle", lambda *_: system_call(), refused=True)
+    yield case("nothing", lambda *_: b"", refused=True)
+    yield case("zeros", lambda *_: bytes(100_000), refused=True)
+    yield case("an-empty-zip", lambda *_: zipped({}), refused=True)
+    yield case(
+        "secret",
+        lambda members, _: zipped(members).replace(
+            b"PK\x01\x02\x14\x00\x14\x00\x00", b"PK\x01\x02\x14\x00\x14\x00\x01"
+        ),
+    )
+
+
+def header_lies(
+    stem: str,
+    door: str,
+    good: Callable[[], Arrays],
+    file: str,
+    fields: list[tuple[str, ...]],
+    **arguments: object,
+) -> Iterator[Case]:
+    """Cases in which one field of the JSON in `header` holds each of VALUES."""
+    for field in fields:
+        for value, text in VALUES.items():
+
+            def make(place: Place, field=field, text=text) -> dict[str, Any]:
+                arrays = dict(good())
+                header = json.loads(str(arrays["header"][()]))
+                inner = header
+                for key in field[:-1]:
+                    inner = inner[key]
+                inner[field[-1]] = "@@"
+                arrays["header"] = np.array(json.dumps(header).replace('"@@"', text))
+                data = zipped({key: member(array) for key, array in arrays.items()})
+                return {"path": str(place.write(file, data)), **arguments}
+
+            known = (field[-1], value) in {("fps", "infinity"), ("width", "whole"), ("solver", "object")}
+            yield Case(f"{stem}-{'-'.join(field)}-{value}", door, make, known=known)

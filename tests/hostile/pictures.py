@@ -1,0 +1,168 @@
+"""Pictures: damaged ones of every format, headers that claim what is not there, EXIF without an end."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tests.hostile.engine import Case, Place
+from tests.hostile.mutations import mutants
+
+DOOR = "core.media"
+PLATE = "blender.import_of"
+
+
+@cache
+def encoded(suffix: str) -> bytes:
+    pixels = np.add.outer(np.arange(48), np.arange(64) * 2)[..., None].repeat(3, 2).astype(np.uint8)
+    if suffix == "gif":
+        return gif(64, 48)
+    if suffix == "hdr":
+        return bytes(cv2.imencode(".hdr", pixels.astype(np.float32) / 255)[1])
+    return bytes(cv2.imencode(f".{suffix}", pixels[..., 0] if suffix == "pgm" else pixels)[1])
+
+
+def gif(width: int, height: int, frames: int = 2) -> bytes:
+    """Grey frames of one code each; the canvas is as large as one likes."""
+    picture = b"\x2c" + struct.pack("<4HB", 0, 0, min(width, 8), min(height, 8), 0) + b"\x02\x02\x4c\x01\x00"
+    screen = struct.pack("<2H3B", width, height, 0x80, 0, 0) + b"\x80\x80\x80\x00\x00\x00"
+    return b"GIF89a" + screen + picture * frames + b"\x3b"
+
+
+def jpeg(width: int, height: int) -> bytes:
+    """A small JPEG that claims another size."""
+    data = bytearray(encoded("jpg"))
+    at = data.index(b"\xff\xc0") + 5
+    data[at : at + 4] = struct.pack(">2H", height, width)
+    return bytes(data)
+
+
+def png(
+    width: int, height: int, depth: int = 8, colour: int = 0, rows: bytes = bytes(1000), interlace: int = 0
+) -> bytes:
+    header = struct.pack(">2I5B", width, height, depth, colour, 0, 0, interlace)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        _chunk(kind, data)
+        for kind, data in ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
+    )
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def tiff(width: int, height: int, bits: int = 8, samples: int = 1, **other: int) -> bytes:
+    tags = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: samples, 278: height, 279: 4000}
+    tags |= {int(tag[1:]): value for tag, value in other.items()}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in sorted(tags.items()))
+    return (
+        b"II*\0" + struct.pack("<I", 4008) + bytes(4000) + struct.pack("<H", len(tags)) + entries + bytes(4)
+    )
+
+
+def bmp(width: int, height: int, bits: int = 24, compression: int = 0) -> bytes:
+    fields = struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, compression, 0, 1, 1, 0, 0)
+    return b"BM" + struct.pack("<IHHI", 54 + 300, 0, 0, 54) + fields + bytes(300)
+
+
+def webp(width: int, height: int) -> bytes:
+    whole = encoded("webp")
+    canvas = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    chunks = b"WEBPVP8X" + struct.pack("<I", 10) + bytes(4) + canvas + whole[12:]
+    return b"RIFF" + struct.pack("<I", len(chunks)) + chunks
+
+
+def exif(entries: list[tuple[int, int, int, int]], following: int = 0, order: bytes = b"II") -> bytes:
+    """A JPEG whose EXIF directory has these entries (tag, type, count, value)."""
+    mark = "<" if order == b"II" else ">"
+    block = order + struct.pack(f"{mark}HI", 42, 8) + struct.pack(f"{mark}H", len(entries))
+    block += b"".join(struct.pack(f"{mark}HHII", *entry) for entry in entries) + struct.pack(
+        f"{mark}I", following
+    )
+    segment = b"Exif\0\0" + block
+    return b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + encoded("jpg")[2:]
+
+
+_SIZES = (
+    (32000, 32000),
+    (65500, 16000),
+    (65535, 65535),
+    (30000, 30000),
+    (1, 65535),
+    (65535, 1),
+    (0, 0),
+    (0, 5),
+)
+_LARGER = (*_SIZES, (2**31 - 1, 2**31 - 1), (2**31 - 1, 1), (2**32 - 1, 2**32 - 1), (1 << 20, 1 << 10))
+
+HEADERS: dict[str, Callable[[], bytes]] = {
+    **{f"jpg-{w}x{h}": lambda w=w, h=h: jpeg(w, h) for w, h in _SIZES},
+    **{f"png-{w}x{h}": lambda w=w, h=h: png(w, h) for w, h in _LARGER},
+    **{f"gif-{w}x{h}": lambda w=w, h=h: gif(w, h) for w, h in _SIZES},
+    **{f"webp-{w}x{h}": lambda w=w, h=h: webp(w, h) for w, h in ((16383, 16383), (1 << 24, 1 << 24), (1, 1))},
+    **{f"tif-{w}x{h}": lambda w=w, h=h: tiff(w, h) for w, h in _LARGER},
+    **{f"tif-{bits}-bits-{n}": lambda b=bits, n=n: tiff(20000, 20000, b, n) for bits in (1, 16, 32, 64) for n in (1, 4, 200)},
+    "tif-tiles": lambda: tiff(30000, 30000, t322=65536, t323=65536, t324=8, t325=100),
+    "tif-strip": lambda: tiff(30000, 30000, t278=1, t279=2**32 - 1),
+    "tif-loop": lambda: b"II*\0" + struct.pack("<I", 8) + struct.pack("<HI", 0, 8) * 20,
+    **{f"bmp-{w}x{h}": lambda w=w, h=h: bmp(min(w, 2**31 - 1), min(h, 2**31 - 1)) for w, h in _LARGER},
+    **{f"bmp-minus-{w}": lambda w=w: bmp(w, -w, 32) for w in (30000, 2**31 - 1)},
+    **{f"bmp-packed-{n}": lambda n=n: bmp(30000, 30000, (4, 8)[n % 2], 1 + n % 2) for n in range(2)},
+    **{f"ppm-{w}x{h}": lambda w=w, h=h: b"P6\n%d %d\n255\n" % (w, h) + bytes(99) for w, h in _LARGER},
+    "ppm-minus": lambda: b"P6\n-5 -5\n255\n" + bytes(99),
+    "ppm-long": lambda: b"P5 " + b"9" * 100_000,
+    **{f"hdr-{w}x{h}": lambda w=w, h=h: b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (h, w) + bytes(99) for w, h in _LARGER},
+    "jp2-huge": lambda: encoded("jp2").replace(struct.pack(">2I", 48, 64), struct.pack(">2I", 32000, 32000)).replace(struct.pack(">2I", 64, 48), struct.pack(">2I", 32000, 32000)),
+    "png-true-zeros": lambda: png(20000, 20000, rows=bytes(20001 * 20000)),
+    "png-deep-zeros": lambda: png(9000, 9000, 16, 6, rows=bytes((9000 * 8 + 1) * 9000)),
+    "png-interlaced": lambda: png(30000, 30000, 8, 6, interlace=1),
+    "exif-loop": lambda: exif([(0x8769, 4, 1, 8)], following=8),
+    "exif-huge-count": lambda: exif([(0x112, 3, 2**32 - 1, 6), (0x920A, 5, 2**31, 2**31), (0xA405, 3, 1, 0)]),
+    "exif-far": lambda: exif([(0x8769, 4, 1, 2**32 - 8), (0xA404, 5, 1, 2**32 - 1)], order=b"MM"),
+    "exif-orientation-99": lambda: exif([(0x112, 3, 1, 99)]),
+    "exif-many": lambda: exif([(0x8769, 4, 1, 8)] * 5000),
+}  # fmt: skip
+_KNOWN = ("jpg-32000x32000", "png-true-zeros", "gif-30000x30000")
+
+
+def cases() -> Iterator[Case]:
+    for suffix in ("jpg", "png", "webp", "bmp", "tif", "jp2", "ppm", "pgm", "hdr", "gif"):
+        good = "tiff" if suffix == "tif" else suffix
+        yield from mutants(suffix, DOOR, lambda good=good: encoded(good), f"picture.{suffix}", 4)
+        plate = mutants(
+            f"plate-{suffix}", PLATE, lambda good=good: encoded(good), f"a.{suffix}", 1, kind="photo"
+        )
+        yield from plate
+    good_exif = [(0x112, 3, 1, 6), (0x8769, 4, 1, 38), (0xA405, 3, 1, 35)]
+    yield from mutants("exif", DOOR, lambda: exif(good_exif), "picture.jpg", 4)
+    for name, data in HEADERS.items():
+
+        def make(place: Place, name: str = name, data: Callable[[], bytes] = data) -> dict[str, str]:
+            return {"path": str(place.write(f"picture.{name.split('-')[0].replace('exif', 'jpg')}", data()))}
+
+        yield Case(f"picture-{name}", DOOR, make, known=name in _KNOWN)
+        if sum(name.encode()) % 3 == 0 or name in _KNOWN:  # as a take names it, in Blender
+
+            def plate(place: Place, make: Any = make) -> dict[str, str]:
+                return {**make(place), "kind": "photo"}
+
+            yield Case(f"plate-{name}", PLATE, plate)
+    for right, wrong in (
+        ("png", "mp4"),
+        ("jpg", "png"),
+        ("gif", "jpg"),
+        ("webp", "mov"),
+        ("png", "npz"),
+        ("bmp", ""),
+    ):
+        yield Case(
+            f"picture-{right}-as-{wrong or 'nothing'}",
+            DOOR,
+            lambda place, right=right, wrong=wrong: {"path": str(place.write(f"x.{wrong}", encoded(right)))},
+        )
