@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from handfit_core.fit_quality import mean_relative_error, quality
 from handfit_core.files import written_whole
 from handfit_core.take import Take
 
@@ -22,7 +23,8 @@ class Result:
     seconds: float = 0.0
     frames: int = 0
     hands: list[dict[str, Any]] = field(default_factory=list)
-    """per hand its side, the frames in which it was detected, and mean_reprojection_error_px"""
+    """per hand its side, the frames in which it was detected, mean_reprojection_error_px, and mean_error_of_hand:
+    the same as a share of the hand's length in the picture"""
     files: list[str] = field(default_factory=list)
     """relative to the report's folder"""
     warnings: list[str] = field(default_factory=list)
@@ -33,11 +35,13 @@ class Result:
         self.frames = len(take.frame_numbers)
         for track in take.hands:
             error = track.reprojection_error[track.detected]
+            share = mean_relative_error(track, take.intrinsics)
             self.hands.append(
                 {
                     "side": track.side,
                     "detected": int(track.detected.sum()),
                     "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
+                    "mean_error_of_hand": None if share is None else round(share, 4),
                 }
             )
 
@@ -56,7 +60,7 @@ def line(result: Result) -> str:
         return f"{result.status}: {named}{result.error}"
     hands = ", ".join(
         f"{hand['side']} hand in {hand['detected']} of {result.frames} frames"
-        + (f" ({hand['mean_reprojection_error_px']:.1f} px)" if hand["detected"] else "")
+        + ("" if (share := hand["mean_error_of_hand"]) is None else f" ({100 * share:.1f} %, {quality(share)})")
         for hand in result.hands
     )
     warnings = f", {len(result.warnings)} warnings" if result.warnings else ""
