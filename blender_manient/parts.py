@@ -28,7 +28,7 @@ from .operators import (
     show_details,
     use_source,
 )
-from .scene import confidence, reshape
+from .scene import confidence, reshape, see_through
 from .worker import shared
 
 PARTS = (
@@ -38,6 +38,7 @@ PARTS = (
     reshape,
     confidence,
     error_graph,
+    see_through,
     import_take,
     export_hand,
     reset_shape,

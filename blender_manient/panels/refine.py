@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs
+from .. import jobs, preferences
 from ..scene import corrections
 from ..section import Section, sentence
 from ..selection import active_hand
@@ -32,6 +32,9 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         column = layout.column()
         column.scale_y = 1.3
         column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
+        kept = preferences.get()
+        if isinstance(kept, bpy.types.AddonPreferences):
+            layout.prop(kept, "hand_opacity", slider=True)
         layout.prop(settings, "spread", text="Spread (Frames)")
         layout.operator("manient.refit_range", icon="FILE_REFRESH")
         corrected = corrections.corrected_frames(hand.armature)
