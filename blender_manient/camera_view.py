@@ -1,7 +1,7 @@
 """A 3D viewport's camera view with the whole picture in it, beside what lies over the view.
 
-Blender's own *Frame Camera Bounds* needs the viewport's context and takes the region's whole size, of which the
-sidebar and the headers cover a part.
+Blender's own *Frame Camera Bounds* needs the viewport's context and takes the region's whole size, of which
+the sidebar and the headers cover a part.
 """
 
 from __future__ import annotations
@@ -48,13 +48,15 @@ def camera_region(area: bpy.types.Area) -> bpy.types.Region | None:
 def zoom_and_offset(
     region: tuple[float, float], free: Box, frame: tuple[float, float], sensor_fit: str
 ) -> tuple[float, tuple[float, float]]:
-    """`view_camera_zoom` and `view_camera_offset` with which a camera's frame fills the box `free` of a region.
+    """`view_camera_zoom` and `view_camera_offset` with which a camera's frame fills the box `free` of a
+    region.
 
     `region`: width and height in pixels; `frame`: those of the rendered picture, in square pixels;
     `sensor_fit`: the camera's. Blender's zoom has limits: a frame that is very much higher than the region is
     wide cannot be made small enough.
     """
-    # Blender lays the sensor's fitted side over the same side of the frame and, at a factor of 1, of the region.
+    # Blender lays the sensor's fitted side over the same side of the frame and, at a factor of 1, of the
+    # region.
     if sensor_fit == "AUTO":
         scale = max(region) / max(frame)
     else:
@@ -79,8 +81,9 @@ def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
         if other.type in _OVER_THE_VIEW and min(other.width, other.height) > 1:
             left, bottom = other.x - region.x, other.y - region.y
             free = _beside(free, (left, bottom, left + other.width, bottom + other.height))
-    free = _shrunk(free, _MARGIN * scale)
-    return free if min(free[2] - free[0], free[3] - free[1]) > _LEAST * scale else _shrunk(whole, _MARGIN * scale)
+    if min(free[2] - free[0], free[3] - free[1]) < _LEAST * scale:
+        free = whole
+    return _shrunk(free, _MARGIN * scale)
 
 
 def _beside(free: Box, cover: Box) -> Box:

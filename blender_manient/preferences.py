@@ -76,8 +76,8 @@ class ManientPreferences(bpy.types.AddonPreferences):
     )
     hand_opacity: FloatProperty(  # type: ignore
         name="Hand Opacity",
-        description="How opaque the hand over the picture is while keypoints are edited. H makes it solid and "
-        "see-through again",
+        description="How opaque the hand over the picture is while keypoints are edited. H makes it solid "
+        "and see-through again",
         default=0.5,
         min=0.0,
         max=1.0,

@@ -24,8 +24,8 @@ def redraw_viewports(context: bpy.types.Context) -> None:
 
 
 def look_through_camera(context: bpy.types.Context) -> None:
-    """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the whole
-    picture in it."""
+    """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the
+    whole picture in it."""
     views = list(_viewports(context))
     if not views:
         return

@@ -17,25 +17,23 @@ Quality = Literal["good", "fair", "poor"]
 
 GOOD_BELOW: Final = 0.025
 FAIR_BELOW: Final = 0.04
-"""Mean errors as shares of the hand's length. Of 103 hands in photos and clips, drawn over their pictures: below
-2.5 % the outline lies on the hand's; from there to 4 % a finger or the wrist lies beside it by up to its own
-width; above, the pose is another one."""
+"""Mean errors as shares of the hand's length. Of 103 hands in photos and clips, drawn over their pictures:
+below 2.5 % the outline lies on the hand's; from there to 4 % a finger or the wrist lies beside it by up to
+its own width; above, the pose is another one."""
 
-_MIDDLE_TIP: Final = 4 * (FINGERS.index("middle") + 1)
+_MIDDLE: Final = [1 + 4 * FINGERS.index("middle") + i for i in range(4)]
+"""The middle finger's keypoints; the first one's parent is the wrist"""
 
 
 def relative_errors(track: HandTrack, intrinsics: Intrinsics) -> np.ndarray:
-    """(T,) the mean distance of the fitted hand's 21 keypoints from the detected ones, as a share of the hand's
-    length in the picture: that of wrist and stretched middle finger, seen from the front where the hand is. NaN
-    in frames without a detection."""
+    """(T,) the mean distance of the fitted hand's 21 keypoints from the detected ones, as a share of the
+    hand's length in the picture: that of wrist and stretched middle finger, seen from the front where the
+    hand is. NaN in frames without a detection."""
     errors = np.full(len(track.detected), np.nan)
     rows = track.detected
     joints = track.joints_3d[rows]  # (N, 21, 3) metres, camera frame
-    length = np.zeros(len(joints))
-    point = _MIDDLE_TIP
-    while KEYPOINT_PARENTS[point] >= 0:
-        length += np.linalg.norm(joints[:, point] - joints[:, KEYPOINT_PARENTS[point]], axis=-1)
-        point = KEYPOINT_PARENTS[point]
+    bones = joints[:, _MIDDLE] - joints[:, [KEYPOINT_PARENTS[point] for point in _MIDDLE]]
+    length = np.linalg.norm(bones, axis=-1).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         pixels = intrinsics.fx * length / joints[..., 2].mean(axis=-1)
         errors[rows] = track.reprojection_error[rows] / pixels

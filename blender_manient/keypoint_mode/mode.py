@@ -24,6 +24,7 @@ from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
 from ..scene.keys import set_pose
 from ..scene.see_through import SeeThrough
+from ..wording import capitalised
 from ..worker import shared
 from ..worker.client import as_error
 from . import drawing, view
@@ -473,7 +474,7 @@ class KeypointMode:
         """A sentence about this frame, and whether it is one to worry about."""
         row = self.row()
         if self.message:
-            return self.message[:1].upper() + self.message[1:], True
+            return capitalised(self.message), True
         if not self.view.shows(viewport):
             return "Numpad 0: look through the capture camera again", True
         if row is None:

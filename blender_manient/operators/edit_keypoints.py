@@ -14,8 +14,8 @@ from ..selection import active_hand
 _TICK = 0.008
 """seconds between two looks at the worker"""
 _KEYS = (
-    "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    Left/Right: Frame    "
-    "Enter, Esc: Done"
+    "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    "
+    "Left/Right: Frame    Enter, Esc: Done"
 )
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB"}
 

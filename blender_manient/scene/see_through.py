@@ -1,10 +1,10 @@
 """The picture shown through the hand, in every kind of shading, without touching the hand or the viewport.
 
-Behind a hand the capture camera shows its picture as a background image. Here a copy of that is laid over the hand,
-as opaque as the hand is to be see-through; where there is no hand, picture over picture looks as before. The copies
-are there while keypoints are edited. They are kept out of files that are saved meanwhile, and where an undo or a
-file that Blender saved by itself brings them back later, they are taken away again: the camera remembers how many
-it has.
+Behind a hand the capture camera shows its picture as a background image. Here a copy of that is laid over
+the hand, as opaque as the hand is to be see-through; where there is no hand, picture over picture looks as
+before. The copies are there while keypoints are edited. They are kept out of files that are saved
+meanwhile, and where an undo or a file that Blender saved by itself brings them back later, they are taken
+away again: the camera remembers how many it has.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def opacity_changed() -> None:
 
 
 def lay_over(camera: bpy.types.Camera, opacity: float) -> None:
-    """Lay copies of the camera's pictures over what is in front of them; `opacity` 1..0 is the hand's. Does nothing
-    where the camera shows no picture or belongs to another file."""
+    """Lay copies of the camera's pictures over what is in front of them; `opacity` 1..0 is the hand's. Does
+    nothing where the camera shows no picture or belongs to another file."""
     take_away(camera)
     backgrounds = camera.background_images
     behind = [index for index, background in enumerate(backgrounds) if _is_behind(background)]

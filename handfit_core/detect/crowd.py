@@ -14,8 +14,8 @@ MOST: Final = 10
 """hands that are told apart"""
 
 EVERY: Final = 25
-"""Of a clip's pictures with as many hands as are looked for, every so many-th is looked at again: this costs as
-much as finding hands in one more."""
+"""Of a clip's pictures with as many hands as are looked for, every so many-th is looked at again: this
+costs as much as finding hands in one more."""
 
 
 class HandCounter:
@@ -55,6 +55,6 @@ class HandCounter:
 
     @property
     def seen(self) -> int:
-        """The most hands that were seen at once; of several pictures, in at least two, since one may show what
-        only looks like a hand. 0 where no picture was full."""
+        """The most hands that were seen at once; of several pictures, in at least two, since one may show
+        what only looks like a hand. 0 where no picture was full."""
         return sorted([0, *self._counts])[-min(2, max(1, len(self._counts)))]

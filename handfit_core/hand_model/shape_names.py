@@ -1,8 +1,8 @@
 """What each of a model's shape coefficients changes, in words, found in the model's own data.
 
 A coefficient moves every vertex of the flat hand. This movement is compared with those of things that an
-artist would ask for: a larger hand, longer fingers, a thicker palm, and so on. Where one of them explains most
-of it, it gives the coefficient its name. NumPy only.
+artist would ask for: a larger hand, longer fingers, a thicker palm, and so on. Where one of them explains
+most of it, it gives the coefficient its name. NumPy only.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def shape_names(model: HandModel) -> tuple[str | None, ...]:
 
 def effect_shares(model: HandModel) -> tuple[dict[str, float], ...]:
     """For each of the betas and each effect the share of the vertices' movement (sum of squares) which that
-    effect alone explains, -1..1; negative where the beta does the opposite. Empty for a beta that moves nothing.
+    effect alone explains, -1..1; negative where the beta does the opposite. Empty for a beta that moves
+    nothing.
 
     Where the hand is placed does not count: what a movement has in common with a rigid motion of the whole
     hand is taken out first.
@@ -92,8 +93,9 @@ def _effects(model: HandModel) -> Iterator[tuple[str, np.ndarray]]:
 
     yield "hand size", x - wrist
     yield "hand width", _along(across, x - wrist)
-    yield "fingers length", sum(longer[finger] for finger in _LONG_FINGERS)
-    yield "fingers thickness", sum(thicker.values())
+    yield "fingers length", np.sum([longer[finger] for finger in _LONG_FINGERS], axis=0)
+    all_thicker = np.sum(list(thicker.values()), axis=0)
+    yield "fingers thickness", all_thicker
     yield "fingers spread", _spread(model, bones)
     for finger in FINGERS:
         part = "thumb" if finger == "thumb" else f"{finger} finger"
@@ -107,7 +109,7 @@ def _effects(model: HandModel) -> Iterator[tuple[str, np.ndarray]]:
     yield "palm width", _along(across, carried)
     palm_thicker = _along(back, model.weights[:, [0]] * (x - wrist))
     yield "palm thickness", palm_thicker
-    yield "hand thickness", palm_thicker + sum(thicker.values())
+    yield "hand thickness", palm_thicker + all_thicker
 
 
 def _along(axis: np.ndarray, movement: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ PORTRAIT, LANDSCAPE, SQUARE = (620.0, 1080.0), (1920.0, 1080.0), (500.0, 500.0)
 
 
 def frame_box(region, frame, sensor_fit, zoom, offset) -> np.ndarray:
-    """(4,) left, bottom, right, top in pixels of the region where Blender draws the camera's frame, as its sources
-    have it (BKE_camera_params_compute_viewplane), with a sensor of 1 over a lens of 1."""
+    """(4,) left, bottom, right, top in pixels of the region where Blender draws the camera's frame, as its
+    sources have it (BKE_camera_params_compute_viewplane), with a sensor of 1 over a lens of 1."""
 
     def fitted(size) -> float:
         horizontal = size[0] >= size[1] if sensor_fit == "AUTO" else sensor_fit == "HORIZONTAL"

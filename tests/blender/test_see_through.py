@@ -65,9 +65,10 @@ def test_a_copy_of_the_picture_lies_over_the_hand_until_the_end(camera):
 
 def test_the_opacity_is_followed_and_a_solid_hand_needs_no_copy(camera):
     before = described(camera)
-    opacity = 0.3
-    over = SeeThrough(camera, lambda: opacity)
+    opacities = [0.3]
+    over = SeeThrough(camera, lambda: opacities[-1])
     for opacity, alphas in ((0.3, [0.7]), (0.0, [1.0]), (1.0, []), (0.8, [0.2])):
+        opacities.append(opacity)
         over.show()
         copies = camera.background_images[len(before) :]
         assert [c.alpha for c in copies] == pytest.approx(alphas)

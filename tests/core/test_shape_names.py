@@ -57,7 +57,7 @@ def test_each_effect_by_its_name(model: HandModel) -> None:
         x * 0.1 + [0.02, -0.3, 0.1],  # wherever the larger hand is put
         -0.2 * pulled_out(model, "thumb"),
         0.3 * pulled_out(model, "index"),
-        -sum(pulled_out(model, f) for f in long_fingers),
+        -np.sum([pulled_out(model, f) for f in long_fingers], axis=0),
     )
     assert shape_names(shaped)[:4] == (
         "Larger Hand",
@@ -81,7 +81,7 @@ def test_thickness_is_no_length(model: HandModel) -> None:
 def test_no_name_where_nothing_dominates(model: HandModel) -> None:
     rng = np.random.default_rng(3)
     three = [pulled_out(model, finger) for finger in ("thumb", "middle", "little")]
-    equal = sum(movement / np.linalg.norm(movement) for movement in three)
+    equal = np.sum([movement / np.linalg.norm(movement) for movement in three], axis=0)
     turned = np.cross([0.1, 0.2, 0.3], model.v_template) + [0.01, 0.0, 0.0]
     shaped = with_shapes(model, rng.normal(0, 0.001, model.v_template.shape), equal, turned)
     assert shape_names(shaped) == (None,) * NUM_BETAS
