@@ -60,11 +60,9 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         lines.label(text=f"Found in {found} of {count} frames{more}", translate=False)
         share = _mean_error(track, hand.take.intrinsics)
         if share is not None:
-            line = lines.row()
-            line.alignment = "LEFT"
-            text = f"Mean error {100 * share:.1f} %: {quality(share)}"
-            worst = line.operator("manient.jump_worst", text=text, emboss=False, translate=False)
-            worst.hand = armature.name
+            row = box.row(align=True)
+            row.label(text=f"Error {100 * share:.1f} % of the hand: {quality(share)}", translate=False)
+            row.operator("manient.jump_worst", text="", icon="INFO").hand = armature.name
         doubtful = 0 if track.doubtful is None else int(track.doubtful.sum())
         row = box.row(align=True)
         frames = "frame" if doubtful == 1 else "frames"

@@ -117,7 +117,7 @@ def see_through(stage, source, shadings=("SOLID",)):
     yield from stage.move_to(stage.region())
     yield from stage.key("H")
     yield 0.2
-    yield from stage.screenshot("see-through-solid")
+    yield from stage.screenshot("see-through-off")
     found["solid"] = _alphas()
     yield from stage.key("H")
     yield 0.2
