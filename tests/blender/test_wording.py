@@ -15,7 +15,14 @@ from blender_manient.remembered import Remembered
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.selection import active_hand
-from blender_manient.wording import NAME_BYTES, capitalised, named_after, shortened, shortened_name, without_name
+from blender_manient.wording import (
+    NAME_BYTES,
+    capitalised,
+    named_after,
+    shortened,
+    shortened_name,
+    without_name,
+)
 from blender_manient.worker.client import CaptureOptions
 from handfit_core.fit_quality import relative_errors
 from handfit_core.take import Source

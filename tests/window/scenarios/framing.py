@@ -9,8 +9,8 @@ from scenarios.capturing import capture, hands, part
 
 
 def whole_picture(stage, source):
-    """A capture with the sidebar closed, open, in a quad view, and from within another camera view that was zoomed
-    into; what Edit Keypoints makes of a view from elsewhere. Pixels of the window of each."""
+    """A capture with the sidebar closed, open, in a quad view, and from within another camera view that was
+    zoomed into; what Edit Keypoints makes of a view from elsewhere. Pixels of the window of each."""
     found = {}
     yield from capture(stage, source)
     yield 0.3

@@ -12,7 +12,8 @@ from scenarios.panels import closed_again, opened_by_default
 
 
 def long_names(stage, source, broken):
-    """A capture that fails, and one with a long name that succeeds; every line of text in the sidebar after each."""
+    """A capture that fails, and one with a long name that succeeds; every line of text in the sidebar after
+    each."""
     yield from stage.open_sidebar()
     failed = yield from begin(stage, broken)
     yield from finish(stage, failed)
