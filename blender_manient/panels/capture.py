@@ -66,7 +66,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row.label(text=f"{name}: Waiting", icon=_ICONS["waiting"], translate=False)
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
             elif job.undone:
-                sentence(box, context, f"{job.name}: Undone", "LOOP_BACK")
+                sentence(box, context, f"{fitted(context, job.name, ': Undone')}: Undone", "LOOP_BACK")
             else:
                 text = f"{fitted(context, job.name, ':')}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")

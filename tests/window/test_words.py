@@ -39,5 +39,18 @@ def test_a_missing_python_is_said_in_one_line_beside_the_field(blender):
 
 def test_shapes_have_names(blender, photo):
     shown = blender.play("words.shapes", source=photo, timeout=240).value
-    sliders = [text for text in shown if "Larger Hand" in text or "Shape " in text or "Thumb" in text]
-    assert sliders == ["Larger Hand", "Shorter Thumb", "Shape 2", "Shape 8", "Shape 10"]
+    names = [text.partition(": ")[0] for text in shown]  # a value follows
+    effects = ("Larger", "Shorter", "Longer", "Thinner", "Narrower", "Shape ")
+    sliders = [name for name in names if name.startswith(effects)]
+    assert sliders == [
+        "Larger Hand",
+        "Shorter Thumb",
+        "Longer Middle Finger",
+        "Longer Ring Finger",
+        "Shorter Little Finger",
+        "Thinner Hand",
+        "Narrower Palm",
+        "Shape 2",
+        "Shape 8",
+        "Shape 10",
+    ]
