@@ -38,7 +38,7 @@ def find_hand(
 ) -> Hand:
     """Detect an input's hands and keep the one seen most. Raises HandfitError."""
     media = open_media(source, frames)
-    _, found = detect_frames(media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None)
+    _, found, _ = detect_frames(media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None)
     track = max(link_tracks(found), key=lambda t: int(t.detected.sum()))
     return Hand(
         model=load_model(model, track.side),

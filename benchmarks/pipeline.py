@@ -32,7 +32,7 @@ def time_pipeline(
     def detect(_: int) -> None:
         nonlocal count
         media = open_media(source, frames)
-        numbers, _found = detect_frames(
+        numbers, _found, _ = detect_frames(
             media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None
         )
         count = len(numbers)

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
-from handfit_core.take import Take
+from handfit_core.take import Source, Take
 
 from . import details
 from .cache import folder_path, temporary_take
@@ -30,6 +30,7 @@ from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .slices import retold
+from .wording import capitalised, without_name
 from .worker import shared
 from .worker.client import CaptureOptions
 
@@ -91,6 +92,8 @@ class Job:
     _take_path: Path | None = None
     _builder: Generator[float, None, Any] | None = None
     _stopping: bool = False
+    _replaces: tuple[Job, ...] = ()
+    """Failures that were shown when it was asked for; once it succeeds they are old"""
 
     @property
     def running(self) -> bool:
@@ -160,6 +163,7 @@ def current() -> Job | None:
 
 def submit(job: Job) -> None:
     """Put a job behind the others."""
+    job._replaces = tuple(old for old in _queue if old.state == "failed")
     _queue.append(job)
     finished = [j for j in _queue if j.finished]
     for old in finished[: max(0, len(finished) - _KEPT)]:
@@ -289,6 +293,7 @@ def _build(job: Job) -> bool:
         job.hands, warnings, job.message = stop.value
         job.warnings += warnings
         job.state, job.fraction = "done", 1.0
+        _queue[:] = [other for other in _queue if other not in job._replaces]
         _make_active(job.hands)
         _note(job)
         bpy.ops.ed.undo_push(message="Capture Hands")
@@ -382,8 +387,9 @@ def _make_active(hands: tuple[str, ...]) -> None:
 
 
 def _fail(job: Job, sentence: str, more: str) -> None:
-    sentence = sentence or "the capture failed"
-    job.state, job.message = "failed", sentence[:1].upper() + sentence[1:]
+    # Wherever it is shown, the job's name stands before it.
+    names = (job.name, *job.files[:1], *(Source(kind, job.files).name for kind in ("photo", "sequence")))
+    job.state, job.message = "failed", capitalised(without_name(sentence or "the capture failed", names))
     job._builder = None
     details.write_details(f"Capture of {job.name}", job.message, more)
 

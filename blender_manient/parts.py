@@ -16,6 +16,7 @@ from .operators import (
     export_hand,
     import_take,
     jump_doubtful,
+    jump_worst,
     lock_joints,
     mark_doubtful,
     mirror_hand,
@@ -28,7 +29,7 @@ from .operators import (
     show_details,
     use_source,
 )
-from .scene import confidence, reshape
+from .scene import confidence, reshape, see_through
 from .worker import shared
 
 PARTS = (
@@ -38,6 +39,7 @@ PARTS = (
     reshape,
     confidence,
     error_graph,
+    see_through,
     import_take,
     export_hand,
     reset_shape,
@@ -59,6 +61,7 @@ PARTS = (
     select_hand,
     mark_doubtful,
     jump_doubtful,
+    jump_worst,
     clear_corrections,
     edit_keypoints,
     lock_joints,

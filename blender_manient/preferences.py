@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from .properties import PRESETS
 
@@ -73,6 +73,16 @@ class ManientPreferences(bpy.types.AddonPreferences):
         name="Drag and Drop Captures Hands",
         description="Offer to capture hands when a picture or video is dropped onto the 3D viewport",
         default=True,
+    )
+    hand_opacity: FloatProperty(  # type: ignore
+        name="Hand Opacity",
+        description="How opaque the hand over the picture is while keypoints are edited. H makes it solid "
+        "and see-through again",
+        default=0.5,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        update=lambda _self, _context: _opacity_changed(),
     )
 
     def draw(self, context):
@@ -142,6 +152,7 @@ def _draw_habits(self, layout: bpy.types.UILayout, _context: bpy.types.Context) 
     layout.separator()
     layout.prop(self, "default_preset")
     layout.prop(self, "drop_captures")
+    layout.prop(self, "hand_opacity")
 
 
 def get(context: bpy.types.Context | None = None) -> Any:
@@ -163,6 +174,12 @@ def unquoted(text: str) -> str:
     if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
         text = text[1:-1].strip()
     return text
+
+
+def _opacity_changed() -> None:
+    from .scene import see_through
+
+    see_through.opacity_changed()
 
 
 def redraw() -> None:

@@ -19,6 +19,7 @@ from handfit_core.refine import RefineHand, landmark_points, result_from_message
 from handfit_core.refine.models import hand_model
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import DEFAULT_SMOOTHING
+from handfit_core.take import HandTrack
 
 from . import axes
 from .correction_field import Pins, changed_quats
@@ -29,6 +30,7 @@ from .scene.editable import why_not_keyable
 from .scene.keys import pose_at
 from .scene.own_keys import note_fitted
 from .scene.store import CapturedHand, hand_of
+from .wording import capitalised
 
 _ON_ROW = 0.01
 """scene frames. The scene stands on a source frame when it is no farther from it"""
@@ -64,11 +66,9 @@ class Refiner:
         hand = hand_of(armature)
         if hand is None:
             raise OptionError(f"{armature.name!r} is no captured hand: select one, or capture it again")
-        if not hand.track.refinable:
-            raise TakeError(
-                f"the take of {armature.name!r} has no detections to refine: capture it again, as older "
-                "takes did not keep them"
-            )
+        why = why_not_refinable(hand.track)
+        if why is not None:
+            raise TakeError(f"{armature.name!r}: {why}")
         self._remembered = Remembered.of("objects", armature)
         self.name = armature.name
         self.take, self.track = hand.take, hand.track
@@ -255,6 +255,17 @@ def _steps(frame_numbers: np.ndarray, rows: Sequence[int]) -> tuple[int, tuple[i
     return step, tuple(int(at) for at in np.flatnonzero(np.diff(frame_numbers[list(rows)]) > step))
 
 
+def why_not_refinable(track: HandTrack) -> str | None:
+    """Why the picture cannot tell how a hand is to be corrected, in a sentence; None where it can."""
+    if not track.detected.any():
+        return (
+            "a mirrored hand is not in the picture: correct the hand that it was made from, and mirror that"
+        )
+    if not track.refinable:
+        return "its take is an old one, which keeps no detections: capture the footage again"
+    return None
+
+
 def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None:
     """Why a hand cannot be refined now: a sentence for a tooltip; None where it can."""
     from . import jobs
@@ -264,8 +275,9 @@ def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None
     why = why_not_keyable(hand.armature) or corrections.why_elsewhere(hand.armature)
     if why is not None:
         return why
-    if not hand.track.refinable:
-        return "This take has no detections to refine: capture it again"
+    why = why_not_refinable(hand.track)
+    if why is not None:
+        return capitalised(why)
     if jobs.busy():
         return "Wait for the capture to end, or cancel it"
     if context.mode not in ("OBJECT", "POSE"):

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import bpy
 
+from .camera_view import frame_whole_picture
+
 
 def redraw_sidebars(context: bpy.types.Context) -> None:
     """Draw the sidebars of all 3D viewports again."""
@@ -22,16 +24,19 @@ def redraw_viewports(context: bpy.types.Context) -> None:
 
 
 def look_through_camera(context: bpy.types.Context) -> None:
-    """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera."""
+    """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the
+    whole picture in it."""
     views = list(_viewports(context))
     if not views:
         return
     area = context.area if context.area in views else max(views, key=lambda a: a.width * a.height)
     assert area is not None
     space = area.spaces.active
-    if space.region_3d.view_perspective != "CAMERA" and not space.use_local_camera:
-        space.region_3d.view_perspective = "CAMERA"
-        area.tag_redraw()
+    camera = context.scene.camera
+    if camera is None or space.use_local_camera:
+        return
+    space.region_3d.view_perspective = "CAMERA"
+    frame_whole_picture(area, camera, context.scene)
 
 
 def _viewports(context: bpy.types.Context) -> Iterator[bpy.types.Area]:

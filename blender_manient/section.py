@@ -5,10 +5,14 @@ from __future__ import annotations
 import blf
 import bpy
 
+from .wording import shortened
+
 CATEGORY = "Hand Capture"
 
 _BESIDE = 84
 """Pixels at scale 1 of a sidebar that are no label: margins, icon, the tabs"""
+_BUTTON = 22
+"""pixels at scale 1 of a button that is only an icon"""
 
 
 class Section:
@@ -36,14 +40,25 @@ def sentence(
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
 
 
+def fitted(context: bpy.types.Context, text: str, beside: str = "", buttons: int = 0) -> str:
+    """A name shortened in its middle so that it fits into one line, with the text `beside` it and so many
+    square buttons at the line's end."""
+    room = _room(context, None) - buttons * _BUTTON * context.preferences.system.ui_scale
+    return shortened(text, lambda name: blf.dimensions(0, name + beside)[0] <= room)
+
+
+def _room(context: bpy.types.Context, width: int | None) -> float:
+    """Pixels that a label beside an icon has; sets the font's size for measuring."""
+    scale = context.preferences.system.ui_scale
+    blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
+    if width is not None:
+        return (width - _BESIDE) * scale
+    return (context.region.width if context.region else 300) - _BESIDE * scale
+
+
 def _wrapped(context: bpy.types.Context, text: str, width: int | None) -> list[str]:
     """The text's lines as wide as a label beside an icon has room for."""
-    scale = context.preferences.system.ui_scale
-    if width is not None:
-        room = (width - _BESIDE) * scale
-    else:
-        room = (context.region.width if context.region else 300) - _BESIDE * scale
-    blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
+    room = _room(context, width)
     lines, line = [], ""
     for word in text.split():
         longer = f"{line} {word}" if line else word

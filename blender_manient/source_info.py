@@ -20,6 +20,7 @@ from handfit_core.size_limit import check_for_blender
 
 from . import jobs, preferences, screen, sources
 from .scene.matching import Footage
+from .wording import capitalised, without_name
 from .worker import shared
 
 _LOOK_AGAIN = 0.1
@@ -165,7 +166,8 @@ def _await_answer() -> float | None:
 def _take_in(info: SourceInfo, event: dict[str, Any]) -> None:
     if event["event"] == "error":
         message = str(event.get("message", ""))
-        info.problem = message[:1].upper() + message[1:]
+        # The panel has the path above.
+        info.problem = capitalised(without_name(message, info.files.files if info.files else ()))
         return
     info.width, info.height = int(event["width"]), int(event["height"])
     info.fps, info.frames = float(event["fps"]), int(event["frames"])

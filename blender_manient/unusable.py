@@ -6,6 +6,7 @@ import bpy
 
 from . import verification
 from .section import Section, sentence
+from .wording import capitalised
 
 ADDON = __package__ or ""
 _REPOSITORY = ADDON.split(".")[1] if ADDON.count(".") > 1 else "none"
@@ -36,7 +37,7 @@ class ManientUnusablePreferences(bpy.types.AddonPreferences):
 def _draw(layout: bpy.types.UILayout | None, context: bpy.types.Context) -> None:
     assert layout is not None
     for problem in verification.problems()[:1]:
-        text = problem.sentence[:1].upper() + problem.sentence[1:]
+        text = capitalised(problem.sentence)
         sentence(layout, context, text, "ERROR", alert=True)
 
 

@@ -62,7 +62,13 @@ def refuse(problem: Problem) -> None:
 
 def capture_sentence() -> str:
     """Why Blender's own Python cannot capture, as far as is known; empty where nothing is. Costs nothing."""
-    return next((problem.sentence for problem in _known if problem.stops != "nothing"), "")
+    problem = capture_problem()
+    return problem.sentence if problem is not None else ""
+
+
+def capture_problem() -> Problem | None:
+    """The first of what keeps Blender's own Python from capturing, as far as is known. Costs nothing."""
+    return next((problem for problem in _known if problem.stops != "nothing"), None)
 
 
 def before_capture() -> str:

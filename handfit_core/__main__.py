@@ -26,6 +26,7 @@ from handfit_core.detect.tracks import HAND_CHOICES
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.evaluate.commands import add_evaluate_command
 from handfit_core.files import check_writable
+from handfit_core.fit_quality import quality
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.pipeline import Progress, ProgressCallback, capture, hand_summaries
@@ -307,8 +308,7 @@ class _TextOutput(_Output):
             f"{h['side']} hand in {h['frames']} of {summary['frames']} frames, "
             + (f"{h['filled']} more filled, " if h["filled"] else "")
             + (f"{h['doubtful']} doubtful, " if h["doubtful"] else "")
-            + ("no" if (error := h["mean_reprojection_error_px"]) is None else f"{error:.1f} px")
-            + " mean error"
+            + _mean_error(h)
             for h in summary["hands"]
         )
         self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")
@@ -324,6 +324,14 @@ class _TextOutput(_Output):
 
     def error(self, kind: str, message: str) -> None:  # noqa: ARG002 (people read the message)
         self._line(f"error: {message}")
+
+
+def _mean_error(hand: dict[str, Any]) -> str:
+    """Of one of `hand_summaries`, in words."""
+    share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
+    if share is None or pixels is None:
+        return "no mean error"
+    return f"mean error {100 * share:.1f} % of the hand ({quality(share)}, {pixels:.1f} px)"
 
 
 class _LogHandler(logging.Handler):

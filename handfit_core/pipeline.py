@@ -14,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.camera import Intrinsics
-from handfit_core.detect.tracks import HAND_CHOICES, HandChoice, link_tracks
+from handfit_core.detect.tracks import HAND_CHOICES, HandChoice, link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
+from handfit_core.fit_quality import mean_relative_error
 from handfit_core.frame_range import FrameRange
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.keypoints import DetectedTrack, HandDetection
@@ -137,7 +138,7 @@ def capture(
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
-    numbers, found = detect_frames(
+    numbers, found, at_once = detect_frames(
         media,
         report,
         max_hands=max(max_hands, 2),
@@ -149,11 +150,12 @@ def capture(
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
-        tracks = link_tracks(found, hands, max_hands, _rate(media, numbers), _holes(numbers))
+        tracks, seen = link_and_count(found, hands, max_hands, _rate(media, numbers), _holes(numbers))
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
         raise NoHandFoundError(f"{media.source.name}: {error}") from None
+    _tell_of_others(hands, len(tracks), seen if hands in SIDES else max(seen, at_once))
     if stop():
         stop = never if solver in FAST_SOLVERS else _after(LAST_FITS_SECONDS)
 
@@ -200,25 +202,30 @@ def detect_frames(
     landmark_model: str | os.PathLike[str] | None,
     persistent: bool = True,
     should_stop: ShouldStop | None = None,
-) -> tuple[list[int], list[tuple[HandDetection, ...]]]:
-    """Frame numbers and the hands found in each frame; an unreadable frame has none.
+) -> tuple[list[int], list[tuple[HandDetection, ...]], int]:
+    """Frame numbers, the hands found in each frame, and how many were seen at once where there were more than
+    are looked for, else 0; an unreadable frame has none.
 
     `persistent`: look again where the plain detector finds too little (see `HandFinder`). `should_stop` is
     asked before every frame; the frames before that are returned.
 
     Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
     """
+    from handfit_core.detect.crowd import HandCounter
     from handfit_core.detect.finder import HandFinder
 
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
-    with HandFinder(
-        max_hands=max_hands,
-        video=media.source.kind != "photo",
-        threshold=threshold,
-        landmark_model=landmark_model,
-        persistent=persistent,
-    ) as finder:
+    with (
+        HandFinder(
+            max_hands=max_hands,
+            video=media.source.kind != "photo",
+            threshold=threshold,
+            landmark_model=landmark_model,
+            persistent=persistent,
+        ) as finder,
+        HandCounter(max_hands=max_hands, threshold=threshold, landmark_model=landmark_model) as counter,
+    ):
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
                 if should_stop is not None and should_stop():
@@ -227,11 +234,21 @@ def detect_frames(
                     break
                 numbers.append(frame.number)
                 found.append(finder.find(frame.rgb, frame.time))
+                counter.look(frame.rgb, len(found[-1]))
                 report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
         found = finder.completed(found)
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")
-    return numbers, found
+    return numbers, found, counter.seen
+
+
+def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
+    """Warn where there were more hands than are captured."""
+    if seen <= captured:
+        return
+    named = f"{seen} {hands} hands" if hands in SIDES else f"{seen} hands"
+    kept = "the surest was" if captured == 1 else f"the {captured} surest were"
+    log.warning("%s were seen, and %s captured: crop the footage to capture others", named, kept)
 
 
 def _after(seconds: float) -> ShouldStop:
@@ -304,8 +321,8 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
 
 
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
-    """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels (None
-    where it has no value)."""
+    """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels and as a
+    share of the hand's length (None where they have no value)."""
     return [
         {
             "side": track.side,
@@ -313,6 +330,7 @@ def hand_summaries(take: Take) -> list[dict[str, Any]]:
             "filled": 0 if track.filled is None else int(track.filled.sum()),
             "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
             "mean_reprojection_error_px": _mean(track.reprojection_error[track.detected]),
+            "mean_error_of_hand": mean_relative_error(track, take.intrinsics),
         }
         for track in take.hands
     ]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core.files import written_whole
+from handfit_core.fit_quality import mean_relative_error, quality
 from handfit_core.take import Take
 
 
@@ -22,7 +23,8 @@ class Result:
     seconds: float = 0.0
     frames: int = 0
     hands: list[dict[str, Any]] = field(default_factory=list)
-    """per hand its side, the frames in which it was detected, and mean_reprojection_error_px"""
+    """per hand its side, the frames in which it was detected, mean_reprojection_error_px, and
+    mean_error_of_hand: the same as a share of the hand's length in the picture"""
     files: list[str] = field(default_factory=list)
     """relative to the report's folder"""
     warnings: list[str] = field(default_factory=list)
@@ -33,11 +35,13 @@ class Result:
         self.frames = len(take.frame_numbers)
         for track in take.hands:
             error = track.reprojection_error[track.detected]
+            share = mean_relative_error(track, take.intrinsics)
             self.hands.append(
                 {
                     "side": track.side,
                     "detected": int(track.detected.sum()),
                     "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
+                    "mean_error_of_hand": None if share is None else round(share, 4),
                 }
             )
 
@@ -55,9 +59,13 @@ def line(result: Result) -> str:
         named = "" if result.error.startswith(result.input) else f"{result.input}: "
         return f"{result.status}: {named}{result.error}"
     hands = ", ".join(
-        f"{hand['side']} hand in {hand['detected']} of {result.frames} frames"
-        + (f" ({hand['mean_reprojection_error_px']:.1f} px)" if hand["detected"] else "")
+        f"{hand['side']} hand in {hand['detected']} of {result.frames} frames{_error(hand)}"
         for hand in result.hands
     )
     warnings = f", {len(result.warnings)} warnings" if result.warnings else ""
     return f"ok: {result.input}: {hands}{warnings}, {result.seconds:.1f} s"
+
+
+def _error(hand: dict[str, Any]) -> str:
+    share = hand["mean_error_of_hand"]
+    return "" if share is None else f" ({100 * share:.1f} %, {quality(share)})"

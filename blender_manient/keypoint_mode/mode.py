@@ -18,11 +18,13 @@ import numpy as np
 from handfit_core.errors import HandfitError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-from .. import details, jobs, screen
+from .. import details, jobs, preferences, screen
 from ..correction_field import Pins
 from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
 from ..scene.keys import set_pose
+from ..scene.see_through import SeeThrough
+from ..wording import capitalised
 from ..worker import shared
 from ..worker.client import as_error
 from . import drawing, view
@@ -113,6 +115,9 @@ class KeypointMode:
         self._warming = shared.worker().request("warm")
         self._solved_in = _PATIENCE
         self.view = view.CaptureView(viewport, camera, context)
+        self.solid = False
+        """Whether the hand hides the picture, whatever its opacity is otherwise"""
+        self.see_through = SeeThrough(camera.data, self._opacity)
         self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         bpy.app.handlers.undo_post.append(self._on_undo)
         bpy.app.handlers.redo_post.append(self._on_undo)
@@ -136,6 +141,7 @@ class KeypointMode:
             bpy.app.handlers.load_pre.remove(self._on_load)
         if self._warming:
             abandon(self._warming)
+        self.see_through.leave()
         self.view.leave(context)
         screen.redraw_viewports(context)
 
@@ -166,6 +172,17 @@ class KeypointMode:
     def _on_load(self, *_args) -> None:
         self.ended = ""
         self.end(bpy.context)
+
+    # The hand over the picture
+
+    def toggle_solid(self, context: bpy.types.Context) -> None:
+        """Make the hand solid, or see-through again."""
+        self.solid = not self.solid
+        self.see_through.show()
+        screen.redraw_viewports(context)
+
+    def _opacity(self) -> float:
+        return 1.0 if self.solid else preferences.get().hand_opacity
 
     # Where the handles are
 
@@ -457,7 +474,7 @@ class KeypointMode:
         """A sentence about this frame, and whether it is one to worry about."""
         row = self.row()
         if self.message:
-            return self.message[:1].upper() + self.message[1:], True
+            return capitalised(self.message), True
         if not self.view.shows(viewport):
             return "Numpad 0: look through the capture camera again", True
         if row is None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from handfit_core.camera import Intrinsics
 
+from ..camera_view import camera_region, frame_whole_picture
 from ..picture_map import picture_to_region
 
 _OF_REGION = (
@@ -68,13 +69,9 @@ def viewport_at(context: bpy.types.Context, address: int) -> Viewport | None:
 
 
 def _parts(area: bpy.types.Area) -> Viewport | None:
-    region = next((r for r in area.regions if r.type == "WINDOW"), None)
-    space = area.spaces.active
+    region, space = camera_region(area), area.spaces.active
     if region is None or not isinstance(space, bpy.types.SpaceView3D):
         return None
-    # In a quad view the last region is the one that `region_3d` belongs to.
-    if space.region_quadviews:
-        region = [r for r in area.regions if r.type == "WINDOW"][-1]
     return Viewport(area, region, space)
 
 
@@ -99,8 +96,7 @@ class CaptureView:
         elif space.use_local_camera:
             space.camera = camera
         view.view_perspective = "CAMERA"
-        with context.temp_override(area=viewport.area, region=viewport.region):
-            bpy.ops.view3d.view_center_camera()
+        frame_whole_picture(viewport.area, camera, context.scene)
 
     def shows(self, viewport: Viewport) -> bool:
         """Whether the viewport looks through the capture camera now."""

@@ -133,7 +133,7 @@ class MANIENT_OT_capture(bpy.types.Operator):
         for warning in job.warnings:
             self.report({"WARNING"}, warning)
         if job.state == "failed":
-            self.report({"ERROR"}, job.message)
+            self.report({"ERROR"}, f"{job.name}: {job.message}")
         else:
             said = ". ".join(filter(None, (job.message, job.scene_said)))
             self.report({"INFO"}, f"{job.name}: {said}")

@@ -11,6 +11,7 @@ import bpy
 from handfit_core.errors import HandfitError
 
 from .. import cache, details, preferences, verification
+from ..wording import capitalised
 from ..worker import shared
 from ..worker.client import PYTHON_VARIABLE, Event, Worker, as_error
 from ..worker.interpreter import find_python
@@ -156,7 +157,7 @@ def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None)
     if missing:
         sentence = missing
     elif problem is not None:
-        sentence = _capitalized(str(problem))
+        sentence = capitalised(str(problem))
     elif ok:
         sentence = "Everything that a capture needs is there and works"
     else:
@@ -207,10 +208,6 @@ def _without_home(text: str) -> str:
     """A bug report need not tell the user's name."""
     home = str(Path.home())
     return text.replace(home, "~") if len(home) > 1 else text
-
-
-def _capitalized(sentence: str) -> str:
-    return sentence[:1].upper() + sentence[1:]
 
 
 def register() -> None:

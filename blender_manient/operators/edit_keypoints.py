@@ -14,7 +14,8 @@ from ..selection import active_hand
 _TICK = 0.008
 """seconds between two looks at the worker"""
 _KEYS = (
-    "Drag: Move Point    X or Ctrl Click: Remove Pin    Ctrl Z: Undo    Left/Right: Frame    Enter, Esc: Done"
+    "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    "
+    "Left/Right: Frame    Enter, Esc: Done"
 )
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB"}
 
@@ -169,6 +170,9 @@ class MANIENT_OT_edit_keypoints(bpy.types.Operator):
             return {"PASS_THROUGH"}
         if event.type in ("X", "DEL", "BACK_SPACE") and _mode.hovered is not None:
             _mode.unpin(_mode.hovered)
+            return {"RUNNING_MODAL"}
+        if event.type == "H" and not (event.ctrl or event.shift or event.alt or event.oskey):
+            _mode.toggle_solid(context)
             return {"RUNNING_MODAL"}
         if event.type in ("LEFT_ARROW", "RIGHT_ARROW") and not (event.ctrl or event.shift or event.alt):
             _mode.step(context.scene, -1 if event.type == "LEFT_ARROW" else 1)

@@ -16,6 +16,7 @@ _CLASSES = (
     refine.MANIENT_PT_refine,
     shape.MANIENT_PT_shape,
     shape.MANIENT_PT_proportions,
+    shape.MANIENT_PT_other_proportions,
     export.MANIENT_PT_export,
 )
 

@@ -6,7 +6,7 @@ import bpy
 
 from .. import jobs, source_info
 from ..scene.matching import said
-from ..section import Section, sentence
+from ..section import Section, fitted, sentence
 from ..selection import active_hand
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
@@ -58,16 +58,17 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row = box.row(align=True)
                 row.progress(factor=job.fraction, text=job.doing())
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
-                below = "  ".join(filter(None, (job.name, job.pace())))
-                box.label(text=below, translate=False)
+                pace = f"  {job.pace()}" if job.pace() else ""
+                box.label(text=fitted(context, job.name, pace) + pace, translate=False)
             elif job.state == "waiting":
                 row = box.row(align=True)
-                row.label(text=f"{job.name}: Waiting", icon=_ICONS["waiting"], translate=False)
+                name = fitted(context, job.name, ": Waiting", buttons=1)
+                row.label(text=f"{name}: Waiting", icon=_ICONS["waiting"], translate=False)
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
             elif job.undone:
-                sentence(box, context, f"{job.name}: Undone", "LOOP_BACK")
+                sentence(box, context, f"{fitted(context, job.name, ': Undone')}: Undone", "LOOP_BACK")
             else:
-                text = f"{job.name}: {job.message}"
+                text = f"{fitted(context, job.name, ':')}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
                 if job.scene_said:
                     sentence(box, context, job.scene_said, "SCENE_DATA")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs
+from .. import jobs, preferences
+from ..refiner import why_not_refinable
 from ..scene import corrections
 from ..section import Section, sentence
 from ..selection import active_hand
+from ..wording import capitalised
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):
@@ -24,14 +26,18 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         if hand is None:
             sentence(layout, context, "Select a captured hand to correct it", "INFO")
             return
-        if not hand.track.refinable:
-            sentence(layout, context, "This take has no detections to refine: capture it again", "ERROR")
+        why = why_not_refinable(hand.track)
+        if why is not None:
+            sentence(layout, context, capitalised(why), "INFO")
             return
         if jobs.busy():
             sentence(layout, context, "Wait for the capture to end", "INFO")
         column = layout.column()
         column.scale_y = 1.3
         column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
+        kept = preferences.get()
+        if isinstance(kept, bpy.types.AddonPreferences):
+            layout.prop(kept, "hand_opacity", slider=True)
         layout.prop(settings, "spread", text="Spread (Frames)")
         layout.operator("manient.refit_range", icon="FILE_REFRESH")
         corrected = corrections.corrected_frames(hand.armature)

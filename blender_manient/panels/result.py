@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import bpy
-import numpy as np
+
+from handfit_core.camera import Intrinsics
+from handfit_core.fit_quality import mean_relative_error, quality
+from handfit_core.take import HandTrack
 
 from ..scene import markers
 from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
-from ..section import Section, sentence
+from ..section import Section, fitted, sentence
+
+
+@lru_cache(maxsize=8)
+def _mean_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:
+    """Takes are kept as they are read, so that a long one is not measured with every redraw."""
+    return mean_relative_error(track, intrinsics)
 
 
 class MANIENT_PT_result(Section, bpy.types.Panel):
@@ -33,7 +44,8 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             return
         box = self.layout.box().column(align=True)
         row = box.row(align=True)
-        row.label(text=armature.name, icon="OUTLINER_OB_ARMATURE", translate=False)
+        name = fitted(context, armature.name, buttons=1)
+        row.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
         select = row.operator("manient.select_hand", text="", icon="RESTRICT_SELECT_OFF")
         select.hand = armature.name
         track = hand.track
@@ -41,16 +53,20 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         if not found:
             sentence(box, context, "Mirrored: it is not in the picture itself", "MOD_MIRROR")
             return
-        error = float(np.mean(track.reprojection_error[track.detected]))
         lines = box.column(align=True)
         lines.scale_y = 0.85
         filled = 0 if track.filled is None else int(track.filled.sum())
         more = f", {filled} filled" if filled else ""
         lines.label(text=f"Found in {found} of {count} frames{more}", translate=False)
-        lines.label(text=f"Mean error {error:.1f} px", translate=False)
+        share = _mean_error(track, hand.take.intrinsics)
+        if share is not None:
+            row = box.row(align=True)
+            row.label(text=f"Error {100 * share:.1f} % of the hand: {quality(share)}", translate=False)
+            row.operator("manient.jump_worst", text="", icon="INFO").hand = armature.name
         doubtful = 0 if track.doubtful is None else int(track.doubtful.sum())
         row = box.row(align=True)
-        row.label(text=f"{doubtful} doubtful" if doubtful else "No doubtful frames", translate=False)
+        frames = "frame" if doubtful == 1 else "frames"
+        row.label(text=f"{doubtful or 'No'} doubtful {frames}", translate=False)
         if doubtful and count > 1:
             for direction, icon in (("PREVIOUS", "TRIA_LEFT"), ("NEXT", "TRIA_RIGHT")):
                 jump = row.operator("manient.jump_doubtful", text="", icon=icon)

@@ -43,14 +43,40 @@ class MANIENT_PT_proportions(Section, bpy.types.Panel):
         return active_hand(context) is not None
 
     def draw(self, context):
-        """Betas."""
+        """The betas whose effect has a name."""
         layout, hand = self.layout, active_hand(context)
         assert layout is not None
         assert hand is not None
         column = layout.column(align=True)
-        for index in range(len(hand.armature.manient.betas)):
-            column.prop(hand.armature.manient, "betas", index=index, text=f"Shape {index + 1}", slider=True)
+        for index, name in enumerate(reshape.shape_names_of(hand)):
+            if name is not None:
+                column.prop(hand.armature.manient, "betas", index=index, text=name, slider=True)
         trouble = reshape.trouble(hand.armature)
         if trouble:
             sentence(layout, context, trouble, "ERROR", alert=True)
         layout.operator("manient.reset_shape", icon="LOOP_BACK")
+
+
+class MANIENT_PT_other_proportions(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_other_proportions"
+    bl_label = "Without a Name"
+    bl_parent_id = "MANIENT_PT_proportions"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context):
+        """Only with a hand that has such proportions."""
+        hand = active_hand(context)
+        return hand is not None and None in reshape.shape_names_of(hand)
+
+    def draw(self, context):
+        """The betas that change several things at once, or hardly anything."""
+        layout, hand = self.layout, active_hand(context)
+        assert layout is not None
+        assert hand is not None
+        column = layout.column(align=True)
+        for index, name in enumerate(reshape.shape_names_of(hand)):
+            if name is None:
+                column.prop(
+                    hand.armature.manient, "betas", index=index, text=f"Shape {index + 1}", slider=True
+                )

@@ -25,6 +25,7 @@ from handfit_core.take import HandTrack, Take
 
 from .. import axes
 from ..slices import result_of, retold
+from ..wording import NAME_BYTES, named_after, shortened_name
 from .animation import CURVES, animating, computing_keys, describe
 from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
@@ -205,7 +206,8 @@ def _steps(
         made.append(block)  # type: ignore[arg-type]
         return block
 
-    collection = keep(bpy.data.collections.new(take.source.name))
+    stem = shortened_name(take.source.name, NAME_BYTES - len(".001"))
+    collection = keep(bpy.data.collections.new(stem))
     name = collection.name
     yield None
     plate, plate_warnings = None, []
@@ -217,7 +219,9 @@ def _steps(
     camera = own_camera
     if camera is None:
         unmatched = None if match_scene else scene
-        camera = keep(build_camera(f"{name} camera", take, plate, scene=unmatched, units_per_metre=units))
+        camera = keep(
+            build_camera(named_after(name, "camera"), take, plate, scene=unmatched, units_per_metre=units)
+        )
         keep(camera.data)
         collection.objects.link(camera)
     stage = []
@@ -232,7 +236,7 @@ def _steps(
     hands = []
     for track, shaped in zip(take.hands, shapes, strict=True):
         model_of_side = models[track.side]
-        armature = keep(build_armature(f"{name} {track.side} hand", shaped, track.side))
+        armature = keep(build_armature(named_after(name, f"{track.side} hand"), shaped, track.side))
         keep(armature.data)
         armature.scale = (units, units, units)
         if own_camera is not None:

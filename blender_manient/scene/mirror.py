@@ -15,6 +15,7 @@ from handfit_core.take import HandTrack
 
 from .. import axes
 from ..blender_versions import action_slot, assign_action, channels
+from ..wording import named_after
 from .animation import describe
 from .armature import bone_names, build_armature, rest_frames
 from .correctives import add_correctives
@@ -45,7 +46,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     present_place = np.array(source.pose.bones[bone_names(hand.side)[0]].location)
     plane = _plane(hand, source_model, betas, keys.quats, keys.locations, present, present_place)
 
-    armature = build_armature(f"{hand.collection.name} {side} hand", shaped, side)
+    armature = build_armature(named_after(hand.collection.name, f"{side} hand"), shaped, side)
     for collection in source.users_collection:
         collection.objects.link(armature)
     armature.parent, armature.parent_type = source.parent, source.parent_type

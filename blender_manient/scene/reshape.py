@@ -27,7 +27,8 @@ from mathutils import Vector
 from handfit_core.errors import HandfitError, HandModelError, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.forearm import Wrist, with_wrist
-from handfit_core.skeleton import Side
+from handfit_core.hand_model.shape_names import shape_names
+from handfit_core.skeleton import NUM_BETAS, Side
 
 from .. import axes
 from ..blender_versions import action_slot, channels
@@ -86,6 +87,18 @@ def _wanted_wrist(armature: bpy.types.Object) -> Wrist:
 def trouble(armature: bpy.types.Object) -> str | None:
     """Why the hand could not follow its sliders: one sentence for the panel, None where it did."""
     return _troubles.get(armature.session_uid)
+
+
+def shape_names_of(hand: CapturedHand) -> tuple[str | None, ...]:
+    """What each of the (10,) shape sliders does, as the hand's model tells; None for those without a name,
+    which all are where the model cannot be read. Cheap enough for drawing."""
+    try:
+        return _names(kept_model(hand.take.model, hand.side))
+    except HandModelError:
+        return (None,) * NUM_BETAS
+
+
+_names = lru_cache(maxsize=4)(shape_names)
 
 
 def reshape(armature: bpy.types.Object) -> None:

@@ -8,6 +8,8 @@ import bpy
 
 from .. import preferences, verification
 from ..cache import cache_folder, remove_temporary_takes, temporary_take
+from ..installation import Problem
+from ..wording import capitalised
 from .client import Worker
 from .interpreter import find_python, is_blenders_own
 from .process import wait_for_killed
@@ -57,10 +59,16 @@ def make(python: str | None = None) -> Worker:
 def capture_sentence(python: str | None = None) -> str:
     """Why `python`, or the Python that the preferences choose, cannot capture, as far as is known; empty
     where nothing is. For labels: with a capital, and it costs nothing."""
-    sentence = verification.capture_sentence()
-    if not sentence or not is_blenders_own(python or find_python(_settings().python)):
-        return ""
-    return sentence[:1].upper() + sentence[1:]
+    problem = capture_problem(python)
+    return capitalised(problem.sentence) if problem is not None else ""
+
+
+def capture_problem(python: str | None = None) -> Problem | None:
+    """Of which problem `capture_sentence` tells."""
+    problem = verification.capture_problem()
+    if problem is None or not is_blenders_own(python or find_python(_settings().python)):
+        return None
+    return problem
 
 
 def stop() -> None:

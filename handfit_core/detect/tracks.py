@@ -112,10 +112,20 @@ def link_tracks(
 
     Raises OptionError for another `hands`, NoHandFoundError when nothing (of that side) was seen.
     """
+    return link_and_count(frames, hands, max_hands, fps, holes)[0]
+
+
+def link_and_count(
+    frames: Sequence[Sequence[HandDetection]],
+    hands: HandChoice = "auto",
+    max_hands: int = 2,
+    fps: float = 25.0,
+    holes: tuple[int, ...] = (),
+) -> tuple[tuple[DetectedTrack, ...], int]:
+    """`link_tracks`, and among how many hands of the whole clip (of that side) it chose."""
     if hands not in HAND_CHOICES:
         raise OptionError(f"hands must be one of {', '.join(HAND_CHOICES)}; got {hands!r}")
-    linked = _link([_without_duplicates(frame) for frame in frames])
-    tracks = _merge(linked, _overlap)
+    tracks = _merge(_link([without_duplicates(frame) for frame in frames]), _overlap)
     tracks = _merge(tracks, _adjoin)
     tracks = _merge(tracks, _may_return)
     if not tracks:
@@ -131,10 +141,12 @@ def link_tracks(
             f"no {hands} hand was found, only a {found} one; try hands 'auto' (in a mirrored picture left "
             "is right)"
         )
-    return tuple(
+    linked = tuple(
         DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))), fps, holes)
         for track, side in chosen
     )
+    sure = [t for t in tracks if t.weight >= STRAY_WEIGHT * tracks[0].weight]
+    return linked, max(len(chosen), sum(hands not in SIDES or t.side == hands for t in sure))
 
 
 def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list[tuple[_OpenTrack, Side]]:
@@ -163,7 +175,8 @@ def _sureness(track: _OpenTrack) -> float:
     return track.side_votes[track.side] / len(track.detections)
 
 
-def _without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
+def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
+    """One detection of each hand in one picture: the surest."""
     kept: list[HandDetection] = []
     for candidate in sorted(detections, key=lambda d: d.score, reverse=True):
         if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in kept):

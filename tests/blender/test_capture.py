@@ -374,7 +374,7 @@ def test_the_list_of_captures_and_its_buttons(settings, photo):
 def test_details_of_a_failure_can_be_shown(settings, tmp_path):
     (tmp_path / "broken.jpg").write_bytes(b"no picture")
     settings.source = str(tmp_path / "broken.jpg")
-    with pytest.raises(RuntimeError, match="not a picture"):
+    with pytest.raises(RuntimeError, match=r"broken\.jpg: Not a picture"):
         bpy.ops.manient.capture()
     assert bpy.ops.manient.show_details() == {"FINISHED"}
     assert "not a picture" in bpy.data.texts["Hand Capture Details"].as_string()

@@ -402,5 +402,5 @@ def test_what_cannot_be_refined_says_why(armature, make_take):
     bpy.context.view_layer.objects.active = old
     for operator in ("edit_keypoints", "refit_range", "clear_corrections"):
         assert not getattr(bpy.ops.manient, operator).poll()
-    with pytest.raises(RuntimeError, match="capture it again"):
+    with pytest.raises(RuntimeError, match="capture the footage again"):
         bpy.ops.manient.edit_keypoints()

@@ -407,6 +407,7 @@ def test_photos_and_videos(batch, tmp_path):
         assert entry["frames"] == (30 if source in videos else 1)
         assert max(hand["detected"] for hand in entry["hands"]) >= 1
         assert all(hand["mean_reprojection_error_px"] > 0 for hand in entry["hands"])
+        assert all(0 < hand["mean_error_of_hand"] < 0.1 for hand in entry["hands"])
         for suffix in (".blend", ".glb"):
             found = read_back(out / source.stem / f"{source.stem}{suffix}")
             assert found["rigs"] == len(entry["hands"])

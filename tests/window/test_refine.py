@@ -42,3 +42,13 @@ def test_the_worker_dies_between_two_drags(blender, make_clip):
     assert played["followed"]
     if played["message"]:
         assert_sentence(played["message"])
+
+
+def test_the_picture_shows_through_the_hand_while_it_is_edited(blender, photo):
+    played = blender.play("refine.see_through", source=photo, timeout=240).value
+    picture = [["BACK", 1.0]]
+    assert played["before"] == played["ended"] == played["abandoned"] == played["solid"] == picture
+    assert played["begun"] == played["dragged"] == [*picture, ["FRONT", 0.5]]
+    # The slider is no change of the file: undo takes the drag back, and it is remembered.
+    assert played["slider"] == played["undone"] == played["again"] == [*picture, ["FRONT", 0.75]]
+    assert played["drags"] == 0

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from handfit_core import Intrinsics, Take, capture
+from handfit_core.fit_quality import mean_relative_error
 from handfit_core.frame_range import FrameRange
 from handfit_core.version import __version__
 from handfit_core.worker.capturing import arguments
@@ -138,6 +139,7 @@ def test_captures(warm: Worker, tmp_path: Path) -> None:
     assert (hand["side"], hand["frames"], hand["filled"]) == ("right", 4, 0)
     take = Take.load(done["output"])
     assert hand["mean_reprojection_error_px"] == pytest.approx(take.hands[0].reprojection_error.mean())
+    assert hand["mean_error_of_hand"] == mean_relative_error(take.hands[0], take.intrinsics)
     assert take.hands[0].refinable
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from stage import ADDON
 
 from scenarios import redraws
 from scenarios.capturing import capture, hands, keys_of, part, pose_of
@@ -96,6 +97,60 @@ def live_latency(stage, source, steps=60):
         "latencies_ms": [1000 * s for s in operator().latencies()],
         "redraw_ms": (yield from redraws.timed(stage)),
     }
+
+
+def see_through(stage, source, shadings=("SOLID",)):
+    """How the picture shows through the hand while its points are edited, and what is left of that."""
+    yield from stage.open_sidebar()
+    yield from capture(stage, source)
+    (armature,) = hands()
+    bpy.context.view_layer.objects.active = armature
+    found = {"before": _alphas()}
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(lambda: places() and not state()["warming"], WARM, "a warm worker")
+    yield from stage.screenshot("see-through")
+    found["begun"] = _alphas()
+    start = places()[INDEX_TIP]
+    yield from stage.drag([start, (start[0] + 20, start[1]), (start[0] + 40, start[1])], pause=0.1)
+    yield from stage.until(lambda: state()["dragged"] is None, WARM, "the drag's fit")
+    found["dragged"] = _alphas()
+    yield from stage.move_to(stage.region())
+    yield from stage.key("H")
+    yield 0.2
+    yield from stage.screenshot("see-through-off")
+    found["solid"] = _alphas()
+    yield from stage.key("H")
+    yield 0.2
+    bpy.context.preferences.addons[ADDON].preferences.hand_opacity = 0.25
+    yield 0.2
+    found["slider"] = _alphas()
+    for shading in shadings:
+        stage.area().spaces[0].shading.type = shading
+        yield 2.0
+        yield from stage.screenshot(f"see-through-{shading.lower()}")
+    stage.area().spaces[0].shading.type = "SOLID"
+    yield from stage.undo()
+    yield 0.3
+    found["undone"] = _alphas()
+    found["drags"] = state()["done"]
+    yield from stage.key("RET")
+    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
+    found["ended"] = _alphas()
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(lambda: operator().running() and places(), 5.0, "the mode to begin")
+    found["again"] = _alphas()
+    operator()._mode.ended = "as an undo from elsewhere ends it"
+    yield from stage.move_to(stage.region(), dx=9)
+    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
+    found["abandoned"] = _alphas()
+    bpy.context.preferences.addons[ADDON].preferences.property_unset("hand_opacity")
+    return found
+
+
+def _alphas() -> list:
+    """Depth and alpha of each background image of the capture camera."""
+    backgrounds = bpy.context.scene.camera.data.background_images
+    return [[b.display_depth, round(b.alpha, 3)] for b in backgrounds]
 
 
 def worker_killed(stage, source):

@@ -1,0 +1,104 @@
+"""A 3D viewport's camera view with the whole picture in it, beside what lies over the view.
+
+Blender's own *Frame Camera Bounds* needs the viewport's context and takes the region's whole size, of which
+the sidebar and the headers cover a part.
+"""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+
+_MARGIN = 6
+"""pixels at scale 1 between the picture and what is around it"""
+_LEAST = 80
+"""pixels at scale 1. Where less is left free, the picture may lie below what covers it"""
+_LOWEST_ZOOM, _HIGHEST_ZOOM = -30.0, 600.0
+"""of RegionView3D.view_camera_zoom"""
+_OVER_THE_VIEW = {"HEADER", "TOOL_HEADER", "TOOLS", "UI", "ASSET_SHELF", "ASSET_SHELF_HEADER"}
+
+Box = tuple[float, float, float, float]
+"""left, bottom, right, top in pixels"""
+
+
+def frame_whole_picture(area: bpy.types.Area, camera: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    """Zoom and move the camera view of a 3D viewport so that the whole frame of `camera` is in sight."""
+    space, region = area.spaces.active, camera_region(area)
+    if region is None or not isinstance(space, bpy.types.SpaceView3D):
+        return
+    render = scene.render
+    size = (
+        render.resolution_x * render.pixel_aspect_x,
+        render.resolution_y * render.pixel_aspect_y,
+    )
+    fit = camera.data.sensor_fit if isinstance(camera.data, bpy.types.Camera) else "AUTO"
+    zoom, offset = zoom_and_offset((region.width, region.height), free_box(area, region), size, fit)
+    space.region_3d.view_camera_zoom = zoom
+    space.region_3d.view_camera_offset = offset
+    area.tag_redraw()
+
+
+def camera_region(area: bpy.types.Area) -> bpy.types.Region | None:
+    """The region of a 3D viewport that `space.region_3d` belongs to: in a quad view the last one."""
+    windows = [region for region in area.regions if region.type == "WINDOW"]
+    return windows[-1] if windows and area.spaces.active.region_quadviews else next(iter(windows), None)
+
+
+def zoom_and_offset(
+    region: tuple[float, float], free: Box, frame: tuple[float, float], sensor_fit: str
+) -> tuple[float, tuple[float, float]]:
+    """`view_camera_zoom` and `view_camera_offset` with which a camera's frame fills the box `free` of a
+    region.
+
+    `region`: width and height in pixels; `frame`: those of the rendered picture, in square pixels;
+    `sensor_fit`: the camera's. Blender's zoom has limits: a frame that is very much higher than the region is
+    wide cannot be made small enough.
+    """
+    # Blender lays the sensor's fitted side over the same side of the frame and, at a factor of 1, of the
+    # region.
+    if sensor_fit == "AUTO":
+        scale = max(region) / max(frame)
+    else:
+        side = 0 if sensor_fit == "HORIZONTAL" else 1
+        scale = region[side] / frame[side]
+    width, height = frame[0] * scale, frame[1] * scale
+    factor = min((free[2] - free[0]) / width, (free[3] - free[1]) / height)
+    zoom = min(max((math.sqrt(4.0 * factor) - math.sqrt(2.0)) * 50.0, _LOWEST_ZOOM), _HIGHEST_ZOOM)
+    factor = (math.sqrt(2.0) + zoom / 50.0) ** 2 / 4.0
+    middle = (free[0] + free[2]) / 2.0, (free[1] + free[3]) / 2.0
+    # The offset is in twice the region's size, and grows with the zoom.
+    x, y = ((size / 2.0 - at) / (2.0 * factor * size) for size, at in zip(region, middle, strict=True))
+    return zoom, (x, y)
+
+
+def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
+    """What the sidebar, the toolbar and the headers leave of a region, in its own pixels, less a margin."""
+    scale = bpy.context.preferences.system.ui_scale if bpy.context.preferences is not None else 1.0
+    whole = (0.0, 0.0, float(region.width), float(region.height))
+    free = whole
+    for other in area.regions:
+        if other.type in _OVER_THE_VIEW and min(other.width, other.height) > 1:
+            left, bottom = other.x - region.x, other.y - region.y
+            free = _beside(free, (left, bottom, left + other.width, bottom + other.height))
+    if min(free[2] - free[0], free[3] - free[1]) < _LEAST * scale:
+        free = whole
+    return _shrunk(free, _MARGIN * scale)
+
+
+def _beside(free: Box, cover: Box) -> Box:
+    """The largest part of `free` on one side of `cover`; all of it where they do not meet."""
+    left, bottom, right, top = free
+    if cover[0] >= right or cover[2] <= left or cover[1] >= top or cover[3] <= bottom:
+        return free
+    rests = (
+        (left, bottom, min(right, cover[0]), top),
+        (max(left, cover[2]), bottom, right, top),
+        (left, bottom, right, min(top, cover[1])),
+        (left, max(bottom, cover[3]), right, top),
+    )
+    return max(rests, key=lambda box: max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1]))
+
+
+def _shrunk(box: Box, margin: float) -> Box:
+    return box[0] + margin, box[1] + margin, box[2] - margin, box[3] - margin

@@ -1,0 +1,68 @@
+"""Jump to Worst Frame: where a captured hand misses the detected points most. Its tooltip has the figures."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
+
+from ..scene.store import CapturedHand, hand_of, scene_frames
+
+
+class MANIENT_OT_jump_worst(bpy.types.Operator):
+    bl_idname = "manient.jump_worst"
+    bl_label = "Jump to Worst Frame"
+    bl_description = "Go to the frame in which the hand lies farthest from the points found in the picture"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    hand: bpy.props.StringProperty(  # type: ignore
+        name="Hand",
+        description="The captured hand's armature (empty: the active object's)",
+        options={"HIDDEN"},
+    )
+
+    @classmethod
+    def description(cls, context, properties):
+        """The tooltip."""
+        hand = _hand(context, properties.hand)
+        if hand is None or not hand.track.detected.any():
+            return cls.bl_description
+        pixels = float(np.mean(hand.track.reprojection_error[hand.track.detected]))
+        return (
+            f"The hand's points lie {pixels:.1f} px from those found in the picture, in the mean. Of the "
+            f"hand's length, less than {100 * GOOD_BELOW:g} % is good and {100 * FAIR_BELOW:g} % or more is "
+            "poor. Click to go to the worst frame"
+        )
+
+    @classmethod
+    def poll(cls, context):
+        if not context.scene.is_editable:
+            cls.poll_message_set("This scene is linked from another file")
+            return False
+        return True
+
+    def execute(self, context):
+        hand = _hand(context, self.hand)
+        if hand is None or not hand.track.detected.any():
+            self.report({"ERROR"}, "No captured hand with points in a picture: select one")
+            return {"CANCELLED"}
+        errors = relative_errors(hand.track, hand.take.intrinsics)
+        frame = float(scene_frames(hand.collection, hand.take)[np.nanargmax(errors)])
+        context.scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))
+        return {"FINISHED"}
+
+
+def _hand(context: bpy.types.Context, name: str) -> CapturedHand | None:
+    obj = bpy.data.objects.get(name) if name else context.active_object
+    return hand_of(obj) if obj is not None else None
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(MANIENT_OT_jump_worst)
+
+
+def unregister() -> None:
+    """Take it away again."""
+    bpy.utils.unregister_class(MANIENT_OT_jump_worst)

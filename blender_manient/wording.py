@@ -1,0 +1,55 @@
+"""Sentences and names as they are shown to people."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+NAME_BYTES = 63
+"""What Blender has room for in a data-block's name; it cuts off the rest"""
+
+_GAP = "..."
+_NAME_OF_A_FILE = re.compile(r"[/\\]|\.\w{1,5}$")
+"""In what stands before a sentence's first colon"""
+
+
+def capitalised(sentence: str) -> str:
+    """With a capital letter, except where it begins with the name of a file, which is written as it is."""
+    head = sentence.partition(": ")[0] if ": " in sentence else sentence.partition(" ")[0]
+    if _NAME_OF_A_FILE.search(head.rstrip(".,;")):
+        return sentence
+    return sentence[:1].upper() + sentence[1:]
+
+
+def without_name(sentence: str, names: Sequence[str]) -> str:
+    """Without a name and a colon at its beginning, for where the name is shown already."""
+    for name in sorted(names, key=len, reverse=True):
+        if name and sentence.startswith(f"{name}: "):
+            return sentence[len(name) + 2 :]
+    return sentence
+
+
+def shortened(text: str, fits: Callable[[str], bool]) -> str:
+    """The text, or as much of its beginning and its end as fits: names differ at their ends."""
+    if fits(text):
+        return text
+    kept = 2
+    while kept + 1 < len(text) and fits(_with_gap(text, kept + 1)):
+        kept += 1
+    return _with_gap(text, kept)
+
+
+def shortened_name(text: str, most: int) -> str:
+    """A name of at most `most` bytes in UTF-8, as Blender counts."""
+    return shortened(text, lambda name: len(name.encode()) <= most)
+
+
+def named_after(stem: str, part: str) -> str:
+    """The name of one part of a capture, as "clip left hand", with room for what is named after that, such
+    as its mesh, and for the number with which Blender tells equal names apart."""
+    return f"{shortened_name(stem, NAME_BYTES - len(' right hand mesh.001'))} {part}"
+
+
+def _with_gap(text: str, kept: int) -> str:
+    """The first and last letters, `kept` of them in all."""
+    return text[: kept // 2] + _GAP + text[len(text) - (kept - kept // 2) :]

@@ -1,0 +1,60 @@
+"""The zoom and the place of a camera's frame in a viewport, against Blender's projection written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from blender_manient.camera_view import zoom_and_offset
+
+PORTRAIT, LANDSCAPE, SQUARE = (620.0, 1080.0), (1920.0, 1080.0), (500.0, 500.0)
+
+
+def frame_box(region, frame, sensor_fit, zoom, offset) -> np.ndarray:
+    """(4,) left, bottom, right, top in pixels of the region where Blender draws the camera's frame, as its
+    sources have it (BKE_camera_params_compute_viewplane), with a sensor of 1 over a lens of 1."""
+
+    def fitted(size) -> float:
+        horizontal = size[0] >= size[1] if sensor_fit == "AUTO" else sensor_fit == "HORIZONTAL"
+        return size[0] if horizontal else size[1]
+
+    factor = (np.sqrt(2.0) + zoom / 50.0) ** 2 / 4.0
+    pixel = 1.0 / fitted(region) / factor
+    moved = 2.0 * factor * np.array(offset) * region
+    lower = (-0.5 * np.array(region) + moved) * pixel
+    half = 0.5 * np.array(frame) / fitted(frame)
+    return np.concatenate([(-half - lower) / pixel, (half - lower) / pixel])
+
+
+@pytest.mark.parametrize("sensor_fit", ["HORIZONTAL", "VERTICAL", "AUTO"])
+@pytest.mark.parametrize("frame", [PORTRAIT, LANDSCAPE, SQUARE])
+@pytest.mark.parametrize(
+    ("region", "free"),
+    [
+        ((1200, 900), (0, 0, 1200, 900)),
+        ((1200, 900), (60, 10, 920, 850)),
+        ((500, 900), (60, 0, 500, 870)),
+        ((900, 300), (0, 0, 900, 280)),
+        ((600, 450), (0, 0, 320, 420)),
+    ],
+)
+def test_the_frame_fills_what_is_free(sensor_fit, frame, region, free):
+    left, bottom, right, top = frame_box(
+        region, frame, sensor_fit, *zoom_and_offset(region, free, frame, sensor_fit)
+    )
+    assert left >= free[0] - 1e-6
+    assert bottom >= free[1] - 1e-6
+    assert right <= free[2] + 1e-6
+    assert top <= free[3] + 1e-6
+    assert (right - left) / (top - bottom) == pytest.approx(frame[0] / frame[1])
+    assert (left + right) / 2 == pytest.approx((free[0] + free[2]) / 2)
+    assert (bottom + top) / 2 == pytest.approx((free[1] + free[3]) / 2)
+    touched = min(free[2] - free[0] - (right - left), free[3] - free[1] - (top - bottom))
+    assert touched == pytest.approx(0.0, abs=1e-6)
+
+
+def test_blenders_limits_of_zoom():
+    zoom, _ = zoom_and_offset((2000, 200), (0, 0, 2000, 200), PORTRAIT, "HORIZONTAL")
+    assert zoom == -30.0
+    zoom, _ = zoom_and_offset((2000, 200), (0, 0, 2000, 200), (1.0, 500.0), "VERTICAL")
+    assert -30.0 < zoom < 600.0

@@ -1,0 +1,166 @@
+"""Names and sentences as people read them, and the names of what a capture builds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import pytest
+
+import blender_manient
+from blender_manient import jobs, refiner
+from blender_manient.jobs import Building, Job
+from blender_manient.operators.jump_worst import MANIENT_OT_jump_worst
+from blender_manient.remembered import Remembered
+from blender_manient.scene import store
+from blender_manient.scene.build import build_take
+from blender_manient.selection import active_hand
+from blender_manient.wording import (
+    NAME_BYTES,
+    capitalised,
+    named_after,
+    shortened,
+    shortened_name,
+    without_name,
+)
+from blender_manient.worker.client import CaptureOptions
+from handfit_core.fit_quality import relative_errors
+from handfit_core.take import Source
+
+LONG = "entrevista con la señora Muñoz en el taller, segunda toma, cámara B, mano izquierda"
+
+
+@pytest.fixture
+def registered(empty_file):
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+@pytest.mark.parametrize(
+    ("sentence", "shown"),
+    [
+        ("no hand was found", "No hand was found"),
+        ("no hand was found: try a larger picture", "No hand was found: try a larger picture"),
+        ("clip.mp4: no frame could be read", "clip.mp4: no frame could be read"),
+        ("my first clip.mp4: no frame could be read", "my first clip.mp4: no frame could be read"),
+        ("shots/a: no pictures in this folder", "shots/a: no pictures in this folder"),
+        ("hand.%04d.png names no file", "hand.%04d.png names no file"),
+        ("the file clip.mp4: it is gone", "the file clip.mp4: it is gone"),
+        ("", ""),
+    ],
+)
+def test_a_sentence_begins_with_a_capital_and_a_file_name_as_it_is(sentence, shown):
+    assert capitalised(sentence) == shown
+
+
+def test_a_name_that_is_shown_already_is_not_repeated():
+    names = ("clip.mp4", "/home/a/clip.mp4", "clip")
+    assert without_name("/home/a/clip.mp4: not a video", names) == "not a video"
+    assert without_name("clip: no hand was found: try again", names) == "no hand was found: try again"
+    assert without_name("clip", names) == "clip"
+    assert without_name("clips: none", names) == "clips: none"
+
+
+def test_names_lose_their_middle():
+    assert shortened("clip left hand", lambda text: len(text) <= 14) == "clip left hand"
+    short = shortened("a very long name of a clip left hand", lambda text: len(text) <= 20)
+    assert short == "a very l...left hand"
+    assert shortened("abcdef", lambda _text: False) == "a...f"
+    for most in range(8, 80):
+        assert len(shortened_name(LONG, most).encode()) <= most
+
+
+@pytest.mark.parametrize("sides", [("right", "left")])
+def test_both_hands_of_a_long_name_can_be_told_apart(registered, make_take, tmp_path, sides):
+    path = tmp_path / f"{LONG}.png"
+    take = make_take(sides=sides).take
+    take = replace(take, source=Source("photo", (str(path),)))
+    for _ in range(2):  # the second time Blender puts numbers behind equal names
+        built = build_take(take, picture=False)
+        assert built.collection.name.startswith("entrevista")
+        for hand in built.hands:
+            assert f"{hand.side} hand" in hand.armature.name
+            assert hand.mesh.name.startswith(hand.armature.name[:30])
+            assert "mesh" in hand.mesh.name
+            assert "izquierda" in hand.armature.name
+        assert "camera" in built.camera.name
+    assert len(named_after(LONG, "right hand mesh").encode()) <= NAME_BYTES
+
+
+def a_job(name: str) -> Job:
+    scene = Remembered.of("scenes", bpy.context.scene)
+    return Job(name, (f"/shots/{name}",), CaptureOptions(), Building(scene))
+
+
+def fails(job: Job, sentence: str) -> str:
+    job.state = "capturing"
+    jobs._fail(job, sentence, "")
+    return job.message
+
+
+def test_a_failure_says_the_files_name_once_and_as_it_is(registered):
+    for sentence in (
+        "/shots/my clip.mp4: not a video",
+        "my clip: not a video",
+        "my clip.mp4: not a video",
+        "not a video",
+    ):
+        assert fails(a_job("my clip.mp4"), sentence) == "Not a video"
+    assert fails(a_job("my clip.mp4"), "hand_model.npz: no hand model") == "hand_model.npz: no hand model"
+
+
+def succeeds(job: Job) -> None:
+    def built():
+        return (), [], "1 hand in 1 frame"
+        yield 1.0
+
+    job.state, job._builder = "building", built()
+    assert jobs.tick()
+    assert job.state == "done"
+
+
+def test_an_old_failure_goes_when_a_newer_capture_succeeds(registered):
+    old, beside, new = a_job("old.mp4"), a_job("beside.mp4"), a_job("new.mp4")
+    jobs.submit(old)
+    fails(old, "not a video")
+    jobs.submit(new)
+    jobs.submit(beside)
+    fails(beside, "not a video")
+    assert jobs.jobs() == (old, new, beside)
+    # What failed while it waited is news, and stays.
+    succeeds(new)
+    assert jobs.jobs() == (new, beside)
+
+
+def test_a_failed_capture_takes_no_failure_away(registered):
+    old, new = a_job("old.mp4"), a_job("new.mp4")
+    jobs.submit(old)
+    fails(old, "not a video")
+    jobs.submit(new)
+    fails(new, "not a video")
+    assert jobs.jobs() == (old, new)
+
+
+def test_a_mirrored_hand_is_not_told_to_be_captured_again(registered, make_take):
+    made = make_take(sides=("right",))
+    made.take.hands[0].transl[:, 0] += 0.4
+    bpy.context.view_layer.objects.active = build_take(made.take).hands[0].armature
+    assert "old one" in refiner.why_not(bpy.context, active_hand(bpy.context))  # made without detections
+    assert bpy.ops.manient.mirror_hand() == {"FINISHED"}
+    why = refiner.why_not(bpy.context, active_hand(bpy.context))
+    assert why.startswith("A mirrored hand is not in the picture")
+    assert "capture" not in why
+
+
+def test_the_tooltip_has_the_pixels_and_the_button_goes_to_the_worst_frame(registered, make_take):
+    take = make_take(sides=("right",)).take
+    hand = store.hand_of(build_take(take).hands[0].armature)
+    bpy.context.view_layer.objects.active = hand.armature
+    pixels = take.hands[0].reprojection_error[take.hands[0].detected].mean()
+    properties = type("Properties", (), {"hand": hand.armature.name})
+    assert f"{pixels:.1f} px" in MANIENT_OT_jump_worst.description(bpy.context, properties)
+    errors = relative_errors(hand.track, hand.take.intrinsics)
+    worst = max(range(len(errors)), key=lambda row: errors[row] if errors[row] == errors[row] else -1.0)
+    assert bpy.ops.manient.jump_worst() == {"FINISHED"}
+    assert bpy.context.scene.frame_current == store.scene_frames(hand.collection, hand.take)[worst]

@@ -1,0 +1,55 @@
+"""A fitted hand's error as a share of its own size, and in a word."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, mean_relative_error, quality, relative_errors
+from handfit_core.take import Take
+from tests.conftest import ROOT
+
+
+@pytest.fixture(scope="module")
+def take() -> Take:
+    return Take.load(ROOT / "samples" / "rendered_hand" / "truth.take.npz")
+
+
+def test_the_share_does_not_hang_on_the_pictures_size(take: Take) -> None:
+    track = replace(take.hands[0], reprojection_error=np.full(len(take.frame_numbers), 6.0))
+    share = mean_relative_error(track, take.intrinsics)
+    k = take.intrinsics
+    twice = type(k)(2 * k.fx, 2 * k.fy, 2 * k.cx, 2 * k.cy)
+    enlarged = replace(track, reprojection_error=track.reprojection_error * 2)
+    assert mean_relative_error(enlarged, twice) == pytest.approx(share)
+    # Nor on how far away the hand is, as long as the picture's pixels per hand say the same.
+    nearer = replace(track, joints_3d=track.joints_3d / 2, transl=track.transl / 2)
+    assert mean_relative_error(nearer, take.intrinsics) == pytest.approx(share)
+
+
+def test_a_flat_hand_seen_from_the_front() -> None:
+    take = Take.load(ROOT / "samples" / "rendered_hand" / "truth.take.npz")
+    joints = np.zeros((1, 21, 3))
+    joints[0, :, 2] = 0.5
+    for number, point in enumerate((9, 10, 11, 12), start=1):
+        joints[0, point, 1] = -0.05 * number  # 0.2 m from the wrist to the tip
+    track = replace(
+        take.hands[0], joints_3d=joints, reprojection_error=np.array([7.0]), detected=np.array([True])
+    )
+    length = take.intrinsics.fx * 0.2 / 0.5
+    np.testing.assert_allclose(relative_errors(track, take.intrinsics), [7.0 / length])
+
+
+def test_frames_without_a_detection_do_not_count(take: Take) -> None:
+    track = take.hands[0]
+    count = len(take.frame_numbers)
+    errors = np.where(np.arange(count) < 3, 6.0, np.nan)
+    some = replace(track, reprojection_error=errors, detected=np.arange(count) < 3)
+    assert np.isfinite(relative_errors(some, take.intrinsics)).tolist() == some.detected.tolist()
+    assert mean_relative_error(some, take.intrinsics) is not None
+    none = replace(some, detected=np.zeros(count, dtype=bool))
+    assert mean_relative_error(none, take.intrinsics) is None
+
+
+def test_words() -> None:
+    assert [quality(s) for s in (0.0, GOOD_BELOW, FAIR_BELOW)] == ["good", "fair", "poor"]

@@ -1,0 +1,120 @@
+"""Names of shape coefficients, from movements that are made here in another way than in the module."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model.shape_names import effect_shares, shape_names
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, Side
+from tests.imitation_mano import imitation_model
+
+OPEN_HAND_NAMES = (
+    "Larger Hand",
+    None,
+    "Shorter Thumb",
+    "Longer Middle Finger",
+    "Longer Ring Finger",
+    "Shorter Little Finger",
+    "Thinner Hand",
+    None,
+    "Narrower Palm",
+    None,
+)
+
+
+def with_shapes(model: HandModel, *movements: np.ndarray) -> HandModel:
+    """The model with these (V, 3) movements as its first shape directions, and nothing in the others."""
+    dirs = np.zeros((*model.v_template.shape, NUM_BETAS))
+    dirs[:, :, : len(movements)] = np.stack(movements, axis=-1)
+    return replace(model, shapedirs=dirs)
+
+
+def of_finger(model: HandModel, finger: str) -> np.ndarray:
+    """(V,) mask"""
+    return np.isin(model.weights.argmax(axis=1), FINGER_JOINTS[finger])
+
+
+def pulled_out(model: HandModel, finger: str) -> np.ndarray:
+    """(V, 3) a finger stretched along the line from its base to its tip."""
+    base, tip = model.shaped().joints[FINGER_JOINTS[finger][0]], model.shaped().tips[FINGERS.index(finger)]
+    line = (tip - base) / np.linalg.norm(tip - base)
+    along = (model.v_template - base) @ line
+    return np.where(of_finger(model, finger)[:, None], along[:, None] * line, 0.0)
+
+
+@pytest.fixture(scope="module", params=["right", "left"])
+def model(request: pytest.FixtureRequest) -> HandModel:
+    return imitation_model(request.param)
+
+
+def test_each_effect_by_its_name(model: HandModel) -> None:
+    x = model.v_template
+    long_fingers = [f for f in FINGERS if f != "thumb"]
+    shaped = with_shapes(
+        model,
+        x * 0.1 + [0.02, -0.3, 0.1],  # wherever the larger hand is put
+        -0.2 * pulled_out(model, "thumb"),
+        0.3 * pulled_out(model, "index"),
+        -np.sum([pulled_out(model, f) for f in long_fingers], axis=0),
+    )
+    assert shape_names(shaped)[:4] == (
+        "Larger Hand",
+        "Shorter Thumb",
+        "Longer Index Finger",
+        "Shorter Fingers",
+    )
+    assert shape_names(shaped)[4:] == (None,) * 6
+
+
+def test_thickness_is_no_length(model: HandModel) -> None:
+    """Fingers of the flat hand lie along x: growing in y and z makes them thicker."""
+    movement = np.zeros_like(model.v_template)
+    for finger in ("index", "middle", "ring", "little"):
+        rows = of_finger(model, finger)
+        movement[rows, 1:] = (model.v_template[rows] - model.v_template[rows].mean(axis=0))[:, 1:]
+    (name,) = shape_names(with_shapes(model, 0.2 * movement))[:1]
+    assert name in ("Thicker Fingers", "Thicker Hand")
+
+
+def test_no_name_where_nothing_dominates(model: HandModel) -> None:
+    rng = np.random.default_rng(3)
+    three = [pulled_out(model, finger) for finger in ("thumb", "middle", "little")]
+    equal = np.sum([movement / np.linalg.norm(movement) for movement in three], axis=0)
+    turned = np.cross([0.1, 0.2, 0.3], model.v_template) + [0.01, 0.0, 0.0]
+    shaped = with_shapes(model, rng.normal(0, 0.001, model.v_template.shape), equal, turned)
+    assert shape_names(shaped) == (None,) * NUM_BETAS
+    # A hand that is only put elsewhere has its shape still.
+    assert effect_shares(shaped)[2:] == ({},) * 8
+
+
+def test_a_name_is_given_once_and_to_the_purest(model: HandModel) -> None:
+    pure = pulled_out(model, "ring")
+    noise = np.random.default_rng(4).normal(0, 1, pure.shape)
+    mixed = pure + noise * (0.5 * np.linalg.norm(pure) / np.linalg.norm(noise))
+    assert shape_names(with_shapes(model, mixed, -pure))[:2] == (None, "Shorter Ring Finger")
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_open_hand(side: Side) -> None:
+    model = load_model(None, side)
+    names = shape_names(model)
+    assert names == OPEN_HAND_NAMES
+
+    def finger_length(finger: str, betas: np.ndarray) -> float:
+        shaped = model.shaped(betas)
+        points = [*shaped.joints[list(FINGER_JOINTS[finger])], shaped.tips[FINGERS.index(finger)]]
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+    # What the names say, measured from the bones: this finger changes most, that way.
+    for beta, name in enumerate(names):
+        finger = next((f for f in FINGERS if name and f.title() in name), None)
+        if name is None or finger is None:
+            continue
+        changes = {
+            f: finger_length(f, np.eye(NUM_BETAS)[beta]) / finger_length(f, np.zeros(NUM_BETAS)) - 1
+            for f in FINGERS
+        }
+        assert max(changes, key=lambda f: abs(changes[f])) == finger
+        assert (changes[finger] > 0) == name.startswith("Longer")

@@ -1,0 +1,102 @@
+"""What the sidebar says: long names, failures that are over, a missing Python."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+
+import bpy
+
+from scenarios.capturing import begin, capture, finish, hands, jobs, part
+from scenarios.panels import closed_again, opened_by_default
+
+
+def long_names(stage, source, broken):
+    """A capture that fails, and one with a long name that succeeds; every line of text in the sidebar after
+    each."""
+    yield from stage.open_sidebar()
+    failed = yield from begin(stage, broken)
+    yield from finish(stage, failed)
+    yield from stage.leave_popups()
+    yield from stage.screenshot("words-failed")
+    first = [(job.name, job.state, job.message) for job in jobs()]
+    yield from capture(stage, source)
+    yield from stage.leave_popups()
+    with _texts() as shown:
+        yield from stage.screenshot("words-long-names")
+    (armature,) = hands()
+    return {
+        "first": first,
+        "then": [(job.name, job.state) for job in jobs()],
+        "shown": shown,
+        "hand": armature.name,
+        "mesh": part("scene.store").hand_of(armature).mesh.name,
+        "camera": bpy.context.scene.camera.name,
+    }
+
+
+@contextmanager
+def _texts():
+    """A list that gets all texts and properties which the sections draw, each once, in their order."""
+    from blender_manient import panels
+
+    shown: list[str] = []
+
+    def collect(parts) -> None:
+        for item in parts:
+            for text in (item.get("draw_string"), item.get("rna")):
+                if text and text not in shown:
+                    shown.append(text)
+            collect(item.get("items", ()))
+
+    def listening(draw):
+        def drawn(panel, context):
+            draw(panel, context)
+            collect(panel.layout.introspect())
+
+        return drawn
+
+    originals = {cls: cls.__dict__["draw"] for cls in panels._CLASSES}
+    try:
+        for cls, draw in originals.items():
+            cls.draw = listening(draw)
+        yield shown
+    finally:
+        for cls, draw in originals.items():
+            cls.draw = draw
+
+
+def missing_python(stage):
+    """The sidebar where the zip has no torch for this Blender's Python, and nobody has chosen another."""
+    verification, installation = part("verification"), part("installation")
+    sentence = f"this Blender cannot capture by itself, since it has no torch: {installation.CHOOSE}"
+    problem = installation.Problem("left-out", sentence, "torch")
+    chosen = os.environ.pop("HANDFIT_PYTHON", None)
+    verification._known.append(problem)
+    try:
+        with _texts() as shown:
+            yield from stage.open_sidebar()
+            yield from stage.screenshot("words-missing-python")
+        return shown
+    finally:
+        verification._known.remove(problem)
+        if chosen is not None:
+            os.environ["HANDFIT_PYTHON"] = chosen
+
+
+def shapes(stage, source):
+    """The sliders of a captured hand's shape, with all sections open."""
+    panels = opened_by_default()
+    try:
+        yield from capture(stage, source)
+        bpy.context.view_layer.objects.active = hands()[0]
+        yield from stage.open_sidebar()
+        region = stage.region("UI")
+        yield from stage.move_to((region.x + region.width / 2, region.y + region.height / 2))
+        for _ in range(40):
+            yield from stage.key("WHEELDOWNMOUSE")
+        with _texts() as shown:
+            yield from stage.screenshot("words-shapes")
+    finally:
+        closed_again(panels)
+    return shown
