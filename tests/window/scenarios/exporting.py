@@ -97,11 +97,18 @@ def formats(stage, source):
 
 
 def _only_export_open() -> dict:
-    """Nothing else in the sidebar, so that the section is seen without scrolling."""
-    from blender_manient import panels as sections
-
-    names = {cls.__name__ for cls in sections._CLASSES}
-    return opened_by_default(but=tuple(names - {"MANIENT_PT_export"}))
+    """The other sections closed, so that this one is seen without scrolling. Returns what `closed_again`
+    wants."""
+    before = opened_by_default()
+    closed_again(
+        {
+            cls: options - {"DEFAULT_CLOSED"}
+            if cls.__name__ == "MANIENT_PT_export"
+            else options | {"DEFAULT_CLOSED"}
+            for cls, options in before.items()
+        }
+    )
+    return before
 
 
 def _over_formats(stage) -> bool:
