@@ -34,6 +34,11 @@ _COUPLING = {"index": (0.87, 25.0), "middle": (0.79, 18.0), "ring": (0.73, 20.5)
 
 _KERNEL = Huber(1.0)
 
+PASSIVE_RANGE = float(np.radians(10.0))
+"""radians beyond its own range of motion that a joint of a kept pose may be drawn: the ranges are those of
+moving it oneself, and a finger that is pressed goes further. Without this, the palm is moved where a person
+would only bend the finger."""
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -191,7 +196,8 @@ class Energy:
         if kept is None or kept.limits_sigma is None:
             return limits(flat, self._lower, self._upper, self._weights.limits_sigma, self._knuckles)
         already = limits(kept.angles, self._lower, self._upper, 1.0, self._knuckles).residual.abs()
-        return limits(flat, self._lower, self._upper, kept.limits_sigma, self._knuckles, already)
+        more = already.clamp_min(PASSIVE_RANGE)
+        return limits(flat, self._lower, self._upper, kept.limits_sigma, self._knuckles, more)
 
     def _point_rows(self, posed: Posed, seen: Observation) -> tuple[torch.Tensor, torch.Tensor]:
         """Weighted rows (B, 21, c, 3 + m + 1) by the point and by the terms' offsets, and their residuals;

@@ -107,7 +107,7 @@ class FastFitter:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"])
         measured = None if hand_length is None else measured_hand(model, hand_length)
         expected = np.zeros(NUM_BETAS) if measured is None else measured.betas
-        self._betas = torch.tensor(expected, dtype=dtype, device=device)
+        self._betas: torch.Tensor = torch.tensor(expected, dtype=dtype, device=device)
         self.energy = Energy(self.chain, prior, joint_limits(model.side), WEIGHTS, measured)
         self._relaxed = torch.tensor(
             prior.of_side(model.side).mean[None].copy(), dtype=dtype, device=device

@@ -20,8 +20,9 @@ class Kept:
     angle_sigma: torch.Tensor
     """(B, 5) radians"""
     limits_sigma: float | None = None
-    """radians beyond what joints can do, or beyond the kept angles where these are there already, that cost
-    as much as one sigma; None: as hands without a pose to keep have it"""
+    """radians beyond what joints can do when they are pressed (`energy.PASSIVE_RANGE`), or beyond the kept
+    angles where these go further, that cost as much as one sigma; None: as hands without a pose to keep have
+    it"""
 
     def __getitem__(self, index: torch.Tensor) -> Kept:
         """The hands of that index."""
