@@ -393,6 +393,10 @@ class _Video(Media):
         check_video(path, opening.max_megapixels)
         # Absolute, since FFmpeg takes a relative name that begins with "http:" or "tcp:" for an address.
         self._name = str(path.absolute())
+        try:
+            self._name.encode()
+        except UnicodeEncodeError as error:  # OpenCV would end the process
+            raise InputError(f"{shown(path)}: its name is no text in UTF-8; rename the file") from error
         capture = cv2.VideoCapture(self._name)
         try:
             # What the decoder says: the container may have told another size.

@@ -62,7 +62,7 @@ def load_mano_pickle(path: str | os.PathLike[str]) -> HandModel:
         with np.errstate(all="ignore"):  # what is not finite is refused, not warned of
             return _model_from(path, content)
     except _Unfit as error:
-        raise HandModelError(f"{path}: {error}; {_AGAIN}") from error
+        raise HandModelError(f"{shown(path)}: {error}; {_AGAIN}") from error
 
 
 def _model_from(path: Path, content: Any) -> HandModel:
@@ -93,7 +93,7 @@ def _model_from(path: Path, content: Any) -> HandModel:
     named = _side_in_name(path)
     if named not in (None, side):
         raise HandModelError(
-            f"{path}: the name says {named}, but this is a {side} hand; give the file its right name"
+            f"{shown(path)}: the name says {named}, but this is a {side} hand; give the file its right name"
         )
     shapedirs = arrays["shapedirs"]
     if side == "left" and _has_left_fault(v_template, shapedirs):
@@ -101,7 +101,7 @@ def _model_from(path: Path, content: Any) -> HandModel:
     tips = _array_of("tip_vertices", content["tip_vertices"]) if "tip_vertices" in content else _TIPS[side]
     try:
         return checked_model(
-            where=str(path),
+            where=shown(path),
             name=path.stem,
             side=side,
             v_template=v_template,
@@ -192,11 +192,11 @@ def _unpickled(path: Path) -> Any:
         return load(data, _stand_in)
     except Refused as error:
         raise HandModelError(
-            f"{path}: refused: the file {error}; a MANO file never does, do not trust it"
+            f"{shown(path)}: refused: the file {error}; a MANO file never does, do not trust it"
         ) from error
     except Exception as error:  # a damaged pickle can fail in any way
         raise HandModelError(
-            f"{path}: not a MANO .pkl file, or a damaged or truncated one; {_AGAIN}"
+            f"{shown(path)}: not a MANO .pkl file, or a damaged or truncated one; {_AGAIN}"
         ) from error
 
 

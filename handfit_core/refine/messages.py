@@ -97,8 +97,9 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
         betas=_array(message, "betas"),
         intrinsics=Intrinsics(*_numbers(message, "intrinsics", 4)),
         detections=detections,
-        pins=_array(message, "pins"),
-        **{name: _array(message, name) for name in START_ARRAYS},
+        # Whole numbers would have no NaN for what is not pinned.
+        pins=_array(message, "pins").astype(np.float64),
+        **{name: _array(message, name).astype(np.float64) for name in START_ARRAYS},
         locked=_array(message, "locked"),
         model=_text(message, "model", OPEN_HAND),
         fps=_number(message, "fps", 25.0),

@@ -1,4 +1,5 @@
 import logging
+import sys
 from pathlib import Path
 
 import cv2
@@ -265,4 +266,16 @@ def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: s
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(whole[:-cut])
     with pytest.raises(InputError, match=r"JPEG 2000|neither a picture"):
+        open_media(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there are names any bytes")
+def test_a_video_whose_name_is_no_text_never_reaches_opencv(tmp_path: Path) -> None:
+    """Which ends the process on such names."""
+    path = tmp_path / "\udcff.mp4"
+    writer = cv2.VideoWriter(str(tmp_path / "good.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 12.0, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    (tmp_path / "good.mp4").rename(path)
+    with pytest.raises(InputError, match="rename the file"):
         open_media(path)
