@@ -211,6 +211,7 @@ def hostile(session: nox.Session) -> None:
     `-- -m quick`: a part of each kind, as CI does; `-- -k NAME`: one.
     """
     install(session, *RUN_TIME, BPY["4.5"], "pytest")
+    fetch_landmark_model(session)
     run_pytest(session, "tests/hostile")
 
 

@@ -33,7 +33,10 @@ def frame_whole_picture(area: bpy.types.Area, camera: bpy.types.Object, scene: b
         render.resolution_y * render.pixel_aspect_y,
     )
     fit = camera.data.sensor_fit if isinstance(camera.data, bpy.types.Camera) else "AUTO"
-    zoom, offset = zoom_and_offset((region.width, region.height), free_box(area, region), size, fit)
+    free = free_box(area, region)
+    if min(free[2] - free[0], free[3] - free[1]) < 1.0:
+        return
+    zoom, offset = zoom_and_offset((region.width, region.height), free, size, fit)
     space.region_3d.view_camera_zoom = zoom
     space.region_3d.view_camera_offset = offset
     area.tag_redraw()

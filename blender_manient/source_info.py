@@ -82,8 +82,9 @@ def footage(settings, info: SourceInfo) -> Footage | None:
     return Footage(info.fps, first, last, *size)
 
 
-def of_dropped(path: Path) -> Footage | None:
-    """The same of a file that nobody has chosen yet; only videos have a header that Blender reads at once."""
+def of_dropped(settings, path: Path) -> Footage | None:
+    """What a scene would get from a file that nobody has chosen yet; only videos have a header that Blender
+    reads at once."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         return None
     try:
@@ -92,7 +93,8 @@ def of_dropped(path: Path) -> Footage | None:
     except (InputError, RuntimeError):
         return None
     try:
-        return Footage(clip.fps, 1, clip.frame_duration, *clip.size) if clip.size[0] else None
+        size = (0, 0) if settings.camera == "ACTIVE" else tuple(clip.size)
+        return Footage(clip.fps, 1, clip.frame_duration, *size) if clip.size[0] else None
     finally:
         bpy.data.movieclips.remove(clip)
 

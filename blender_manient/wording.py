@@ -21,6 +21,11 @@ def capitalised(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
+def counted(number: int, thing: str) -> str:
+    """One of a thing, or several: 1 frame, 2 frames."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
 def without_name(sentence: str, names: Sequence[str]) -> str:
     """Without a name and a colon at its beginning, for where the name is shown already."""
     for name in sorted(names, key=len, reverse=True):

@@ -23,10 +23,10 @@ class PictureHeader:
     width: int
     height: int
     """Pixels as stored, before any orientation is undone"""
-    cost: int = 1
+    cost: float = 1
     """How much memory decoding takes, in units of a picture with 8 bits per channel that is decoded row by
-    row: three times as much with 16 bits, which Blender makes floats of, four times with floats, and twice
-    where a decoder must keep all coefficients (progressive JPEG)"""
+    row: three times as much with 16 bits, which Blender makes floats of, four times with floats, and 1.4
+    times where a decoder must keep all coefficients (progressive JPEG)"""
 
 
 def read_picture_header(stream: BinaryIO) -> PictureHeader | None:
@@ -73,6 +73,7 @@ def _at(stream: BinaryIO, position: int, count: int) -> bytes:
 
 _FRAME_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _PROGRESSIVE: Final = frozenset({0xC2, 0xC6, 0xCA, 0xCE})
+_PROGRESSIVE_COST: Final = 1.4
 _WITHOUT_LENGTH: Final = frozenset({0x01, *range(0xD0, 0xD8)})
 
 
@@ -99,7 +100,7 @@ def _jpeg(stream: BinaryIO) -> PictureHeader | None:
             (in_scan,) = _unpack(stream, "B")
             marker, width, height, components = frame
             kept_whole = marker in _PROGRESSIVE or in_scan < components
-            return PictureHeader(width, height, 2 if kept_whole else 1)
+            return PictureHeader(width, height, _PROGRESSIVE_COST if kept_whole else 1)
         stream.seek(after)
     return None
 

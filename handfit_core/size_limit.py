@@ -35,8 +35,9 @@ class Limit:
 PICTURE: Final = Limit(64.0, 250.0)
 """Full-frame cameras and most phones have up to 61; the largest sensors have 200 in phones and 151 in
 cameras."""
-VIDEO: Final = Limit(9.0, 80.0)
-"""4K has 8.8, 8K 36 and 12K 80. Decoders keep up to some 30 frames at once."""
+VIDEO: Final = Limit(12.0, 80.0)
+"""4K has 8.3 to 12, 8K 36 and 12K 80. Decoders keep up to some 30 frames at once, of one and a half bytes a
+pixel."""
 
 LONGEST_SIDE: Final = 65_535
 """Pixels; no JPEG is longer"""
@@ -55,7 +56,7 @@ def check_picture(path: Path, max_megapixels: float | None = None) -> None:
     """Look at a picture's first bytes.
 
     `max_megapixels` takes the place of the limits above. A picture with 16 bits per channel counts three
-    times, one of floats four times, a progressive JPEG twice: so much more memory they take. Raises
+    times, one of floats four times, a progressive JPEG 1.4 times: so much more memory they take. Raises
     InputError where it claims more, or is no picture that can be read.
     """
     with _opened(path) as stream:
@@ -75,7 +76,8 @@ def check_video(path: Path, max_megapixels: float | None = None) -> None:
     """
     if _FRAMES_BY_NAME.search(str(path.absolute())):
         raise InputError(
-            f"{path}: a video's name must not have %d in it, which stands for other files; rename it"
+            f"{path}: the names of a video and its folders must not have %d in them, which stands for other "
+            "files; rename them"
         )
     with _opened(path) as stream:
         header = read_video_header(stream)
@@ -126,7 +128,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _check(path: Path, width: int, height: int, cost: int, limit: Limit, chosen: float | None) -> None:
+def _check(path: Path, width: int, height: int, cost: float, limit: Limit, chosen: float | None) -> None:
     megapixels = width * height / 1e6
     most = chosen or (limit.small_file if path.stat().st_size < SMALL_FILE else limit.large_file)
     if megapixels * cost <= most and max(width, height) <= LONGEST_SIDE:

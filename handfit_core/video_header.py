@@ -173,6 +173,8 @@ def _avi(stream: BinaryIO, end: int) -> VideoHeader | None:
             continue
         if name == b"strh":
             kind = _at(stream, position + 8, 4)
+        elif name == b"strf" and kind == b"iavs":  # DV with its sound in one stream tells its size itself
+            return VideoHeader()
         elif name == b"strf" and kind == b"vids":
             width, height = struct.unpack("<ii", _at(stream, position + 12, 8))
             sizes.append((width, abs(height)))
@@ -217,7 +219,9 @@ _PLAYLIST: Final = re.compile(rb"c=IN IP|<MPD|#EXTM3U|ffconcat", re.IGNORECASE)
 def _mpeg(stream: BinaryIO, end: int) -> VideoHeader | None:  # noqa: ARG001
     """Program streams, transport streams and bare ones; H.264 in them tells its size to its decoder only."""
     start = _at(stream, 0, _LOOKED_AT)
-    if _PLAYLIST.search(start):  # a transport stream's few fixed bytes can be had in a text, too
+    # A transport stream's few fixed bytes can be had in a text, too. FFmpeg takes a file for a text up to the
+    # first zero byte; a stream has some soon, and anything by chance behind them.
+    if _PLAYLIST.search(start.partition(b"\0")[0]):
         return None
     found = [int.from_bytes(match[1], "big") for match in _SEQUENCE_HEADER.finditer(start)]
     return _largest([(value >> 12, value & 0xFFF) for value in found]) or VideoHeader()

@@ -79,6 +79,13 @@ class MANIENT_OT_capture(bpy.types.Operator):
 
     def modal(self, context, event):
         """Tick the queue; Esc stops everything."""
+        try:
+            return self._follow(context, event)
+        except Exception:
+            self._end(context)  # else no later capture would begin
+            raise
+
+    def _follow(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":
             jobs.cancel_all()
         elif event.type != "TIMER":

@@ -8,8 +8,10 @@ from bpy_extras.io_utils import ImportHelper
 from handfit_core.errors import HandfitError
 from handfit_core.take import Take
 
+from .. import screen
 from ..scene.build import build_take
 from ..scene.matching import CHOICES, Footage, matches, said
+from ..scene.surroundings import clear_view
 from ..section import sentence
 
 
@@ -36,6 +38,13 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
         description="What becomes of the scene's frame rate, frame range, size and camera",
         items=CHOICES,
         default="AUTO",
+        options={"SKIP_SAVE"},
+    )
+    render_setup: bpy.props.BoolProperty(  # type: ignore
+        name="Ready to Render",
+        description="Lights, and the picture in renders, where the scene is matched",
+        default=True,
+        options={"SKIP_SAVE"},
     )
 
     @classmethod
@@ -45,15 +54,25 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
             return False
         return True
 
+    def invoke(self, context, event):
+        """Begin with what the sidebar has."""
+        for name in ("matching", "render_setup"):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, getattr(context.scene.manient, name))
+        return super().invoke(context, event)
+
     def draw(self, context):
         """The choices beside the file browser, and what they mean for this scene."""
         layout, scene = self.layout, context.scene
         assert layout is not None
         layout.prop(self, "pose_correctives")
         layout.prop(self, "picture")
+        layout.prop(self, "render_setup")
         layout.prop(self, "matching")
-        text = said(scene, self.matching, None, scene.frame_current)
-        sentence(layout, context, text, "SCENE_DATA")
+        # After the import the scene is another one, which the choice is not about.
+        if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
+            text = said(scene, self.matching, None, scene.frame_current)
+            sentence(layout, context, text, "SCENE_DATA")
 
     def execute(self, context):
         try:
@@ -66,11 +85,16 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
                 pose_correctives=self.pose_correctives,
                 picture=self.picture,
                 match_scene=matched,
+                render_setup=self.render_setup,
             )
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for warning in built.warnings:
+        warnings = list(built.warnings)
+        if matched:
+            warnings += clear_view(built.camera, built.collection, context.view_layer)
+            screen.look_through_camera(context)
+        for warning in warnings:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, said(context.scene, self.matching, footage, frame, done=matched))
         return {"FINISHED"}

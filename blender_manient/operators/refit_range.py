@@ -22,6 +22,7 @@ from ..scene.store import scene_frames, timing_of
 from ..scene.timing import frame_rate
 from ..section import sentence
 from ..selection import active_hand
+from ..wording import counted
 from ..worker import shared
 from ..worker.client import as_error
 from . import edit_keypoints
@@ -289,16 +290,12 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
     own[:, :-1] &= ~np.array(hand.armature.manient.locked, dtype=bool)
     keys, frames = int(own.sum()), int(own.any(axis=1).sum())
     poses, points = sum(c.posed for c in corrected), sum(bool(c.pins) for c in corrected)
-    lost = [f"{_count(keys, 'key')} set by hand, on {_count(frames, 'frame')}"] if keys else []
-    lost += [_count(poses, "relaxed pose")] if poses else []
-    said = f"Fits {_count(len(rows), 'frame')} again. "
+    lost = [f"{counted(keys, 'key')} set by hand, on {counted(frames, 'frame')}"] if keys else []
+    lost += [counted(poses, "relaxed pose")] if poses else []
+    said = f"Fits {counted(len(rows), 'frame')} again. "
     said += f"Replaces {' and '.join(lost)}" if lost else "Replaces no key set by hand"
-    said += f". The points of {_count(points, 'corrected frame')} stay" if points else ""
+    said += f". The points of {counted(points, 'corrected frame')} stay" if points else ""
     return said, bool(lost)
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def _rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:

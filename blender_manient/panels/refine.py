@@ -9,7 +9,7 @@ from ..refiner import why_not_refinable
 from ..scene import corrections
 from ..section import Section, sentence
 from ..selection import active_hand
-from ..wording import capitalised
+from ..wording import capitalised, counted
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):
@@ -29,17 +29,9 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         why = why_not_refinable(hand.track)
         if why is not None:
             sentence(layout, context, capitalised(why), "INFO")
-            return
-        if jobs.busy():
-            sentence(layout, context, "Wait for the capture to end", "INFO")
-        column = layout.column()
-        column.scale_y = 1.3
-        column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
-        kept = preferences.get()
-        if isinstance(kept, bpy.types.AddonPreferences):
-            layout.prop(kept, "hand_opacity", slider=True)
+        else:
+            self._by_points(context)
         layout.prop(settings, "spread", text="Spread (Frames)")
-        layout.operator("manient.refit_range", icon="FILE_REFRESH")
         corrected = corrections.corrected_frames(hand.armature)
         if corrected:
             shown = ", ".join(str(f) for f in corrected[:8]) + (" ..." if len(corrected) > 8 else "")
@@ -48,8 +40,28 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
             row.label(text="Clear")
             for scope, text in (("FRAME", "Frame"), ("RANGE", "Range"), ("ALL", "All")):
                 row.operator("manient.clear_corrections", text=text).scope = scope
-        locked = sum(hand.armature.manient.locked)
-        row = layout.row(align=True)
-        row.label(text=f"{locked} joints locked" if locked else "No joints locked", translate=False)
+        if why is None:
+            self._locks(hand.armature)
+
+    def _by_points(self, context) -> None:
+        """What needs the points that were detected."""
+        layout = self.layout
+        assert layout is not None
+        if jobs.busy():
+            sentence(layout, context, "Wait for the capture to end", "INFO")
+        column = layout.column()
+        column.scale_y = 1.3
+        column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
+        kept = preferences.get()
+        if isinstance(kept, bpy.types.AddonPreferences):
+            layout.prop(kept, "hand_opacity", slider=True)
+        layout.operator("manient.refit_range", icon="FILE_REFRESH")
+
+    def _locks(self, armature: bpy.types.Object) -> None:
+        assert self.layout is not None
+        locked = sum(armature.manient.locked)
+        row = self.layout.row(align=True)
+        text = f"{counted(locked, 'joint')} locked" if locked else "No joints locked"
+        row.label(text=text, translate=False)
         row.operator("manient.lock_joints", text="", icon="LOCKED").lock = True
         row.operator("manient.lock_joints", text="", icon="UNLOCKED").lock = False

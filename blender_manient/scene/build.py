@@ -33,7 +33,7 @@ from .correctives import adding_correctives
 from .matching import note_matched
 from .mesh import build_mesh
 from .plate import Plate, loading_plate
-from .render_setup import set_up, show_true_colors
+from .render_setup import put_in_force, set_up
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
 from .timing import Timing, check_range, set_timing, timing_in
 
@@ -284,7 +284,7 @@ def _steps(
         if own_camera is None:
             frame_scene(scene, take)
             scene.camera = camera
-            show_true_colors(scene, stage)
+            put_in_force(scene, stage)
         note_matched(scene)
     for hand in hands:
         yield None

@@ -8,6 +8,7 @@ alone.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import bpy
 import numpy as np
@@ -22,8 +23,8 @@ from .plate import Plate
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
 """Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
-_CARD = "hand_picture"
-"""Custom property of the cards, by which a later capture finds an earlier one's"""
+_OURS = "hand_render_setup"
+"""Custom property of the cards and suns, by which a later capture finds an earlier one's"""
 _CARD_PLACE = 0.9
 """of the camera's far clip distance"""
 _BEYOND = 0.05
@@ -36,33 +37,35 @@ def set_up(
 ) -> list[bpy.types.Object]:
     """Lights and a card with the picture, hung on the capture's camera; linked to no collection yet.
 
-    There are no lights where the scene has its own, and no card without a plate. Call `show_true_colors` for
-    the scene that gets them.
+    There are no lights where the scene has its own, and no card without a plate. Call `put_in_force` for the
+    scene that gets them.
     """
     made = []
     if not _is_lit(scene):
         made = [sun(f"{camera.name} light", *placed) for placed in SUNS]
     if plate is not None:
         card = picture_card(f"{camera.name} picture", plate, take, _CARD_PLACE * camera.data.clip_end)
-        card[_CARD] = True
         card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
         # It is a picture, not a thing: it neither lights the hands nor stands in a light's way.
         card.visible_diffuse = card.visible_glossy = card.visible_transmission = False
         card.visible_volume_scatter = card.visible_shadow = False
         made.append(card)
     for thing in made:
+        thing[_OURS] = True
         put_before(thing, camera)
     return made
 
 
-def show_true_colors(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
-    """Where `made` has a card, hide those of earlier captures, and show its picture with its own colours if
-    nobody has chosen how the scene shows colours: what Blender starts with washes pictures out."""
-    if not any(_CARD in thing for thing in made):
-        return
+def put_in_force(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
+    """Have renders show what `set_up` has made instead of what earlier captures brought, each kind for
+    itself. A card's picture keeps its colours if nobody has chosen how the scene shows colours: what Blender
+    starts with washes pictures out."""
+    kinds = {thing.type for thing in made}
     for thing in scene.objects:
-        if _CARD in thing and thing not in made:
+        if _OURS in thing and thing.type in kinds and thing not in made:
             thing.hide_render = True
+    if "MESH" not in kinds:
+        return
     view = scene.view_settings
     untouched = view.look == "None" and view.exposure == 0.0 and view.gamma == 1.0
     if view.view_transform == "AgX" and untouched:
@@ -109,11 +112,23 @@ def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object
 
 
 def _is_lit(scene: bpy.types.Scene) -> bool:
-    """Whether the artist has seen to light: with a lamp, or a sky or a picture as world."""
-    if any(o.type == "LIGHT" and not _is_start_up_light(o) for o in scene.objects):
+    """Whether the artist has seen to light: with a lamp that renders show, or a sky or a picture as world."""
+    lamps = (o for layer in scene.view_layers for o in _rendered(layer.layer_collection) if o.type == "LIGHT")
+    if any(not (_OURS in o or _is_start_up_light(o)) for o in lamps):
         return True
     tree = scene.world.node_tree if scene.world is not None else None
     return tree is not None and any(n.type in ("TEX_ENVIRONMENT", "TEX_SKY") for n in tree.nodes)
+
+
+def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
+    """The objects of a collection and those in it that renders show. A view layer's own list of objects would
+    lack what was linked since it was last updated."""
+    if part.collection.hide_render:
+        return
+    if not part.exclude:
+        yield from (o for o in part.collection.objects if not o.hide_render)
+    for child in part.children:
+        yield from _rendered(child)
 
 
 def _is_start_up_light(thing: bpy.types.Object) -> bool:

@@ -16,13 +16,17 @@ def clear_view(
     """Hide the cube of Blender's start-up file where the camera stands inside it; returns a sentence for
     each object around the camera, hidden or not.
 
-    `collection`: the capture's own, which is passed over. Only the eye in the Outliner is closed.
+    `collection`: the capture's own, which is passed over. The cube is hidden in renders too: it would be all
+    that they show. Whatever somebody has made is only named.
     """
     said = []
     for thing in list(_around(camera, collection, layer)):
         if _is_start_up_cube(thing):
             thing.hide_set(True, view_layer=layer)
-            said.append(f"{thing.name} is hidden now, since the capture's camera stands inside it")
+            thing.hide_render = True
+            said.append(
+                f"{thing.name} is hidden now, in renders too, since the capture's camera stands inside it"
+            )
         else:
             said.append(f"the capture's camera stands inside {thing.name}: hide that to see the picture")
     return said

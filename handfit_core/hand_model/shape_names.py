@@ -27,10 +27,11 @@ def shape_names(model: HandModel) -> tuple[str | None, ...]:
     effect dominates, and where another coefficient does the same more purely."""
     shares = effect_shares(model)
     names: list[str | None] = [None] * NUM_BETAS
-    for effect in {max(row, key=lambda name: abs(row[name])) for row in shares if row}:
-        purest = max(range(NUM_BETAS), key=lambda beta: abs(shares[beta].get(effect, 0.0)))
-        if abs(shares[purest].get(effect, 0.0)) > DOMINANT:
-            names[purest] = _worded(effect, grows=shares[purest][effect] > 0.0)
+    for beta, row in enumerate(shares):
+        effect = max(row, key=lambda name: abs(row[name]), default="")
+        purest = max(range(NUM_BETAS), key=lambda other: abs(shares[other].get(effect, 0.0)))
+        if beta == purest and abs(row.get(effect, 0.0)) > DOMINANT:
+            names[beta] = _worded(effect, grows=row[effect] > 0.0)
     return tuple(names)
 
 

@@ -131,7 +131,15 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
         _RECENT.keep(hand, result)
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
-    packed = {f.name: pack(getattr(result, f.name).astype(np.float32)) for f in fields(RefineResult)}
+    arrays = {f.name: getattr(result, f.name) for f in fields(RefineResult)}
+    # A fit that ran away, as one close to the camera can, costs its own frame and no other.
+    lost = np.logical_or.reduce(
+        [(np.abs(a) > LARGEST).reshape(len(a), -1).any(axis=1) for a in arrays.values()]
+    )
+    packed = {
+        name: pack(np.where(lost.reshape(-1, *[1] * (a.ndim - 1)), np.nan, a).astype(np.float32))
+        for name, a in arrays.items()
+    }
     return {"result": packed, "seconds": time.perf_counter() - begin}
 
 

@@ -6,7 +6,8 @@ does, while the other fingers stay. A knuckle turns the palm about the wrist and
 the wrist takes the palm along. A pin that lies where the point is already changes nothing.
 
 A pose is corrected in two steps. First the fingers with pins beyond their knuckles go alone, bent no
-farther than joints can be or than they were; palm and other fingers do not move at all. Where that brings
+farther than joints can be when they are pressed (10 degrees beyond what a person can do with them), or than
+they were; palm and other fingers do not move at all. Where that brings
 every point to within `REACHED` of its pin, that is the answer. Else the palm must follow: from that pose, it
 and the fingers go for what is left, and the other fingers ride along. So the palm moves by about as much as
 the fingers fall short, and nothing jumps where they begin to. Pins of the wrist and of knuckles move the
@@ -34,8 +35,8 @@ PIN_SIGMA: Final = 0.2
 REACHED: Final = 0.5
 """pixels from its pin: there a point has reached it"""
 LIMITS_SIGMA: Final = float(np.radians(0.3))
-"""radians beyond what joints can do, as `Kept.limits_sigma` has it: pins are surer than landmarks, and would
-bend fingers far beyond it where a capture's landmarks do not"""
+"""radians beyond what pressed joints can do, as `Kept.limits_sigma` has it: pins are surer than landmarks,
+and would bend fingers far beyond it where a capture's landmarks do not"""
 KEPT_SIGMA: Final = 0.005
 """of the hand's size in the picture: how firmly points of a pose that is corrected stay where they are"""
 KEPT_DEPTH_SIGMA: Final = 0.02

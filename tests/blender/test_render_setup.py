@@ -12,6 +12,7 @@ from mathutils import Matrix
 from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
 from blender_manient.scene.export import export_take
+from blender_manient.scene.surroundings import clear_view
 from handfit_core.take import Source
 
 from .conftest import HEIGHT, WIDTH, world, write_png
@@ -19,9 +20,8 @@ from .conftest import HEIGHT, WIDTH, world, write_png
 
 @pytest.fixture
 def start_up() -> bpy.types.Scene:
-    """The scene that Blender starts with; its cube, in which the camera will stand, is out of the way."""
+    """The scene that Blender starts with."""
     bpy.ops.wm.read_factory_settings()
-    bpy.data.objects["Cube"].hide_render = True
     return bpy.context.scene
 
 
@@ -48,6 +48,13 @@ def ramp() -> np.ndarray:
     return rows
 
 
+def built_and_cleared(take):
+    """A capture as the button makes it: the start-up cube, in which its camera stands, out of the way."""
+    built = build_take(take)
+    clear_view(built.camera, built.collection, bpy.context.view_layer)
+    return built
+
+
 def hand_pixels(made, row: int) -> np.ndarray:
     """(N, 2) columns and rows of the hands' vertices."""
     pixels = np.concatenate([made.take.intrinsics.project(v[row]) for v in made.vertices.values()])
@@ -60,7 +67,7 @@ def own(collection: bpy.types.Collection, kind: str) -> list[bpy.types.Object]:
 
 def test_the_first_render_shows_lit_hands_in_their_picture(make_take, start_up, tmp_path):
     made = make_take()
-    build_take(made.take)
+    built_and_cleared(made.take)
     row, frame = made.seen[2]
     start_up.frame_set(frame)
     shown = rendered(start_up, tmp_path / "f12.png")
@@ -88,7 +95,7 @@ def test_the_picture_moves_with_the_clip(make_take, start_up, tmp_path):
         rows[..., 3] = 1.0
         files.append(str(write_png(tmp_path / f"frame.{number:04d}.png", rows)))
     take = make_take(source=Source("sequence", tuple(files)), frame_numbers=np.array([3, 4, 5])).take
-    build_take(take)
+    built_and_cleared(take)
     for number in (5, 3, 4):
         start_up.frame_set(number)
         shown = rendered(start_up, tmp_path / "f12.png")
@@ -171,7 +178,20 @@ def test_a_later_capture_shows_its_own_picture(make_take, start_up):
     first, second = (build_take(make_take(seed=seed).take) for seed in (1, 2))
     cards = [[o for o in own(b.collection, "MESH") if o.name.endswith("picture")] for b in (first, second)]
     assert [[card.hide_render for card in each] for each in cards] == [[True], [False]]
-    assert own(second.collection, "LIGHT") == [], "the first one's light both"
+    lights = [own(b.collection, "LIGHT") for b in (first, second)]
+    assert [len(each) for each in lights] == [len(render_setup.SUNS)] * 2, "each can stand alone"
+    assert [{light.hide_render for light in each} for each in lights] == [{True}, {False}]
+
+
+@pytest.mark.parametrize("how", ["hidden from renders", "excluded"])
+def test_a_lamp_that_renders_do_not_show_lights_nothing(make_take, start_up, how):
+    collection = bpy.data.collections.new("lamps")
+    start_up.collection.children.link(collection)
+    lamp = bpy.data.objects.new("mine", bpy.data.lights.new("mine", "AREA"))
+    collection.objects.link(lamp)
+    lamp.hide_render = how == "hidden from renders"
+    bpy.context.view_layer.layer_collection.children["lamps"].exclude = how == "excluded"
+    assert len(own(build_take(make_take().take).collection, "LIGHT")) == len(render_setup.SUNS)
 
 
 def test_skin_and_nails_are_two_slots(make_take, model):

@@ -33,9 +33,11 @@ def said_of(capture) -> list[str]:
 
 def test_the_start_up_cube_is_hidden(capture):
     thing = cube()
-    assert said_of(capture) == ["Cube is hidden now, since the capture's camera stands inside it"]
+    assert said_of(capture) == [
+        "Cube is hidden now, in renders too, since the capture's camera stands inside it"
+    ]
     assert thing.hide_get()
-    assert not thing.hide_render
+    assert thing.hide_render
     assert said_of(capture) == []
 
 

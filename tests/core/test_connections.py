@@ -58,7 +58,7 @@ def test_a_pattern_in_a_videos_name_reads_no_pictures(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"secret{number}.png"), np.full((48, 64, 3), 99, dtype=np.uint8))
     for name in ("secret%d.mp4", "secret%01d.png.xyz", "secret%d.gif"):
         (tmp_path / name).write_bytes(clip(tmp_path / "clip.mp4").read_bytes())
-        with pytest.raises(InputError, match="rename it"):
+        with pytest.raises(InputError, match="rename them"):
             open_media(tmp_path / name)
     # Without such a file it is meant as a pattern.
     assert open_media(tmp_path / "secret%d.png").source.kind == "sequence"

@@ -1,3 +1,5 @@
+import sys
+
 import pytest
 
 from handfit_core.errors import OptionError
@@ -37,7 +39,7 @@ def test_within_is_what_is_contained(text: str) -> None:
     frames = FrameRange.parse(text)
     for low, high in ((1, 20), (5, 12), (1, 0), (12, 12)):
         assert list(frames.within(low, high)) == [n for n in range(low, high + 1) if n in frames]
-    assert len(frames.within(1, 1 << 40)) <= 1 << 40  # counted, not listed
+    assert sys.getsizeof(frames.within(1, 1 << 40)) < 100, "counted, not listed"
 
 
 def test_everything_by_default() -> None:

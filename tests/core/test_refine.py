@@ -492,6 +492,20 @@ def test_the_way_of_a_drag_does_not_count() -> None:
     assert distance(kept[0].landmarks_2d, steps[-1].pins)[0, 4] < 1.5
 
 
+def test_a_frame_whose_fit_ran_away_costs_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    hand = corrected_clip()
+    good = refit_range(hand)
+    projected = good.projected.copy()
+    projected[4, 7] = 1e12
+    monkeypatch.setattr(
+        "handfit_core.refine.messages.refit_range", lambda *_: replace(good, projected=projected)
+    )
+    request = {"mode": "range", "hand": to_message(hand)}
+    found = result_from_message(answer(request, lambda: False), COUNT)
+    assert np.flatnonzero(~found.present).tolist() == [4]
+    np.testing.assert_allclose(found.hand_pose[5:], good.hand_pose[5:], atol=1e-6)
+
+
 def test_the_error_counts_pins() -> None:
     hand, _ = dragged(TIP, (10.0, 5.0))
     found = refit_each(hand)

@@ -45,8 +45,17 @@ def test_streams_without_a_header(tmp_path: Path) -> None:
     packet = b"G\x40\0\x10" + bytes(184)
     assert read(packet * 5) == VideoHeader()
     assert read((bytes(4) + packet) * 5) == VideoHeader()  # as cameras write it
+    by_chance = b"G\x40\0\x10" + b"<mPd" + bytes(180)
+    assert read(by_chance * 5) == VideoHeader()  # compressed data, in which any four bytes may stand
     theora = b"\x80theora\3\2\1" + struct.pack(">HH", 20, 15)
     assert read(b"OggS\0\2" + bytes(22) + theora) == VideoHeader(320, 240)
+
+
+def test_dv_with_its_sound_in_one_stream() -> None:
+    header = b"strh" + struct.pack("<I", 8) + b"iavsdvsd" + b"strf" + struct.pack("<I", 32) + bytes(32)
+    listed = b"LIST" + struct.pack("<I", 4 + len(header)) + b"strl" + header
+    data = b"RIFF" + struct.pack("<I", 4 + len(listed) + 12) + b"AVI " + listed + b"LIST\4\0\0\0movi"
+    assert read(data) == VideoHeader()
 
 
 @pytest.mark.parametrize("name", FILES)
