@@ -176,10 +176,12 @@ def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
     image.pixels.foreach_get(pixels)
     image.buffers_free()
     # Blender's first row is the bottom one.
-    rows = upright(pixels.reshape(height, width, 4)[::-1], orientation)
-    copy = bpy.data.images.new(f"{image.name} upright", rows.shape[1], rows.shape[0], alpha=False)
+    turned = np.ascontiguousarray(upright(pixels.reshape(height, width, 4)[::-1], orientation)[::-1])
+    del pixels  # as `turned` up to a quarter of a gigabyte, which Blender needs for its copy and for packing
+    copy = bpy.data.images.new(f"{image.name} upright", turned.shape[1], turned.shape[0], alpha=False)
     copy.colorspace_settings.name = image.colorspace_settings.name
-    copy.pixels.foreach_set(np.ascontiguousarray(rows[::-1], dtype=np.float32).ravel())
+    copy.pixels.foreach_set(turned.ravel())
+    del turned
     copy.update()
     copy.pack()
     return copy

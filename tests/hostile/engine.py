@@ -141,7 +141,8 @@ class Doorkeeper:
             elif time.monotonic() > until:
                 faults.append(f"hangs: no answer within {SILENT_SECONDS:g} s")
         faults += self._connected()
-        if (peak := child.memory("VmHWM")) > MOST_BYTES:
+        # Without the pages of libraries, which differ by a hundred MB with how the system happens to map them.
+        if (peak := child.memory("VmHWM") - child.memory("RssFile")) > MOST_BYTES:
             faults.append(f"memory: {peak // 1_000_000} MB")
         if answer is None:
             child.kill()
