@@ -76,7 +76,9 @@ def test_it_installs_and_is_enabled(life):
 
 def test_the_panels_are_there(life):
     assert any(text.startswith("[Source] Choose a photo") for text in life["panels"]["said"])
-    assert any(text.startswith("[Capture] Capture") for text in life["panels"]["said"])
+    (capture,) = (text for text in life["panels"]["said"] if text.startswith("[Capture] "))
+    assert capture.startswith("[Capture] Scene becomes")
+    assert capture.endswith(" Capture")
 
 
 def test_check_installation_finds_all_well(life):
