@@ -69,15 +69,17 @@ def clip(stage, source, shot="video"):
     yield from stage.open_sidebar()
     job = yield from begin(stage, source)
     seen: list[tuple[str, str, float]] = []
-    shots = set()
+    shots, taking = set(), iter(())
     while not job.finished:
         entry = (job.state, job.stage, round(job.fraction, 3))
         if not seen or seen[-1][:3] != entry:
             seen.append((*entry, job.status()))
         if job.state == "capturing" and job.stage and job.done > 5 and job.stage not in shots:
             shots.add(job.stage)
-            yield from stage.screenshot(f"capturing-{shot}-{job.stage}")
+            taking = stage.screenshot(f"capturing-{shot}-{job.stage}")
+        next(taking, None)  # nothing is missed meanwhile
         yield 0.0
+    yield from taking
     done(job)
     yield 0.3
     yield from stage.look_through_camera()
