@@ -13,6 +13,7 @@ from ..scene.build import build_take
 from ..scene.matching import CHOICES, Footage, matches, said
 from ..scene.surroundings import clear_view
 from ..section import sentence
+from .needs_hand import scene_is_editable
 
 
 class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
@@ -49,10 +50,7 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
 
     @classmethod
     def poll(cls, context):
-        if not context.scene.is_editable:
-            cls.poll_message_set("This scene is linked from another file")
-            return False
-        return True
+        return scene_is_editable(cls, context)
 
     def invoke(self, context, event):
         """Begin with what the sidebar has."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..scene.markers import next_doubtful
-from ..scene.store import hand_of
+from .needs_hand import named_hand, scene_is_editable
 
 
 class MANIENT_OT_jump_doubtful(bpy.types.Operator):
@@ -30,14 +30,10 @@ class MANIENT_OT_jump_doubtful(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        if not context.scene.is_editable:
-            cls.poll_message_set("This scene is linked from another file")
-            return False
-        return True
+        return scene_is_editable(cls, context)
 
     def execute(self, context):
-        obj = bpy.data.objects.get(self.hand) if self.hand else context.active_object
-        hand = hand_of(obj) if obj is not None else None
+        hand = named_hand(context, self.hand)
         if hand is None:
             self.report({"ERROR"}, "No captured hand: select a hand that keeps its take")
             return {"CANCELLED"}

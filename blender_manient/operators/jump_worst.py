@@ -7,7 +7,8 @@ import numpy as np
 
 from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
 
-from ..scene.store import CapturedHand, hand_of, scene_frames
+from ..scene.store import scene_frames
+from .needs_hand import named_hand, scene_is_editable
 
 
 class MANIENT_OT_jump_worst(bpy.types.Operator):
@@ -25,7 +26,7 @@ class MANIENT_OT_jump_worst(bpy.types.Operator):
     @classmethod
     def description(cls, context, properties):
         """The tooltip."""
-        hand = _hand(context, properties.hand)
+        hand = named_hand(context, properties.hand)
         if hand is None or not hand.track.detected.any():
             return cls.bl_description
         pixels = float(np.mean(hand.track.reprojection_error[hand.track.detected]))
@@ -37,13 +38,10 @@ class MANIENT_OT_jump_worst(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        if not context.scene.is_editable:
-            cls.poll_message_set("This scene is linked from another file")
-            return False
-        return True
+        return scene_is_editable(cls, context)
 
     def execute(self, context):
-        hand = _hand(context, self.hand)
+        hand = named_hand(context, self.hand)
         if hand is None or not hand.track.detected.any():
             self.report({"ERROR"}, "No captured hand with points in a picture: select one")
             return {"CANCELLED"}
@@ -51,11 +49,6 @@ class MANIENT_OT_jump_worst(bpy.types.Operator):
         frame = float(scene_frames(hand.collection, hand.take)[np.nanargmax(errors)])
         context.scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))
         return {"FINISHED"}
-
-
-def _hand(context: bpy.types.Context, name: str) -> CapturedHand | None:
-    obj = bpy.data.objects.get(name) if name else context.active_object
-    return hand_of(obj) if obj is not None else None
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""The poll of operators that work on a captured hand."""
+"""What operators that work on a captured hand share: their polls, and which hand it is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from ..scene.editable import why_not_editable, why_not_keyable, why_not_readable
-from ..scene.store import CapturedHand
+from ..scene.store import CapturedHand, hand_of
 from ..selection import active_hand
 
 
@@ -31,6 +31,20 @@ def hand_is_there(
     if why is not None:
         cls.poll_message_set(why)
     return why is None
+
+
+def scene_is_editable(cls: type[Any], context: bpy.types.Context) -> bool:
+    """Whether the scene may be changed; the operator says why not."""
+    if not context.scene.is_editable:
+        cls.poll_message_set("This scene is linked from another file")
+        return False
+    return True
+
+
+def named_hand(context: bpy.types.Context, name: str) -> CapturedHand | None:
+    """The captured hand of the armature with that name, or with an empty name the active object's."""
+    obj = bpy.data.objects.get(name) if name else context.active_object
+    return hand_of(obj) if obj is not None else None
 
 
 def hand_in(context: bpy.types.Context) -> CapturedHand:

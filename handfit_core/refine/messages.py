@@ -127,7 +127,8 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
     if mode == "range":
         result = refit_range(hand, should_stop)
     else:
-        result = refit_each(hand, _RECENT.of(hand), draft=mode == "draft")
+        draft = mode == "draft"
+        result = refit_each(hand, _RECENT.of(hand) if draft else None, draft=draft)
         _RECENT.keep(hand, result)
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")

@@ -178,12 +178,12 @@ class _Frames:
         still = pinning.untouched(doubt) & pinning.unpinned(self.pins)
         held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
         # A finger draws the hand along as it is; wrist and knuckles rather turn it.
-        shifted = self._shifted(reached, seen.pixels)
-        if self.near is None:
-            start = reached.where(torch.tensor(pinning.of_palm(left).any(axis=1)), shifted)
-        else:
-            start = replace(self.near, local=reached.local)
-        starts = [start, shifted]
+        starts = [self._shifted(reached, seen.pixels)]
+        turns = pinning.of_palm(left).any(axis=1)
+        if self.near is not None:
+            starts.insert(0, replace(self.near, local=reached.local))
+        elif turns.any():
+            starts.insert(0, reached.where(torch.tensor(turns), starts[0]))
         return self._solved(aim, reached, far, doubt, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
