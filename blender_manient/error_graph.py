@@ -15,7 +15,9 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from .scene.confidence import FAIR, POOR, colors_of, hand_errors
+from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
+
+from .scene.confidence import colors_of
 from .scene.store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
 
 _HEIGHT: Final = (18.0, 64.0)
@@ -24,10 +26,26 @@ _BELOW: Final = 14.0
 """pixels under the graph at scale 1, for the scroll bar"""
 _ABOVE: Final = 26.0
 """pixels over the graph at scale 1, for the frame numbers"""
+LEVELS: Final = (GOOD_BELOW, FAIR_BELOW, 2.0 * FAIR_BELOW)
+"""Green, yellow, red: a hand that is called poor is yellow at best"""
+_KEPT: Final = 32
+"""hands whose errors are remembered"""
 _SPACES: Final = {"GRAPH_EDITOR": "SpaceGraphEditor", "DOPESHEET_EDITOR": "SpaceDopeSheetEditor"}
 """Area type -> class; the Timeline is a Dope Sheet"""
 
 _handles: dict[str, object] = {}
+_errors: dict[tuple[str, int], np.ndarray] = {}
+"""(digest of the take, hand's index) -> `relative_errors`, which every redraw asks for"""
+
+
+def errors_of(hand: CapturedHand) -> np.ndarray:
+    """(T,) parts of the hand, as the panel says them; NaN where it was not detected."""
+    key = (hand.collection.manient.digest, hand.index)
+    if key not in _errors:
+        if len(_errors) >= _KEPT:
+            _errors.clear()
+        _errors[key] = relative_errors(hand.track, hand.take.intrinsics)
+    return _errors[key]
 
 
 def segments(
@@ -37,10 +55,10 @@ def segments(
 
     `frames` (T,) and `errors` (T,), parts of the hand, NaN where it was not detected: no line leads there.
     `span`: first and last visible frame; `size`: width and height in pixels, of which the full height
-    stands for POOR or the largest error.
+    stands for the last of LEVELS or the largest error.
     """
     x = (frames - span[0]) / ((span[1] - span[0]) or 1.0) * size[0]
-    y = errors / np.nanmax(np.append(errors, POOR)) * size[1]
+    y = errors / np.nanmax(np.append(errors, LEVELS[-1])) * size[1]
     points = np.stack([x, y], axis=-1)
     ends = np.stack([points[:-1], points[1:]], axis=1)
     values = np.stack([errors[:-1], errors[1:]], axis=-1)
@@ -100,10 +118,10 @@ def _draw_one(
     scale: float,
 ) -> None:
     width, height = size
-    errors = hand_errors(hand.take, hand.track)
+    errors = errors_of(hand)
     frames = scene_frames(hand.collection, hand.take)
     _rectangle((0.0, low, width, low + height), (0.0, 0.0, 0.0, 0.45))
-    fair = low + height * FAIR / float(np.nanmax(np.append(errors, POOR)))
+    fair = low + height * FAIR_BELOW / float(np.nanmax(np.append(errors, LEVELS[-1])))
     _rectangle((0.0, fair, width, fair + scale), (1.0, 1.0, 1.0, 0.15))
     ends, values = segments(frames, errors, span, size)
     if len(ends):
@@ -111,7 +129,7 @@ def _draw_one(
         points[:, :2] = ends.reshape(-1, 2)
         points[:, 1] += low
         colors = np.ones((2 * len(ends), 4), dtype=np.float32)
-        colors[:, :3] = colors_of(values.reshape(-1))
+        colors[:, :3] = colors_of(values.reshape(-1), LEVELS)
         shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
         shader.bind()
         shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])

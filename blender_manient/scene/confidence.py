@@ -44,33 +44,23 @@ _errors: dict[tuple[str, int], np.ndarray] = {}
 def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
     """(T, 16) mean distance of each bone's ends from their detected keypoints, over the hand's length in the
     picture; NaN in frames where the hand was not detected. A finger's bone has two ends, the wrist's six."""
-    distance = _keypoint_errors(take, track)
-    return np.stack([distance[:, ends].mean(axis=-1) for ends in _ENDS], axis=-1)
-
-
-def hand_errors(take: Take, track: HandTrack) -> np.ndarray:
-    """(T,) mean distance of the keypoints from the detected ones, in the same measure as `bone_errors`."""
-    return _keypoint_errors(take, track).mean(axis=-1)
-
-
-def _keypoint_errors(take: Take, track: HandTrack) -> np.ndarray:
-    """(T, 21) the same of each keypoint."""
     points = np.asarray(track.joints_3d)
     measured = np.asarray(track.detected, dtype=bool)
-    errors = np.full(points.shape[:2], np.nan)
+    errors = np.full((len(points), NUM_JOINTS), np.nan)
     points = points[measured]
     if len(points) == 0:
         return errors
     distance = np.linalg.norm(take.intrinsics.project(points) - track.keypoints_2d[measured], axis=-1)
     length = np.linalg.norm(np.diff(points[:, _MIDDLE_FINGER], axis=1), axis=-1).sum(axis=-1)
     shown = take.intrinsics.fx * length / points[..., 2].mean(axis=-1)
-    errors[measured] = distance / shown[:, None]
+    errors[measured] = np.stack([distance[:, ends].mean(axis=-1) for ends in _ENDS], axis=-1) / shown[:, None]
     return errors
 
 
-def colors_of(errors: np.ndarray) -> np.ndarray:
-    """(...,) errors as `bone_errors` gives them -> (..., 3) colours, sRGB 0..1."""
-    colors = np.stack([np.interp(errors, (GOOD, FAIR, POOR), _COLORS[:, i]) for i in range(3)], axis=-1)
+def colors_of(errors: np.ndarray, levels: tuple[float, float, float] = (GOOD, FAIR, POOR)) -> np.ndarray:
+    """(...,) errors -> (..., 3) colours, sRGB 0..1; `levels`: what is green, yellow and red, by default of
+    what `bone_errors` gives."""
+    colors = np.stack([np.interp(errors, levels, _COLORS[:, i]) for i in range(3)], axis=-1)
     colors[np.isnan(errors)] = UNSEEN_COLOR
     return colors
 

@@ -9,10 +9,13 @@ import pytest
 import blender_manient
 from blender_manient import error_graph
 from blender_manient.scene.build import build_take
-from blender_manient.scene.confidence import POOR, hand_errors
+from blender_manient.scene.confidence import colors_of
 from blender_manient.scene.store import hand_of
+from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
 
 from .conftest import FRAMES, UNSEEN
+
+POOR = error_graph.LEVELS[-1]
 
 
 @pytest.fixture(autouse=True)
@@ -29,14 +32,20 @@ def armature(make_take):
 
 def test_errors_are_the_takes_own_in_parts_of_the_hand(make_take):
     take = make_take(sides=("right",)).take
-    errors = hand_errors(take, take.hands[0])
+    errors = relative_errors(take.hands[0], take.intrinsics)
     assert np.isnan(errors).tolist() == [row == UNSEEN for row in range(len(FRAMES))]
     # Pixels over the length of the middle finger and the palm, as the camera sees it at their mean depth.
-    finger = take.hands[0].joints_3d[:, [0, 9, 10, 11, 12]]
+    joints = take.hands[0].joints_3d
+    finger = joints[:, [0, 9, 10, 11, 12]]
     metres = sum(np.linalg.norm(finger[:, i + 1] - finger[:, i], axis=-1) for i in range(4))
-    pixels = metres * take.intrinsics.fx / finger[..., 2].mean(axis=-1)
-    mean_depth = take.hands[0].joints_3d[..., 2].mean(axis=-1) / finger[..., 2].mean(axis=-1)
-    np.testing.assert_allclose(errors * pixels / mean_depth, take.hands[0].reprojection_error, rtol=1e-6)
+    pixels = metres * take.intrinsics.fx / joints[..., 2].mean(axis=-1)
+    np.testing.assert_allclose(errors * pixels, take.hands[0].reprojection_error, rtol=1e-6)
+
+
+def test_its_colors_are_the_panels_words():
+    green, yellow, red = (colors_of(np.array([level]))[0] for level in (0.0, 0.05, 1.0))
+    shown = colors_of(np.array([0.9 * GOOD_BELOW, FAIR_BELOW, 2 * FAIR_BELOW]), error_graph.LEVELS)
+    np.testing.assert_allclose(shown, [green, yellow, red])
 
 
 def test_lines_lie_over_their_frames_and_leave_gaps_open():
@@ -68,7 +77,8 @@ def test_it_is_shown_for_hands_that_were_detected_and_follows_copies(armature):
 
 def test_its_words_name_the_error_here_and_the_largest(armature):
     hand = hand_of(armature)
-    errors = hand_errors(hand.take, hand.track)
+    errors = error_graph.errors_of(hand)
+    assert error_graph.errors_of(hand) is errors, "not anew in every redraw"
     said = error_graph.label(hand, errors, float(FRAMES[2]))
     assert f"{100 * errors[2]:.1f} % here, {100 * np.nanmax(errors):.1f} % of the hand at most" in said
     assert "here" not in error_graph.label(hand, errors, float(FRAMES[UNSEEN]))
