@@ -78,8 +78,9 @@ def take_away(camera: bpy.types.Camera) -> None:
     """Take the copies away, and nothing that the artist has added meanwhile."""
     if not camera.manient_see_through or not _is_own(camera):
         return
-    shown = {_picture(background) for background in camera.background_images if _is_behind(background)}
-    copies = [b for b in camera.background_images if b.display_depth == "FRONT" and _picture(b) in shown]
+    # Whether the originals can be seen does not count: the artist may have closed their eyes meanwhile.
+    behind = {_picture(b) for b in camera.background_images if b.display_depth == "BACK"}
+    copies = [b for b in camera.background_images if b.display_depth == "FRONT" and _picture(b) in behind]
     for copy in reversed(copies[max(0, len(copies) - camera.manient_see_through) :]):
         camera.background_images.remove(copy)
     camera.manient_see_through = 0

@@ -96,6 +96,15 @@ def test_a_picture_that_is_hidden_stays_hidden(camera, hidden):
     assert described(camera) == before
 
 
+def test_a_picture_that_is_hidden_meanwhile_leaves_no_copy(camera):
+    count = len(camera.background_images)
+    over = SeeThrough(camera, lambda: 0.4)
+    camera.background_images[0].show_background_image = False
+    over.leave()
+    assert len(camera.background_images) == count
+    assert not camera.background_images[0].show_background_image
+
+
 def test_an_undo_afterwards_brings_no_copy_back(camera):
     before, name = described(camera), camera.name
     bpy.ops.ed.undo_push(message="Before")
