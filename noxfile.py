@@ -36,9 +36,9 @@ BPY = {
 DEMO_BPY = BPY["4.5"]
 
 NUMBERS = [
-    *("tests/core/solvers", "tests/core/residuals", "tests/core/learned", "tests/core/test_refine.py"),
-    *("tests/core/test_drags.py", "tests/core/test_placement.py", "tests/core/test_align.py"),
-    *("tests/core/test_rotations.py", "tests/core/test_anatomy.py", "tests/core/test_landmarks.py"),
+    *("tests/core/solvers", "tests/core/residuals", "tests/core/detect/correction", "tests/core/geometry"),
+    *("tests/core/test_refine.py", "tests/core/test_drags.py", "tests/core/test_placement.py"),
+    *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
 ]
 """Tests of what hangs on sums: they run a second time as on another processor"""
 OTHER_PROCESSOR = {
@@ -106,8 +106,8 @@ def tests(session: nox.Session, part: str) -> None:
         run_again_as_another_processor(session, *NUMBERS)
     elif part == "open-hand":
         install(session, "anny", "scipy", "pytest", CORE_NUMPY, "torch")
-        run_pytest(session, "tests/core/test_open_hand.py")
-        run_again_as_another_processor(session, "tests/core/test_open_hand.py")
+        run_pytest(session, "tests/core/hand_model/test_open_hand.py")
+        run_again_as_another_processor(session, "tests/core/hand_model/test_open_hand.py")
     else:
         run_blender_tests(session, part.removeprefix("bpy-"))
 
