@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import logging
 import math
@@ -23,7 +24,6 @@ from typing import Any, TextIO
 
 from handfit_core.detect.tracks import HAND_CHOICES
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.evaluate.commands import add_evaluate_command
 from handfit_core.files import check_writable
 from handfit_core.fit_quality import quality
 from handfit_core.geometry.camera import Intrinsics
@@ -101,7 +101,10 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     add_model_commands(commands)
-    add_evaluate_command(commands)
+    if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has
+        from handfit_core.evaluate.commands import add_evaluate_command
+
+        add_evaluate_command(commands)
     for sub in _all_parsers(commands):
         sub.add_argument(
             "--debug", action="store_true", help="show tracebacks and the libraries' own messages"
