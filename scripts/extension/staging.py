@@ -73,6 +73,7 @@ def inventory(version: str, platform: str, wheels: Sequence[Wheel]) -> str:
         for wheel in wheels
     ]
     content = {"schema": 1, "version": version, "platform": platform, "pythons": PYTHONS, "wheels": listed}
+    content |= {"torch": "", "missing": []}
     return json.dumps(content, indent=2) + "\n"
 
 
