@@ -45,7 +45,7 @@ _PLATFORMS = ("linux-x64", "windows-x64", "macos-arm64")
 """For which there are zips"""
 _NAMES = {"scipy": "SciPy", "opencv-python-headless": "OpenCV", "mediapipe": "MediaPipe"}
 """Of packages, as their makers write them; others are as in wheels.json"""
-REQUIRED = {"scipy": "scipy", "opencv-python-headless": "cv2", "mediapipe": "mediapipe"}
+REQUIRED = {"torch": "torch", "scipy": "scipy", "opencv-python-headless": "cv2", "mediapipe": "mediapipe"}
 """What a capture needs besides NumPy: name in wheels.json -> name to import"""
 IN_PREFERENCES = "in the add-on's preferences"
 """Ends sentences; on the command line other words take its place"""

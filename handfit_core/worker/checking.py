@@ -23,6 +23,7 @@ from handfit_core.worker.protocol import PROTOCOL
 PACKAGES: Final[dict[str, tuple[str, tuple[int, ...]]]] = {
     "numpy": ("numpy", (1, 24)),
     "scipy": ("scipy", (1, 11)),
+    "torch": ("torch", (2, 2)),
     "opencv-python-headless": ("cv2", (4, 9)),
     "mediapipe": ("mediapipe", (0, 10, 31)),
 }

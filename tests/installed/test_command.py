@@ -92,9 +92,7 @@ class Commands:
 
 
 @pytest.fixture(scope="module")
-def commands(
-    zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Commands:
+def commands(zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory) -> Commands:
     folder = tmp_path_factory.mktemp("command")
     shutil.copy(samples / "photos" / "thumb_up.jpg", folder / "photo.jpg")
     shutil.copy(samples / "videos" / "asl_hand.mp4", folder / "clip.mp4")
