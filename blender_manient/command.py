@@ -68,9 +68,10 @@ def _parser() -> argparse.ArgumentParser:
 def _capture(args: argparse.Namespace) -> int:
     if _refused():
         return EXIT_SOME_FAILED
+    from handfit_core.worker.interpreter import PYTHON_VARIABLE
+
     from . import preferences
     from .batch.run import Host, run
-    from .worker.client import PYTHON_VARIABLE
 
     chosen = preferences.get()
     host = Host(

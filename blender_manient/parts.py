@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import cache, error_graph, jobs, panels, preferences, properties, source_info
+from . import cache, error_graph, jobs, panels, preferences, properties, shared_worker, source_info
 from .operators import (
     apply_take,
     capture,
@@ -30,7 +30,6 @@ from .operators import (
     use_source,
 )
 from .scene import confidence, reshape, see_through
-from .worker import shared
 
 PARTS = (
     preferences,
@@ -52,7 +51,7 @@ PARTS = (
     clear_cache,
     copy_details,
     show_details,
-    shared,
+    shared_worker,
     jobs,
     source_info,
     capture,

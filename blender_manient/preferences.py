@@ -100,12 +100,12 @@ class ManientPreferences(bpy.types.AddonPreferences):
 
 
 def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    from . import shared_worker
     from .operators import check_installation
     from .section import sentence
-    from .worker import shared
 
     layout.prop(self, "python")
-    text = shared.capture_sentence()
+    text = shared_worker.capture_sentence()
     if text:
         sentence(layout, context, text, "ERROR", alert=True)
     layout.prop(self, "threads")

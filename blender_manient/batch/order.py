@@ -11,9 +11,9 @@ from handfit_core.errors import OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import check_limit
 from handfit_core.solvers import DEFAULT_SOLVER, get_solver
+from handfit_core.worker.client import CaptureOptions
 
 from ..scene.export import FORMATS, available, find_format
-from ..worker.client import CaptureOptions
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import HandfitError
+from handfit_core.worker.client import Worker
+from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
+from handfit_core.worker.runner import Event, as_error
 
-from .. import cache, details, preferences, verification
+from .. import cache, details, preferences, shared_worker, verification
 from ..wording import capitalised
-from ..worker import shared
-from ..worker.client import PYTHON_VARIABLE, Event, Worker, as_error
-from ..worker.interpreter import find_python
 from . import check_mano
 
 TEXT_NAME = "Hand Capture Check"
@@ -75,11 +75,11 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         global _checking
         verification.begin(anew=True)
         # A process of its own: the shared one may be busy for minutes, and may be what is wrong.
-        self._worker = shared.make()
+        self._worker = shared_worker.own()
         self._answer: Event | None = None
         self._problem: HandfitError | None = None
         try:
-            self._request = self._worker.request("check")
+            self._request = self._worker.submit("check")
         except HandfitError as error:
             self._problem = error
         _checking = self._worker
@@ -98,7 +98,7 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         if self._waits():
-            for event in self._worker.poll(self._request):
+            for event in self._worker.events(self._request):
                 if event["event"] == "done":
                     self._answer = event
                 elif event["event"] == "error":
@@ -140,10 +140,10 @@ def check(python: str | None = None) -> tuple[Result, str]:
     `python` captures instead of the one that the preferences choose.
     """
     verification.verify(anew=True)
-    worker = shared.make(python)
+    worker = shared_worker.own(python)
     answer, problem = None, None
     try:
-        answer = worker.wait(worker.request("check"), timeout=_LIMIT)
+        answer = worker.wait(worker.submit("check"), timeout=_LIMIT)
     except HandfitError as error:
         problem = error
     finally:
@@ -152,7 +152,7 @@ def check(python: str | None = None) -> tuple[Result, str]:
 
 
 def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None) -> tuple[Result, str]:
-    missing = shared.capture_sentence(worker.python)
+    missing = shared_worker.capture_sentence(worker.python)
     ok = bool(answer and answer.get("ok")) and not missing
     if missing:
         sentence = missing
@@ -177,7 +177,7 @@ def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
         parts.append(str(answer.get("report", "")).strip())
     else:
         parts.append(f"The process that captures said:\n{worker.details() or '(nothing)'}")
-    other = shared.current()
+    other = shared_worker.current()
     if other is not None and not other.alive and other.details():
         parts.append(f"The process of the last capture said:\n{other.details()}")
     return _without_home("\n\n".join(parts)) + "\n"

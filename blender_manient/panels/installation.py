@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import preferences
+from .. import preferences, shared_worker
 from ..preferences import ADDON
 from ..section import Section, sentence
-from ..worker import shared
 
 
 class MANIENT_PT_installation(Section, bpy.types.Panel):
@@ -18,11 +17,11 @@ class MANIENT_PT_installation(Section, bpy.types.Panel):
     @classmethod
     def poll(cls, _context):
         """Whether there is anything to say."""
-        return bool(shared.capture_sentence())
+        return bool(shared_worker.capture_sentence())
 
     def draw(self, context):
         """What is wrong and what to do."""
-        layout, problem, kept = self.layout, shared.capture_problem(), preferences.get()
+        layout, problem, kept = self.layout, shared_worker.capture_problem(), preferences.get()
         assert layout is not None
         if (
             problem is not None
@@ -33,6 +32,6 @@ class MANIENT_PT_installation(Section, bpy.types.Panel):
             sentence(layout, context, "Choose a Python that captures", "ERROR", alert=True)
             layout.prop(kept, "python", text="")
             return
-        sentence(layout, context, shared.capture_sentence(), "ERROR", alert=True)
+        sentence(layout, context, shared_worker.capture_sentence(), "ERROR", alert=True)
         layout.operator("manient.check_installation", icon="CHECKMARK")
         layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES").module = ADDON

@@ -158,11 +158,11 @@ def test_clear_keeps_pictures_that_the_file_shows(registered, picture):
 
 
 def test_no_clearing_while_the_worker_writes(registered):
-    from blender_manient.worker import shared
+    from blender_manient import shared_worker
 
-    shared.worker().request("check")
+    shared_worker.worker().submit("check")
     assert not bpy.ops.manient.clear_cache.poll()
-    shared.stop()
+    shared_worker.stop()
     assert bpy.ops.manient.clear_cache.poll()
 
 

@@ -156,20 +156,20 @@ def test_without_torch_only_capturing_is_impossible(blender, tmp_path, damage):
     done = blender(f"""
 install({str(path)!r})
 module = sys.modules[NAME]
-shared = sys.modules[NAME + ".worker.shared"]
+shared = sys.modules[NAME + ".shared_worker"]
 section = bpy.types.MANIENT_PT_installation
-said = [section.poll(bpy.context), shared.capture_sentence()]
+said = [section.poll(bpy.context), shared_worker.capture_sentence()]
 try:
     bpy.ops.manient.capture()
 except RuntimeError as error:
     said.append(str(error))
-worker = shared.make()
+worker = shared_worker.own()
 try:
-    worker.request("capture", input=["a.jpg"], output="b.npz")
+    worker.submit("capture", input=["a.jpg"], output="b.npz")
 except Exception as error:
     said.append(str(error))
 os.environ["HANDFIT_PYTHON"] = "/some/python"
-said += [section.poll(bpy.context), shared.capture_sentence()]
+said += [section.poll(bpy.context), shared_worker.capture_sentence()]
 found([state(), said])
 """)
     state, (shown, sentence, refused, raised, shown_later, later) = done.value
@@ -190,9 +190,9 @@ wheel = next((Path(sys.modules[NAME].__file__).parent / "wheels").glob("torch*")
 data = bytearray(wheel.read_bytes())
 data[60] ^= 1
 wheel.write_bytes(data)
-worker = sys.modules[NAME + ".worker.shared"].make()
+worker = sys.modules[NAME + ".shared_worker"].make()
 try:
-    worker.request("capture", input=["a.jpg"], output="b.npz")
+    worker.submit("capture", input=["a.jpg"], output="b.npz")
     found("captured")
 except Exception as error:
     found(str(error))
@@ -227,8 +227,8 @@ def test_a_part_that_does_not_load_is_explained(blender, tmp_path):
     path = small_zip(tmp_path / "good.zip")
     done = blender(f"""
 install({str(path)!r})
-shared = sys.modules[NAME + ".worker.shared"]
-worker = shared.make()
+shared = sys.modules[NAME + ".shared_worker"]
+worker = shared_worker.own()
 errors = []
 for spoil in (False, True):
     if spoil:
@@ -254,7 +254,7 @@ install({str(path)!r})
 Path("photo.jpg").touch()
 command = sys.modules[NAME + ".command"]
 codes = [command.main(["capture", "photo.jpg", "-o", "out"]), command.main(["check"])]
-found([state(), codes, sys.modules[NAME + ".worker.shared"].capture_sentence()])
+found([state(), codes, sys.modules[NAME + ".shared_worker"].capture_sentence()])
 """)
     state, codes, sentence = done.value
     assert state["runs"]
