@@ -104,10 +104,9 @@ def _check(args: argparse.Namespace) -> int:
 
 def _refused() -> bool:
     """Say why the add-on cannot run, where it cannot."""
-    known = verification.problems()
-    refused = any(problem.stops == "add-on" for problem in known)
+    refused = verification.refused()
     if refused:
-        print_error(known[0].sentence)
+        print_error(verification.problems()[0].sentence)
     return refused
 
 

@@ -29,10 +29,12 @@ from .operators import (
     show_details,
     use_source,
 )
+from .panels import preferences as preferences_panel
 from .scene import confidence, reshape, see_through
 
 PARTS = (
     preferences,
+    preferences_panel,
     properties,
     cache,
     reshape,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -38,10 +40,13 @@ EXPERIMENTS = (
 )
 
 
-def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
-    from . import source_info
+listeners: dict[str, Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]] = {}
+"""Name of a value -> what follows its changes; a part adds itself when it is registered"""
 
-    source_info.source_changed(settings, context)
+
+def _source_changed(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    if listener := listeners.get("source"):
+        listener(settings, context)
 
 
 EXPORT_FORMATS = (

@@ -18,7 +18,7 @@ from handfit_core.errors import HandfitError, InputError
 from handfit_core.media.opening import VIDEO_SUFFIXES
 from handfit_core.media.size_limit import check_for_blender
 
-from . import jobs, preferences, screen, shared_worker, sources
+from . import jobs, preferences, properties, screen, shared_worker, sources
 from .scene.matching import Footage
 from .wording import capitalised, without_name
 
@@ -184,7 +184,8 @@ def _on_undo(*_args) -> None:
 
 
 def register() -> None:
-    """Follow undo and redo."""
+    """Follow the chosen source, also through undo and redo."""
+    properties.listeners["source"] = source_changed
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         handlers.append(_on_undo)
 
@@ -192,6 +193,7 @@ def register() -> None:
 def unregister() -> None:
     """Free the thumbnails, and stop waiting."""
     global _previews, _known
+    properties.listeners.pop("source", None)
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         if _on_undo in handlers:
             handlers.remove(_on_undo)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import cache, preferences, shared_worker
+from .. import cache, screen, shared_worker
 
 
 class MANIENT_OT_clear_cache(bpy.types.Operator):
@@ -29,7 +29,7 @@ class MANIENT_OT_clear_cache(bpy.types.Operator):
         freed, left = cache.clear()
         kept = f", {left} files in use were kept" if left else ""
         self.report({"INFO"}, f"{freed / 1e6:.1f} MB were freed{kept}")
-        preferences.redraw()
+        screen.redraw_preferences()
         return {"FINISHED"}
 
 

@@ -28,6 +28,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
+from handfit_core.version import __version__
 from handfit_core.worker.client import Worker
 from handfit_core.worker.protocol import PROTOCOL
 from tests.capturing import needs_capture
@@ -293,7 +294,9 @@ def test_a_frame_that_was_not_captured(armature):
 def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, tmp_path):
     before = all_keys(armature)
     peer = tmp_path / "peer"
-    hello = json.dumps({"event": "ready", "protocol": PROTOCOL, "version": "0", "pid": 1, "python": "3"})
+    hello = json.dumps(
+        {"event": "ready", "protocol": PROTOCOL, "version": __version__, "pid": 1, "python": "3"}
+    )
     peer.write_text(
         f"#!{sys.executable}\nimport sys\nprint({hello!r}, flush=True)\nsys.stdin.readline()\nsys.exit(3)\n"
     )
