@@ -141,7 +141,7 @@ def test_without_handfit_core_there_is_a_sentence_and_nothing_else(blender, tmp_
     assert not done.value["scene"]
     (sentence,) = done.value["problems"]
     assert said in sentence
-    assert "install it" in sentence
+    assert "install" in sentence
     assert f"Manient Hand Capture: {sentence}" in done.console
 
 
@@ -188,7 +188,7 @@ found([state(), said])
     assert shown
     assert said in sentence
     assert sentence in refused
-    assert raised == sentence[0].lower() + sentence[1:]
+    assert raised.lower() == sentence.lower()
     assert f"Manient Hand Capture: {sentence}" in done.console
     assert (shown_later, later) == (False, "")  # a Python of one's own has its own MediaPipe
 
