@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from handfit_core.detect.detector import DETECTORS, DetectorSettings
+from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.finder import HandCounter, open_finder
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import link_and_count
@@ -234,18 +234,11 @@ def detect_frames(
     Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
     """
     # Two hands are looked for even where one is wanted, so that the surest can be chosen.
-    settings = DetectorSettings(
-        max_hands=max(options.max_hands, 2),
-        video=media.source.kind != "photo",
-        threshold=options.threshold,
-        landmark_model=options.landmark_model,
-    )
+    options = replace(options, max_hands=max(options.max_hands, 2))
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
-    with (
-        open_finder(settings, detector=options.detector, plain_detection=options.plain_detection) as finder,
-        HandCounter(settings, detector=options.detector) as counter,
-    ):
+    video = media.source.kind != "photo"
+    with open_finder(options, video=video) as finder, HandCounter(options) as counter:
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
                 if should_stop():

@@ -8,21 +8,26 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.detector import DETECTORS, Backend, Detector, DetectorSettings
+from handfit_core.detect.detector import DETECTORS, Detector, DetectorSettings
 from handfit_core.detect.stills import StillFinder
 from handfit_core.detect.tracks import without_duplicates
+from handfit_core.options import CaptureOptions
 
 
-def open_finder(
-    settings: DetectorSettings, *, detector: str = "mediapipe", plain_detection: bool = False
-) -> Detector:
-    """The detector of that name; where second looks help it, unless `plain_detection`, one that looks again
-    where it finds too little, averages several looks at hands in stills, and judges sides.
+def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:
+    """What a capture with these options asks of its detector; `video`: of the frames of one clip."""
+    return DetectorSettings(options.max_hands, video, options.threshold, options.landmark_model)
 
-    Raises OptionError where there is no such detector, LandmarkModelError.
+
+def open_finder(options: CaptureOptions, *, video: bool = False) -> Detector:
+    """The detector that the options name, for the frames of one clip, or for stills.
+
+    Where second looks help it, and unless `plain_detection`, it looks again where it finds too little,
+    averages several looks at hands in stills, and judges sides. Raises OptionError where there is no such
+    detector, LandmarkModelError.
     """
-    backend = DETECTORS.get(detector)
-    if plain_detection or not backend.second_looks:
+    backend, settings = DETECTORS.get(options.detector), settings_of(options, video=video)
+    if options.plain_detection or not backend.second_looks:
         return backend.open(settings)
     return (ClipFinder if settings.video else StillFinder)(backend, settings)
 
@@ -41,9 +46,8 @@ class HandCounter:
     A finder that found fewer has seen them all, so that footage of one hand costs nothing.
     """
 
-    def __init__(self, settings: DetectorSettings, *, detector: str = "mediapipe") -> None:
-        self._backend: Backend = DETECTORS.get(detector)
-        self._settings = settings
+    def __init__(self, options: CaptureOptions) -> None:
+        self._options = options
         self._counting: Detector | None = None
         self._full = 0
         self._counts: list[int] = []
@@ -57,13 +61,12 @@ class HandCounter:
 
     def look(self, rgb: np.ndarray | None, found: int) -> None:
         """Take notice of the next picture (H, W, 3) uint8 RGB, in which `found` hands were found."""
-        if rgb is None or self._settings.max_hands is None or found < self._settings.max_hands:
+        if rgb is None or found < self._options.max_hands:
             return
         if self._full % COUNTED_EVERY == 0:
             if self._counting is None:
-                self._counting = self._backend.open(
-                    replace(self._settings, max_hands=MOST_COUNTED, video=False)
-                )
+                all_hands = replace(self._options, max_hands=MOST_COUNTED, plain_detection=True)
+                self._counting = open_finder(all_hands)
             self._counts.append(len(without_duplicates(self._counting.find(rgb))))
         self._full += 1
 
