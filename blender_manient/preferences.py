@@ -8,6 +8,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from handfit_core.options import OPTIONS
+
 from .properties import PRESETS
 
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
@@ -50,7 +52,7 @@ class ManientPreferences(bpy.types.AddonPreferences):
     max_megapixels: IntProperty(  # type: ignore
         name="Largest Picture",
         description="Megapixels that a picture or a frame of a video may have; larger ones are refused "
-        "before they fill the memory. 0: 250, in files under 10 MB 64; for videos 80 and 12. "
+        f"before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}. "
         "Any other number takes the place of all four: choose it for your largest pictures",
         default=0,
         min=0,

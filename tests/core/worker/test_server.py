@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import queue
 import subprocess
@@ -15,11 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core import Intrinsics, Take, capture
+from handfit_core import Take
 from handfit_core.fit_quality import mean_relative_error
-from handfit_core.media.frame_range import FrameRange
 from handfit_core.version import __version__
-from handfit_core.worker.capturing import arguments
 from handfit_core.worker.protocol import PROTOCOL, decode, encode
 from tests.conftest import ROOT
 
@@ -272,40 +269,6 @@ def test_a_compact_take_has_numbers_of_32_bits(warm: Worker, tmp_path: Path) -> 
         assert kinds == {dtype}
     error = warm.ask(66, "capture", input=[PHOTO], output=str(tmp_path / "x.npz"), compact="yes")
     assert "compact must be true or false" in error["message"]
-
-
-def test_every_option_is_an_argument_of_the_capture() -> None:
-    given = arguments(
-        {
-            "frames": "2-10:4",
-            "hands": "left",
-            "solver": "paper-a",
-            "model": "m.pkl",
-            "threshold": 1,
-            "intrinsics": [1, 2, 3, 4],
-            "lens": [1, 0.5, 0.5],
-            "smoothing": 0.5,
-            "plain_detection": True,
-            "landmark_model": "l.task",
-            "hand_length": 0.2,
-        }
-    )
-    assert given == {
-        "frames": FrameRange.parse("2-10:4"),
-        "hands": "left",
-        "solver": "paper-a",
-        "model": "m.pkl",
-        "threshold": 1.0,
-        "intrinsics": Intrinsics(1.0, 2.0, 3.0, 4.0),
-        "lens": (1.0, 0.5, 0.5),
-        "smoothing": 0.5,
-        "persistent": False,
-        "landmark_model": "l.task",
-        "hand_length": 0.2,
-    }
-    assert set(given) <= set(inspect.signature(capture).parameters)
-    assert arguments({"plain_detection": False, "hands": None}) == {"persistent": True}
-    assert arguments({}) == {}
 
 
 def test_warm_and_check(warm: Worker) -> None:
