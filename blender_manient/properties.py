@@ -180,6 +180,10 @@ class ManientSettings(bpy.types.PropertyGroup):
         "hands in renders. Your own lights and world stay as they are",
         default=True,
     )
+    rendered_camera: StringProperty(  # type: ignore
+        description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
+        options={"HIDDEN"},
+    )
     pose_correctives: BoolProperty(  # type: ignore
         name="Pose Correctives",
         description="Shape keys that fill out bent joints, for hand models that have them",
