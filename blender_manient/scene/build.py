@@ -30,7 +30,7 @@ from .animation import CURVES, animating, computing_keys, describe
 from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
-from .matching import note_matched
+from .matching import Footage, note_matched
 from .mesh import build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
@@ -288,7 +288,7 @@ def _steps(
             frame_scene(scene, take)
             scene.camera = camera
             put_in_force(scene, stage)
-        note_matched(scene)
+        note_matched(scene, Footage.of_take(take, own_camera=own_camera is not None))
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)

@@ -107,7 +107,9 @@ def _is_behind(background: bpy.types.CameraBackgroundImage) -> bool:
     )
 
 
-def _picture(background: bpy.types.CameraBackgroundImage | Copied) -> tuple[bpy.types.ID | None, bpy.types.ID | None]:
+def _picture(
+    background: bpy.types.CameraBackgroundImage | Copied,
+) -> tuple[bpy.types.ID | None, bpy.types.ID | None]:
     return background.image, background.clip
 
 
