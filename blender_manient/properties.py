@@ -180,7 +180,8 @@ class ManientSettings(bpy.types.PropertyGroup):
     render_setup: BoolProperty(  # type: ignore
         name="Ready to Render",
         description="Where the scene is matched, add lights if it has none and show the picture behind the "
-        "hands in renders, its colors as they are (view transform Standard for Blender's AgX). Your own lights and world stay as they are",
+        "hands in renders, its colors as they are (the view transform Standard for Blender's AgX). Your own "
+        "lights and world stay as they are",
         default=True,
     )
     rendered_camera: StringProperty(  # type: ignore

@@ -16,13 +16,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.doors.npz import LONGEST_HEADER, NotNpz, NpzArchive
+from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import OptionError, OutputError, TakeError
 from handfit_core.files import read_file, shown, storable, why, written_whole
-from handfit_core.keypoints import HandDetection
-from handfit_core.npz import LONGEST_HEADER, NotNpz, NpzArchive
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
-from handfit_core.values import LARGEST_WHOLE, number, path, shortly, text, whole
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
@@ -91,8 +91,9 @@ class Source:
         count = len(json.dumps(self.files, ensure_ascii=False))
         if count > _MOST_NAMES:
             raise TakeError(
-                f"the paths of {len(self.files)} pictures have {count} characters, and a take holds no more than "
-                f"{_MOST_NAMES}; capture fewer frames at once, or move them to a folder with a shorter path"
+                f"the paths of {len(self.files)} pictures have {count} characters, and a take holds no more "
+                f"than {_MOST_NAMES}; capture fewer frames at once, or move them to a folder with a "
+                "shorter path"
             )
 
     @property

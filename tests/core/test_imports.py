@@ -43,7 +43,7 @@ def test_addon_has_no_threads(path: Path) -> None:
 
 def test_light_half_is_light() -> None:
     code = (
-        "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media, "
+        "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media.opening, "
         "handfit_core.solvers, handfit_core.pipeline, handfit_core.__main__\n"
         f"heavy = sorted(set({HEAVY!r}) & set(sys.modules))\n"
         "assert not heavy, heavy\n"

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import OutputError, TakeError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.take import FORMAT_VERSION, HandTrack, Source, Take
 
 FRAMES = 4
@@ -456,7 +456,7 @@ def test_what_is_saved_of_a_very_long_sequence_can_be_read() -> None:
     files = tuple(f"/shots/{'a long folder name ' * 9}/frame.{number:08d}.png" for number in range(150_000))
     source = Source("sequence", files)
     assert Take.from_bytes(take(source=source).to_bytes()).source == source
-    with pytest.raises(TakeError, match="the paths of 70000 pictures have .* capture fewer frames at once"):
+    with pytest.raises(TakeError, match=r"the paths of 70000 pictures have .* capture fewer frames at once"):
         Source("sequence", ("a" * 1000,) * 70_000)
 
 

@@ -192,7 +192,7 @@ class Chain:
 
     def local_from_pose(self, hand_pose: np.ndarray) -> torch.Tensor:
         """(B, 45) axis-angle -> (B, 5, 3, 3, 3) rotations in anatomical axes, finger by finger."""
-        from handfit_core.rotations import rotvec_to_rotmat
+        from handfit_core.geometry.rotations import rotvec_to_rotmat
 
         rotmats = self._tensor(rotvec_to_rotmat(hand_pose.reshape(-1, 15, 3)))[:, _JOINTS - 1]
         return self._axes.mT @ rotmats @ self._axes
@@ -207,7 +207,7 @@ class Chain:
     ) -> State:
         """The inverse of `parameters`: betas (B, 10), global_orient (B, 3), hand_pose (B, 45), transl (B, 3)
         in MANO's convention; offsets (B, m) metres."""
-        from handfit_core.rotations import rotvec_to_rotmat
+        from handfit_core.geometry.rotations import rotvec_to_rotmat
 
         return State(
             root=self._tensor(rotvec_to_rotmat(global_orient)),
@@ -219,7 +219,7 @@ class Chain:
 
     def parameters(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """betas (B, 10), global_orient (B, 3), hand_pose (B, 45) and transl (B, 3) in MANO's convention."""
-        from handfit_core.rotations import rotmat_to_rotvec
+        from handfit_core.geometry.rotations import rotmat_to_rotvec
 
         rotmats = (self._axes @ state.local @ self._axes.mT).double().cpu().numpy()
         pose = np.empty((len(state), 15, 3))

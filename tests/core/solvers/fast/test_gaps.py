@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from handfit_core.rotations import rotmat_to_rotvec
+from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.solvers.fast.chain import State
 from handfit_core.solvers.fast.gaps import LONGEST_GAP, bridged, jumps, missing_between, spans
 from tests.core.solvers.fast.hands import chain_of, make_state
