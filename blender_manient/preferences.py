@@ -51,9 +51,8 @@ class ManientPreferences(bpy.types.AddonPreferences):
     )
     max_megapixels: IntProperty(  # type: ignore
         name="Largest Picture",
-        description="Megapixels that a picture or a frame of a video may have; larger ones are refused "
-        f"before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}. "
-        "Any other number takes the place of all four: choose it for your largest pictures",
+        description="Megapixels that any picture, and any frame of a video, may have; larger ones are "
+        f"refused before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}",
         default=0,
         min=0,
         soft_max=500,
