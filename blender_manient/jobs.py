@@ -19,8 +19,9 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
+from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
-from handfit_core.take import Source, Take
+from handfit_core.take import Take
 
 from . import details
 from .cache import folder_path, temporary_take

@@ -21,15 +21,16 @@ from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFou
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
+from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.lens import known_intrinsics
-from handfit_core.media.opening import Media, MediaInput, open_media
+from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
+from handfit_core.media.source import Media, Source
 from handfit_core.options import CaptureOptions, HandChoice
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import FAST_SOLVERS, TrackFit, get_solver
 from handfit_core.solvers.result import ShouldStop, never
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.take import HandTrack, Take
 
 Stage = Literal["detect", "fit", "score"]
 """`score` is of evaluations only"""

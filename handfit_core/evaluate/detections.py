@@ -24,9 +24,9 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.units import Unit
-from handfit_core.media.opening import read_picture
+from handfit_core.files import cache_dir
+from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
-from handfit_core.paths import cache_dir
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 UNREADABLE = (0, 0)

@@ -18,7 +18,7 @@ from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.detect.looks import distance
 from handfit_core.detect.mediapipe_tasks import MEDIAPIPE
 from handfit_core.errors import LandmarkModelError
-from handfit_core.media.opening import read_picture
+from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
 from tests.conftest import ROOT
 

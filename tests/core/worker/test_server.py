@@ -304,7 +304,7 @@ def test_a_package_that_is_missing_is_a_line_and_an_error(tmp_path: Path) -> Non
         failed = [line for line in done["report"].splitlines() if "FAILED" in line]
         assert [line.split(":")[0] for line in failed[:2]] == ["torch", "mediapipe"]
         assert "install torch>=2.2 into this Python" in failed[0]
-        assert any(line.startswith("self-test of the solver: FAILED") for line in failed)
+        assert any(line.startswith("self-test of the detector: FAILED") for line in failed)
     finally:
         worker.end()
 
