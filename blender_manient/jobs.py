@@ -19,8 +19,9 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
-from handfit_core.take import Source, Take
-from handfit_core.worker.client import CaptureOptions
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
+from handfit_core.take import Take
 
 from . import details, shared_worker
 from .cache import folder_path, temporary_take
@@ -275,7 +276,7 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
     job.done, job.total = done, total
     part = done / total if total else 0.0
     # Detection takes nearly all of a capture's time, except with the paper's solvers.
-    share = 0.1 if (job.options.solver or "").startswith("paper") else 0.85
+    share = 0.1 if job.options.solver.startswith("paper") else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 
 

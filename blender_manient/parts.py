@@ -30,7 +30,7 @@ from .operators import (
     use_source,
 )
 from .panels import preferences as preferences_panel
-from .scene import confidence, reshape, see_through
+from .scene import confidence, render_setup, reshape, see_through
 
 PARTS = (
     preferences,
@@ -41,6 +41,7 @@ PARTS = (
     confidence,
     error_graph,
     see_through,
+    render_setup,
     import_take,
     export_hand,
     reset_shape,

@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from handfit_core.options import OPTIONS
 from handfit_core.worker.interpreter import unquoted
 
 from .properties import PRESETS
@@ -47,9 +48,8 @@ class Values:
     )
     max_megapixels: IntProperty(  # type: ignore
         name="Largest Picture",
-        description="Megapixels that a picture or a frame of a video may have; larger ones are refused "
-        "before they fill the memory. 0: 250, in files under 10 MB 64; for videos 80 and 12. "
-        "Any other number takes the place of all four: choose it for your largest pictures",
+        description="Megapixels that any picture, and any frame of a video, may have; larger ones are "
+        f"refused before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}",
         default=0,
         min=0,
         soft_max=500,

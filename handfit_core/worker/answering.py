@@ -22,7 +22,7 @@ def answer(
 
             return refine.answer(message, should_stop)
         case "probe":
-            return _probe(message)
+            return probe(message)
         case "warm":
             from handfit_core.worker import checking
 
@@ -33,13 +33,14 @@ def answer(
             return checking.check(should_stop)
 
 
-def _probe(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Open an input and read nothing but its first picture. Raises OptionError and InputError."""
+def probe(message: Mapping[str, Any]) -> dict[str, Any]:
+    """Open the request's input and read nothing but its first picture. Raises OptionError and InputError."""
     from handfit_core.media.opening import open_media
-    from handfit_core.worker.capturing import arguments, source_of
+    from handfit_core.options import OPTIONS
+    from handfit_core.worker.capturing import source_of
 
-    limit = arguments({"max_megapixels": message.get("max_megapixels")})
-    media = open_media(source_of(message), **limit)
+    limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
+    media = open_media(source_of(message), max_megapixels=limit)
     first, last = media.first_and_last
     return {
         "kind": media.source.kind,

@@ -36,6 +36,9 @@ PACKAGES: Final[dict[str, tuple[str, tuple[int, ...]]]] = {
 }
 """Name in the package index -> name to import, lowest version; as in pyproject.toml"""
 
+OPTIONAL: Final = ("torch",)
+"""Packages without which hands are captured all the same"""
+
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
 
@@ -106,9 +109,10 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
 
 def blank_picture_hands() -> int:
     """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
-    from handfit_core.detect.finder import HandFinder
+    from handfit_core.detect.finder import open_finder
+    from handfit_core.options import CaptureOptions
 
-    with HandFinder(persistent=False) as finder:
+    with open_finder(CaptureOptions(plain_detection=True)) as finder:
         return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
 
 
@@ -142,6 +146,8 @@ def _package(name: str) -> str:
     try:
         version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
     except ModuleNotFoundError as error:
+        if name in OPTIONAL and error.name == module_name:
+            return "not installed, which the paper's experiments alone would need"
         what = "not installed" if error.name == module_name else f"it lacks {error.name}"
         raise HandfitError(f"{what}; {remedy}") from error
     except (ImportError, OSError) as error:

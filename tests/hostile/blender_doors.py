@@ -25,9 +25,10 @@ from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
 from handfit_core.errors import HandfitError
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
 from handfit_core.refine import result_from_message
-from handfit_core.take import Source
-from handfit_core.worker.client import CaptureOptions, Worker
+from handfit_core.worker.client import Worker
 from handfit_core.worker.runner import WorkerError, as_error
 from scripts import batch_fit
 from tests.hostile.core_doors import check_ending, check_take

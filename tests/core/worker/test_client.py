@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import stat
 import subprocess
@@ -18,7 +17,7 @@ import pytest
 from handfit_core.errors import Cancelled, InputError, NoHandFoundError, ProtocolError
 from handfit_core.version import __version__
 from handfit_core.worker import client, pipes, process, protocol
-from handfit_core.worker.client import Advice, CaptureOptions, Worker
+from handfit_core.worker.client import Advice, Worker
 from handfit_core.worker.process import reap
 from handfit_core.worker.runner import WorkerError, as_error
 from tests.conftest import ROOT
@@ -114,31 +113,6 @@ def test_the_real_worker_answers_and_stays(start, tmp_path):
     assert not worker.alive
     assert pid is not None
     assert not exists(pid)
-
-
-def test_the_real_worker_understands_every_option(start, tmp_path):
-    """The names of the options, in two places; a missing input is noticed after they were read."""
-    worker = start(threads=1)
-    options = CaptureOptions(
-        frames="1-9",
-        hands="left",
-        solver="fast",
-        model="open-hand",
-        threshold=0.3,
-        intrinsics=(500.0, 500.0, 320.0, 240.0),
-        landmark_model=str(tmp_path / "landmarks.task"),
-        smoothing=0.0,
-        plain_detection=True,
-        hand_length=0.19,
-    )
-    request = worker.submit(
-        "capture",
-        input=[str(tmp_path / "gone.jpg")],
-        output=str(tmp_path / "t.npz"),
-        options=options.to_message(),
-    )
-    with pytest.raises(InputError, match=r"gone\.jpg"):
-        worker.wait(request, timeout=60)
 
 
 def test_the_real_worker_ends_with_its_client(tmp_path):
@@ -653,19 +627,3 @@ def test_debug_repeats_what_it_says(peer, start, capfd):
     worker.wait(worker.submit("warm"), timeout=20)
     worker.stop()
     assert "launch.py worker --threads 3 --debug" in capfd.readouterr().err
-
-
-# Settings
-
-
-def test_options():
-    assert CaptureOptions().to_message() == {}
-    given = CaptureOptions(
-        smoothing=0.0, intrinsics=(1.0, 2.0, 3.0, 4.0), plain_detection=False, hand_length=0.18
-    )
-    assert json.loads(json.dumps(given.to_message())) == {
-        "smoothing": 0.0,
-        "intrinsics": [1.0, 2.0, 3.0, 4.0],
-        "plain_detection": False,
-        "hand_length": 0.18,
-    }
