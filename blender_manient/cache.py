@@ -14,9 +14,9 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import OutputError
-from handfit_core.paths import cache_dir
+from handfit_core.files import cache_dir
 
-from . import preferences
+from . import preferences, screen
 
 _NEEDED = 20_000_000
 """bytes that must be free for a take"""
@@ -136,7 +136,7 @@ def measure_on() -> float | None:
         if time.perf_counter() > until:
             return 0.02
     _measured, _measured_at, _measuring = _measured_so_far, time.monotonic(), None
-    preferences.redraw()
+    screen.redraw_preferences()
     return None
 
 

@@ -19,9 +19,11 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
-from handfit_core.take import Source, Take
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
+from handfit_core.take import Take
 
-from . import details
+from . import details, shared_worker
 from .cache import folder_path, temporary_take
 from .remembered import Remembered
 from .scene.apply import apply_track, track_for
@@ -31,8 +33,6 @@ from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .slices import retold
 from .wording import capitalised, without_name
-from .worker import shared
-from .worker.client import CaptureOptions
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
@@ -181,9 +181,9 @@ def cancel(job: Job) -> None:
         job.state, job.message = "cancelled", "Cancelled"
     elif job.state == "capturing" and not job._stopping:
         job._stopping = True
-        shared.worker().cancel(job._request)
+        shared_worker.worker().cancel(job._request)
     elif job.state == "capturing":
-        shared.worker().stop()
+        shared_worker.worker().stop()
         job.state, job.message = "cancelled", "Cancelled"
     elif job.state == "building":
         if job._builder is not None:
@@ -201,7 +201,7 @@ def cancel_all() -> None:
 def abandon() -> None:
     """Stop everything without keeping anything: another file is opened, or the add-on goes."""
     if current() is not None:
-        shared.stop()
+        shared_worker.stop()
     for job in _queue:
         if job._builder is not None:
             job._builder.close()
@@ -240,7 +240,7 @@ def run() -> list[Job]:
 
 def _start(job: Job) -> None:
     job._take_path = temporary_take(job.name)
-    job._request = shared.worker().request(
+    job._request = shared_worker.worker().submit(
         "capture",
         input=list(job.files),
         output=str(job._take_path),
@@ -252,7 +252,7 @@ def _start(job: Job) -> None:
 
 def _follow(job: Job) -> bool:
     changed = False
-    for event in shared.worker().poll(job._request):
+    for event in shared_worker.worker().events(job._request):
         changed = True
         kind = event.get("event")
         if kind == "progress":
@@ -276,7 +276,7 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
     job.done, job.total = done, total
     part = done / total if total else 0.0
     # Detection takes nearly all of a capture's time, except with the paper's solvers.
-    share = 0.1 if (job.options.solver or "").startswith("paper") else 0.85
+    share = 0.1 if job.options.solver.startswith("paper") else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 
 

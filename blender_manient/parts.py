@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import cache, error_graph, jobs, panels, preferences, properties, source_info
+from . import cache, error_graph, jobs, panels, preferences, properties, shared_worker, source_info
 from .operators import (
     apply_take,
     capture,
@@ -29,17 +29,19 @@ from .operators import (
     show_details,
     use_source,
 )
-from .scene import confidence, reshape, see_through
-from .worker import shared
+from .panels import preferences as preferences_panel
+from .scene import confidence, render_setup, reshape, see_through
 
 PARTS = (
     preferences,
+    preferences_panel,
     properties,
     cache,
     reshape,
     confidence,
     error_graph,
     see_through,
+    render_setup,
     import_take,
     export_hand,
     reset_shape,
@@ -52,7 +54,7 @@ PARTS = (
     clear_cache,
     copy_details,
     show_details,
-    shared,
+    shared_worker,
     jobs,
     source_info,
     capture,

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from typing import Any
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -14,8 +18,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
-from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 
 from .scene.matching import CHOICES
 
@@ -38,10 +42,13 @@ EXPERIMENTS = (
 )
 
 
-def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
-    from . import source_info
+listeners: dict[str, Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]] = {}
+"""Name of a value -> what follows its changes; a part adds itself when it is registered"""
 
-    source_info.source_changed(settings, context)
+
+def _source_changed(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    if listener := listeners.get("source"):
+        listener(settings, context)
 
 
 EXPORT_FORMATS = (
@@ -58,6 +65,18 @@ EXPORT_PRESETS = (
     ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
     ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
 )
+
+
+def of_option(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
+    """A property's description, default and range, as the capture's option of that name has them; `units`:
+    how many of the panel's units one of the option's has."""
+    option = OPTIONS[name]
+    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + said}
+    if option.default is not None:
+        shown["default"] = option.default
+    if math.isfinite(option.most):
+        shown |= {"min": option.least * units, "max": option.most * units}
+    return shown
 
 
 class ManientSettings(bpy.types.PropertyGroup):
@@ -102,25 +121,19 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     hands: EnumProperty(  # type: ignore
         name="Hands",
-        description="Which hands to keep",
         items=(
             ("auto", "Auto", "All hands that are found, up to two"),
             ("left", "Left", "The person's left hand only"),
             ("right", "Right", "The person's right hand only"),
             ("both", "Both", "One left and one right hand"),
         ),
-        default="auto",
+        **of_option("hands"),
     )
     use_hand_length: BoolProperty(  # type: ignore
         name="Expected Size", description="Tell how large the hand is, for its distance and shape"
     )
     hand_length: FloatProperty(  # type: ignore
-        name="Length",
-        description="From the wrist to the tip of the middle finger, in centimeters",
-        default=18.5,
-        min=5.0,
-        max=30.0,
-        precision=1,
+        name="Length", default=18.5, precision=1, **of_option("hand_length", 100.0, ", in centimeters")
     )
 
     # Capture
@@ -132,20 +145,14 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
     smoothing: FloatProperty(  # type: ignore
-        name="Smoothing",
-        description="How smooth motion is: 0 takes every frame by itself",
-        default=DEFAULT_SMOOTHING,
-        min=0.0,
-        max=MOST_SMOOTHING,
-        soft_max=4.0,
+        name="Smoothing", soft_max=4.0, **of_option("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
         name="Detection Threshold",
-        description="Lower finds more hands, and more that are none",
-        default=0.5,
-        min=0.05,
-        max=0.95,
         subtype="FACTOR",
+        soft_min=0.05,
+        soft_max=0.95,
+        **of_option("threshold"),
     )
     camera: EnumProperty(  # type: ignore
         name="Camera",
@@ -167,18 +174,26 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     matching: EnumProperty(  # type: ignore
         name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size and camera",
+        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
         items=CHOICES,
         default="AUTO",
     )
-    matched: StringProperty(  # type: ignore
-        description="The settings that the scene was given by footage (scene/matching.py)"
+    matched_time: StringProperty(  # type: ignore
+        description="The rate and range that the scene was given by footage (scene/matching.py)"
+    )
+    matched_size: StringProperty(  # type: ignore
+        description="The picture size that the scene was given by footage"
     )
     render_setup: BoolProperty(  # type: ignore
         name="Ready to Render",
         description="Where the scene is matched, add lights if it has none and show the picture behind the "
-        "hands in renders. Your own lights and world stay as they are",
+        "hands in renders, its colors as they are (the view transform Standard for Blender's AgX). Your own "
+        "lights and world stay as they are",
         default=True,
+    )
+    rendered_camera: StringProperty(  # type: ignore
+        description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
+        options={"HIDDEN"},
     )
     pose_correctives: BoolProperty(  # type: ignore
         name="Pose Correctives",
@@ -239,7 +254,7 @@ def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
 def _error_shown_changed(_hand: bpy.types.PropertyGroup, context) -> None:
     from . import error_graph
 
-    error_graph.redraw(context)
+    error_graph.shown_changed(context)
 
 
 class ManientHand(bpy.types.PropertyGroup):

@@ -1,4 +1,4 @@
-"""The few EXIF tags that matter here, read without an imaging library.
+"""The few EXIF tags that matter here, read without an imaging library: how a picture is turned, and its lens.
 
 OpenCV either drops a picture's orientation or applies it while also dropping alpha and 16 bits, so
 the tag is read here and undone by `upright`.
@@ -6,9 +6,15 @@ the tag is read here and undone by `upright`.
 
 from __future__ import annotations
 
+import math
 import struct
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.source import Media
 
 _ORIENTATION_TAG = 0x0112
 _EXIF_IFD_TAG = 0x8769
@@ -128,3 +134,26 @@ def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> i
         if found == tag and kind == wanted:
             return struct.unpack_from(order + ("H" if kind == _SHORT else "I"), tiff, entry + 8)[0]
     return None
+
+
+FILM_DIAGONAL: Final = math.hypot(36.0, 24.0)
+"""mm; equivalent focal lengths are defined by equal diagonals (CIPA DCG-001)"""
+_HEAD: Final = 1 << 20
+"""Bytes; EXIF tags stand at a file's beginning"""
+
+
+def known_intrinsics(media: Media) -> Intrinsics | None:
+    """The camera of a photo or image sequence whose first file names its focal length (EXIF, 35 mm film);
+    None where it does not, and for videos. A picture that was cropped afterwards misleads: nothing in it
+    tells."""
+    if media.source.kind == "video":
+        return None
+    try:
+        with open(Path(media.source.files[0]), "rb") as stream:
+            focal_mm = read_focal_35mm(stream.read(_HEAD))
+    except OSError:
+        return None
+    if focal_mm is None:
+        return None
+    focal = focal_mm / FILM_DIAGONAL * math.hypot(media.width, media.height)
+    return Intrinsics(focal, focal, media.width / 2.0, media.height / 2.0)

@@ -72,8 +72,14 @@ def inventory(version: str, platform: str, wheels: Sequence[Wheel]) -> str:
         }
         for wheel in wheels
     ]
-    content = {"schema": 1, "version": version, "platform": platform, "pythons": PYTHONS, "wheels": listed}
-    content |= {"torch": "", "missing": []}
+    content = {
+        "schema": 1,
+        "version": version,
+        "platform": platform,
+        "pythons": PYTHONS,
+        "torch": "cpu" if any(wheel.name == "torch" for wheel in wheels) else "none",
+        "wheels": listed,
+    }
     return json.dumps(content, indent=2) + "\n"
 
 

@@ -20,7 +20,7 @@ from functools import cached_property
 from pathlib import Path
 
 from handfit_core.errors import HandfitError
-from handfit_core.paths import cache_dir
+from handfit_core.files import cache_dir
 
 LOCKS = Path(__file__).parent / "locks"
 BUILD_LOCK = LOCKS / "build.txt"

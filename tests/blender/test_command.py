@@ -16,6 +16,7 @@ import blender_manient
 from blender_manient import command, preferences
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.take import Take
+from handfit_core.version import __version__
 from tests.capturing import needs_capture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,7 +43,8 @@ def interrupting(tmp_path) -> Path:
     path.write_text(
         f"#!{sys.executable}\n"
         "import json, os, signal, sys, time\n"
-        "ready = {'event': 'ready', 'protocol': 1, 'version': '0', 'pid': 1, 'python': '3'}\n"
+        f"version, python = {__version__!r}, '3'\n"
+        "ready = {'event': 'ready', 'protocol': 1, 'version': version, 'pid': 1, 'python': python}\n"
         "print(json.dumps(ready), flush=True)\n"
         "sys.stdin.readline()\n"
         "os.kill(os.getppid(), signal.SIGINT)\n"
@@ -165,7 +167,7 @@ def test_without_a_part_that_blenders_side_needs(arguments, missing, tmp_path):
         "import blender_manient\n"
         "blender_manient.register()\n"
         "from blender_manient import command\n"
-        "print('HELP', command.main(['capture', '--help']))\n"
+        "print('HELP', command.main(['--help']))\n"
         f"print('ENDED', command.main({arguments!r}))\n"
         "sys.stdout.flush()\n"
         "import os; os._exit(0)\n"

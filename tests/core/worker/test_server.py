@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import queue
 import subprocess
@@ -15,11 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core import Intrinsics, Take, capture
+from handfit_core import Take
 from handfit_core.fit_quality import mean_relative_error
-from handfit_core.media.frame_range import FrameRange
 from handfit_core.version import __version__
-from handfit_core.worker.capturing import arguments
 from handfit_core.worker.protocol import PROTOCOL, decode, encode
 from tests.conftest import ROOT
 
@@ -199,7 +196,7 @@ def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
         ({"input": []}, "OptionError", "input must be a list"),
         ({"input": ["/nowhere/a.png"]}, "InputError", "no such file"),
         ({"output": None}, "OptionError", "output"),
-        ({"output": "/proc/x/y.npz"}, "OutputError", "cannot write"),
+        ({"output": f"{__file__}/y.npz"}, "OutputError", "cannot write"),
         ({"output": "a\0b.npz"}, "OutputError", "choose another name"),
         ({"output": "a\ud800b.npz"}, "OutputError", "choose another name"),
         ({"output": "x" * 300}, "OutputError", "choose another name"),
@@ -274,40 +271,6 @@ def test_a_compact_take_has_numbers_of_32_bits(warm: Worker, tmp_path: Path) -> 
     assert "compact must be true or false" in error["message"]
 
 
-def test_every_option_is_an_argument_of_the_capture() -> None:
-    given = arguments(
-        {
-            "frames": "2-10:4",
-            "hands": "left",
-            "solver": "paper-a",
-            "model": "m.pkl",
-            "threshold": 1,
-            "intrinsics": [1, 2, 3, 4],
-            "lens": [1, 0.5, 0.5],
-            "smoothing": 0.5,
-            "plain_detection": True,
-            "landmark_model": "l.task",
-            "hand_length": 0.2,
-        }
-    )
-    assert given == {
-        "frames": FrameRange.parse("2-10:4"),
-        "hands": "left",
-        "solver": "paper-a",
-        "model": "m.pkl",
-        "threshold": 1.0,
-        "intrinsics": Intrinsics(1.0, 2.0, 3.0, 4.0),
-        "lens": (1.0, 0.5, 0.5),
-        "smoothing": 0.5,
-        "persistent": False,
-        "landmark_model": "l.task",
-        "hand_length": 0.2,
-    }
-    assert set(given) <= set(inspect.signature(capture).parameters)
-    assert arguments({"plain_detection": False, "hands": None}) == {"persistent": True}
-    assert arguments({}) == {}
-
-
 def test_warm_and_check(warm: Worker) -> None:
     assert warm.ask(70, "warm")["event"] == "done"
     assert warm.ask(71, "warm", model="/nowhere.pkl")["type"] == "HandModelError"
@@ -339,9 +302,10 @@ def test_a_package_that_is_missing_is_a_line_and_an_error(tmp_path: Path) -> Non
         assert done["event"] == "done"
         assert not done["ok"]
         failed = [line for line in done["report"].splitlines() if "FAILED" in line]
-        assert [line.split(":")[0] for line in failed[:2]] == ["torch", "mediapipe"]
-        assert "install torch>=2.2 into this Python" in failed[0]
-        assert any(line.startswith("self-test of the solver: FAILED") for line in failed)
+        assert failed[0].startswith("mediapipe")
+        assert "a Python of your own needs mediapipe>=" in failed[0]
+        assert "torch: not installed, which the paper's experiments alone would need: ok" in done["report"]
+        assert any(line.startswith("self-test of the detector: FAILED") for line in failed)
     finally:
         worker.end()
 
@@ -351,14 +315,13 @@ def test_prints_of_libraries_do_not_damage_the_protocol() -> None:
     code = (
         "import os\n"
         "from handfit_core.worker import checking, server\n"
-        "whole = checking.answer\n"
         "def noisy(should_stop):\n"
         "    print('printed')\n"
         "    os.write(1, b'written')\n"
         "    os.system('echo a child')\n"
         "    assert os.read(0, 10) == b''\n"
         "    return {'report': '', 'ok': True}\n"
-        "checking.answer = noisy\n"
+        "checking.check = noisy\n"
         "server.serve()\n"
     )
     worker = Worker(code=code)
@@ -464,7 +427,7 @@ def test_threads_reach_torch_and_the_others() -> None:
         "    import torch\n"
         "    variables = [os.environ.get(name) for name in THREAD_VARIABLES]\n"
         "    return {'torch': torch.get_num_threads(), 'variables': variables}\n"
-        "checking.answer = told\n"
+        "checking.check = told\n"
         "from handfit_core.__main__ import main\n"
         "main()\n"
     )

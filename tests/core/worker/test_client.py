@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import stat
 import subprocess
@@ -15,22 +14,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import blender_manient
-from blender_manient import preferences
-from blender_manient.worker import client, pipes, process, shared
-from blender_manient.worker.client import (
-    CaptureOptions,
-    Worker,
-    WorkerError,
-    as_error,
-)
-from blender_manient.worker.process import reap
-from handfit_core.errors import Cancelled, InputError, NoHandFoundError, OutputError, ProtocolError
-from handfit_core.worker import protocol
+from handfit_core.errors import Cancelled, InputError, NoHandFoundError, ProtocolError
+from handfit_core.version import __version__
+from handfit_core.worker import client, pipes, process, protocol
+from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.process import reap
+from handfit_core.worker.runner import WorkerError, as_error
+from tests.conftest import ROOT
 
 needs_scripts = pytest.mark.skipif(
     sys.platform == "win32", reason="misbehaving peers are scripts with a #! line"
 )
+
+IN_A_WINDOW = Advice("in the add-on's preferences", "try again, and then press Check Installation")
 
 SLEEPS = 60
 """seconds that a peer sleeps: nothing here may last as long"""
@@ -42,7 +38,7 @@ def say(**event):
     print(json.dumps(event), flush=True)
 
 def ready(version={protocol.PROTOCOL}):
-    say(event="ready", protocol=version, version="0.0", pid=os.getpid(), python="3")
+    say(event="ready", protocol=version, version={__version__!r}, pid=os.getpid(), python="3")
 
 def requests():
     for line in sys.stdin:
@@ -70,7 +66,7 @@ def start():
     made: list[Worker] = []
 
     def make(*args, **kwargs) -> Worker:
-        made.append(Worker(*args, **kwargs))
+        made.append(Worker(*args, **{"advice": IN_A_WINDOW, **kwargs}))
         return made[-1]
 
     yield make
@@ -101,7 +97,7 @@ def gone(pid: int, seconds: float = 5.0) -> bool:
 
 def test_the_real_worker_answers_and_stays(start, tmp_path):
     worker = start(threads=1)
-    first = worker.request("capture", input=[str(tmp_path / "nowhere.jpg")], output=str(tmp_path / "a.npz"))
+    first = worker.submit("capture", input=[str(tmp_path / "nowhere.jpg")], output=str(tmp_path / "a.npz"))
     with pytest.raises(InputError, match=r"nowhere\.jpg") as caught:
         worker.wait(first, timeout=60)
     assert "Traceback" in caught.value.__notes__[0]
@@ -109,7 +105,7 @@ def test_the_real_worker_answers_and_stays(start, tmp_path):
     hello, pid = worker.ready, worker.pid
     assert hello is not None
     assert hello["protocol"] == protocol.PROTOCOL
-    second = worker.request("capture", input=["x"], output="y", options={"magic": 1})
+    second = worker.submit("capture", input=["x"], output="y", options={"magic": 1})
     with pytest.raises(Exception, match="magic"):
         worker.wait(second, timeout=60)
     assert worker.pid == pid
@@ -119,44 +115,18 @@ def test_the_real_worker_answers_and_stays(start, tmp_path):
     assert not exists(pid)
 
 
-def test_the_real_worker_understands_every_option(start, tmp_path):
-    """The names of the options, in two places; a missing input is noticed after they were read."""
-    worker = start(threads=1)
-    options = CaptureOptions(
-        frames="1-9",
-        hands="left",
-        solver="fast",
-        model="open-hand",
-        threshold=0.3,
-        intrinsics=(500.0, 500.0, 320.0, 240.0),
-        landmark_model=str(tmp_path / "landmarks.task"),
-        smoothing=0.0,
-        plain_detection=True,
-        hand_length=0.19,
-    )
-    request = worker.request(
-        "capture",
-        input=[str(tmp_path / "gone.jpg")],
-        output=str(tmp_path / "t.npz"),
-        options=options.to_message(),
-    )
-    with pytest.raises(InputError, match=r"gone\.jpg"):
-        worker.wait(request, timeout=60)
-
-
 def test_the_real_worker_ends_with_its_client(tmp_path):
     """As when Blender crashes: nobody says goodbye."""
     import subprocess
 
     code = (
         "import os, sys, time\n"
-        "from blender_manient.worker.client import Worker\n"
+        "from handfit_core.worker.client import Worker\n"
         "worker = Worker(); worker.start()\n"
-        "while worker.ready is None: worker.poll(); time.sleep(0.01)\n"
+        "while worker.ready is None: worker.events(); time.sleep(0.01)\n"
         "print(worker.pid, flush=True); os._exit(1)\n"
     )
-    root = Path(__file__).resolve().parents[2]
-    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert gone(int(done.stdout.split()[-1]))
 
 
@@ -177,7 +147,7 @@ def test_events_arrive_in_order_and_noise_does_not(peer, start):
         )
     )
     events = []
-    request = worker.request("capture", input=["a"], output="b")
+    request = worker.submit("capture", input=["a"], output="b")
     done = worker.wait(request, events.append, timeout=20)
     assert [(e["event"], e["id"]) for e in events] == [("progress", request), ("warning", request)]
     assert done["got"] == {"id": request, "request": "capture", "input": ["a"], "output": "b"}
@@ -188,11 +158,11 @@ def test_events_arrive_in_order_and_noise_does_not(peer, start):
 @needs_scripts
 def test_each_asker_gets_its_own_events(peer, start):
     worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], kind=r['request'])"))
-    first, second = worker.request("capture"), worker.request("refit")
+    first, second = worker.submit("capture"), worker.submit("refit")
     assert worker.wait(second, timeout=20)["kind"] == "refit"
     assert worker.busy  # the other answer was not taken
-    assert [e["kind"] for e in worker.poll(first)] == ["capture"]
-    assert worker.poll() == []
+    assert [e["kind"] for e in worker.events(first)] == ["capture"]
+    assert worker.events() == []
     with pytest.raises(ValueError, match="answered before"):
         worker.wait(first)
 
@@ -234,9 +204,9 @@ def test_poll_and_request_never_wait(peer, start, waited):
     """A peer that reads nothing and says nothing, and a request larger than any pipe."""
     worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
     began = time.monotonic()
-    worker.request("refit", data=protocol.pack(np.zeros((300, 1000))))
+    worker.submit("refit", data=protocol.pack(np.zeros((300, 1000))))
     for _ in range(10):
-        worker.poll()
+        worker.events()
     assert waited() < 0.01  # a child that has just read gets a moment to read on
     worker.stop()
     assert 0.0 < waited() < 0.1
@@ -254,10 +224,10 @@ def test_a_flood_is_taken_in_parts(peer, start, where, monkeypatch):
         f"    while True: sys.{where}.write('noise\\n' * 1000)"
     )
     worker = start(peer(code))
-    worker.wait(worker.request("check"), timeout=20)
+    worker.wait(worker.submit("check"), timeout=20)
     deadline = time.monotonic() + 20
     while "noise" not in worker.details() and time.monotonic() < deadline:
-        worker.poll()
+        worker.events()
     assert "noise" in worker.details()
 
     # By a clock on which each chunk takes a millisecond, a call takes no more chunks than it has time for.
@@ -269,7 +239,7 @@ def test_a_flood_is_taken_in_parts(peer, start, where, monkeypatch):
     for _ in range(30):
         time.sleep(0.002)  # the peer fills the pipe
         before = len(chunks)
-        worker.poll()
+        worker.events()
         assert 0 < len(chunks) - before <= 10
     assert max(chunks) <= 1 << 16
 
@@ -284,7 +254,7 @@ def test_what_was_said_while_nobody_looked_is_not_lost(peer, start):
         "    say(event='done', id=r['id'])"
     )
     worker = start(peer(code))
-    request = worker.request("capture")
+    request = worker.submit("capture")
     time.sleep(0.5)
     events = []
     worker.wait(request, events.append, timeout=60)
@@ -295,7 +265,7 @@ def test_what_was_said_while_nobody_looked_is_not_lost(peer, start):
 def test_a_large_request_arrives_whole_at_a_peer_that_reads_late(peer, start):
     code = "ready()\ntime.sleep(0.3)\nfor r in requests(): say(event='done', id=r['id'], got=len(r['text']))"
     worker = start(peer(code))
-    assert worker.wait(worker.request("refit", text="x" * 5_000_000), timeout=20)["got"] == 5_000_000
+    assert worker.wait(worker.submit("refit", text="x" * 5_000_000), timeout=20)["got"] == 5_000_000
 
 
 @needs_scripts
@@ -305,17 +275,16 @@ def test_a_dead_peer_does_not_take_blender_with_it(peer):
 
     code = (
         "import os, signal, sys, time\n"
-        "from blender_manient.worker.client import Worker\n"
+        "from handfit_core.worker.client import Worker\n"
         "signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n"
-        "worker = Worker(sys.argv[1]); job = worker.request('capture')\n"
-        "while worker.ready is None: worker.poll(); time.sleep(0.01)\n"
+        "worker = Worker(sys.argv[1]); job = worker.submit('capture')\n"
+        "while worker.ready is None: worker.events(); time.sleep(0.01)\n"
         "os.kill(worker.pid, signal.SIGKILL); time.sleep(0.2)\n"
         "worker.cancel(job)\n"
-        "print(worker.poll()[0]['type'], signal.sigpending(), flush=True); os._exit(0)\n"
+        "print(worker.events()[0]['type'], signal.sigpending(), flush=True); os._exit(0)\n"
     )
-    root = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-c", code, peer("ready()\ntime.sleep(60)")]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "WorkerError set()" in done.stdout.splitlines()
 
@@ -323,7 +292,7 @@ def test_a_dead_peer_does_not_take_blender_with_it(peer):
 @needs_scripts
 def test_a_large_answer_arrives_whole(peer, start):
     worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], text='x' * 3_000_000)"))
-    assert len(worker.wait(worker.request("check"), timeout=20)["text"]) == 3_000_000
+    assert len(worker.wait(worker.submit("check"), timeout=20)["text"]) == 3_000_000
 
 
 @needs_scripts
@@ -337,12 +306,12 @@ def test_cancel_reaches_the_peer(peer, start):
             "        say(event='error', id=r['job'], type='Cancelled', message='stopped')"
         )
     )
-    request = worker.request("capture")
+    request = worker.submit("capture")
     worker.cancel(request)
     with pytest.raises(Cancelled, match="stopped"):
         worker.wait(request, timeout=20)
     worker.cancel(request)  # over already: nothing happens
-    assert worker.poll() == []
+    assert worker.events() == []
 
 
 @pytest.mark.parametrize("kind", [NoHandFoundError, InputError])
@@ -435,7 +404,7 @@ def test_errors_are_raised_as_what_they_were(kind):
 )
 def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected):
     worker = start(peer(code))
-    requests = [worker.request("capture"), worker.request("refit")]
+    requests = [worker.submit("capture"), worker.submit("refit")]
     for request in requests:
         with pytest.raises(WorkerError, match=expected) as caught:
             worker.wait(request, timeout=30)
@@ -450,7 +419,7 @@ def test_the_systems_own_count_tells_that_memory_ran_out(peer, start, monkeypatc
     monkeypatch.setattr(client, "out_of_memory_kills", lambda: next(counts))
     worker = start(peer("ready()\nfor r in requests(): os.kill(os.getpid(), signal.SIGKILL)"))
     with pytest.raises(WorkerError, match=r"^memory ran out.*by signal SIGKILL; capture fewer frames"):
-        worker.wait(worker.request("capture"), timeout=20)
+        worker.wait(worker.submit("capture"), timeout=20)
 
 
 @pytest.mark.skipif(not Path("/proc/vmstat").exists(), reason="only Linux counts what it kills for memory")
@@ -468,7 +437,7 @@ def test_an_endless_line_is_cut_off(peer, start, monkeypatch, hello):
     worker = start(peer(f"{hello}\nwhile True: sys.stdout.write('{{' * 10_000)"))
     expected = "a line of more than .* MB, and was stopped; try again" if hello else "is not one; choose"
     with pytest.raises(WorkerError, match=expected):
-        worker.wait(worker.request("capture"), timeout=60)
+        worker.wait(worker.submit("capture"), timeout=60)
     assert not worker.alive
 
 
@@ -514,7 +483,7 @@ def test_an_event_of_wrong_types_is_a_protocol_error(peer, start, event):
     """Nothing else leaves the client, whatever the process says; then it is ended."""
     worker = start(peer(f"ready()\nfor r in requests(): say({event})\ntime.sleep({SLEEPS})"))
     with pytest.raises(ProtocolError, match="worker process said something unknown") as caught:
-        worker.wait(worker.request("probe", input=["a"]), timeout=20)
+        worker.wait(worker.submit("probe", input=["a"]), timeout=20)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
     assert not worker.alive
@@ -525,7 +494,7 @@ def test_sentences_of_a_worker_are_sentences(peer, start):
     code = "say(event='error', id=r['id'], type='InputError', message='a\\nb  ' + 'c' * 10**6)"
     worker = start(peer(f"ready()\nfor r in requests(): {code}"))
     with pytest.raises(InputError, match=r"^a b ccc") as caught:
-        worker.wait(worker.request("probe"), timeout=20)
+        worker.wait(worker.submit("probe"), timeout=20)
     assert len(str(caught.value)) <= 2000
 
 
@@ -533,7 +502,7 @@ def test_more_than_the_worker_reads_is_not_sent(start, monkeypatch):
     monkeypatch.setattr(protocol, "LONGEST_REQUEST", 1000)
     worker = start()
     with pytest.raises(ProtocolError, match=r"a refit of .* is too large; give it fewer frames"):
-        worker.request("refit", hand="x" * 1000)
+        worker.submit("refit", hand="x" * 1000)
     assert not worker.busy
 
 
@@ -542,13 +511,13 @@ def test_a_package_that_is_missing_later_names_the_remedy(peer, start):
     error = "event='error', type='ModuleNotFoundError', message='no torch'"
     worker = start(peer(f"ready()\nfor r in requests(): say(id=r['id'], {error})"))
     with pytest.raises(WorkerError, match="no torch in the add-on's preferences"):
-        worker.wait(worker.request("capture"), timeout=20)
+        worker.wait(worker.submit("capture"), timeout=20)
 
 
 def test_a_missing_interpreter_is_one_sentence(start, tmp_path):
     worker = start(str(tmp_path / "nowhere"))
     with pytest.raises(WorkerError, match=r"nowhere.*preferences"):
-        worker.request("capture")
+        worker.submit("capture")
     assert not worker.busy
     with pytest.raises(WorkerError):
         worker.start()
@@ -566,23 +535,23 @@ def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
             "    say(event='done', id=r['id'], pid=os.getpid())"
         )
     )
-    first = worker.request("capture")
+    first = worker.submit("capture")
     deadline = time.monotonic() + 20
     events = []
     while not events and time.monotonic() < deadline:
-        events = worker.poll()
+        events = worker.events()
         time.sleep(0.01)
     (event,) = events
     assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerError")
     assert "last words" in event["details"]
     assert "exit code 7" in event["details"]
-    assert worker.wait(worker.request("capture"), timeout=20)["pid"] == worker.pid
+    assert worker.wait(worker.submit("capture"), timeout=20)["pid"] == worker.pid
 
 
 @needs_scripts
 def test_a_death_while_idle_costs_nothing(peer, start):
     worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'])"))
-    worker.wait(worker.request("warm"), timeout=20)
+    worker.wait(worker.submit("warm"), timeout=20)
     first = worker.pid
     assert first is not None
     os.kill(first, 9)
@@ -590,8 +559,8 @@ def test_a_death_while_idle_costs_nothing(peer, start):
     while worker.alive and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.05)
-    assert worker.poll() == []
-    worker.wait(worker.request("warm"), timeout=20)
+    assert worker.events() == []
+    worker.wait(worker.submit("warm"), timeout=20)
     assert worker.pid != first
 
 
@@ -600,37 +569,37 @@ def test_much_stderr_does_not_block_and_is_cut(peer, start):
     worker = start(
         peer("ready()\nfor r in requests(): sys.stderr.write('x' * 5_000_000); say(event='done', id=r['id'])")
     )
-    worker.wait(worker.request("capture"), timeout=20)
+    worker.wait(worker.submit("capture"), timeout=20)
     assert 1000 < len(worker.details()) < 20_000
 
 
 @needs_scripts
 def test_time_limit_kills(peer, start, waited):
     worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
-    request, other = worker.request("capture"), worker.request("refit")
+    request, other = worker.submit("capture"), worker.submit("refit")
     pid = worker.pid
     assert pid is not None
     with pytest.raises(WorkerError, match=r"capture took longer than 0\.5 seconds.*fewer frames"):
         worker.wait(request, timeout=0.5)
     assert 0.4 < waited() < 5
     assert gone(pid)
-    assert [e["id"] for e in worker.poll()] == [other]
+    assert [e["id"] for e in worker.events()] == [other]
 
 
 @needs_scripts
 def test_stop_answers_what_is_open_and_kills_what_hangs(peer, start, waited):
     """A peer that ignores the end of its stdin and every signal that can be ignored."""
     worker = start(peer(f"signal.signal(signal.SIGTERM, signal.SIG_IGN)\nready()\ntime.sleep({SLEEPS})"))
-    request = worker.request("capture")
+    request = worker.submit("capture")
     while worker.ready is None:
-        worker.poll()
+        worker.events()
         time.sleep(0.01)
     pid = worker.pid
     assert pid is not None
     waited()
     worker.stop()
     assert waited() < 0.1
-    (event,) = worker.poll()
+    (event,) = worker.events()
     assert (event["id"], event["type"]) == (request, "Cancelled")
     assert gone(pid)
 
@@ -643,7 +612,7 @@ def test_an_interrupt_passes_through_and_leaves_nothing(peer):
         raise KeyboardInterrupt
 
     with Worker(peer(code)) as worker:
-        request = worker.request("capture")
+        request = worker.submit("capture")
         pid = worker.pid
         with pytest.raises(KeyboardInterrupt):
             worker.wait(request, interrupt, timeout=20)
@@ -655,105 +624,6 @@ def test_an_interrupt_passes_through_and_leaves_nothing(peer):
 def test_debug_repeats_what_it_says(peer, start, capfd):
     speak = "sys.stderr.write(' '.join(sys.argv[1:]) + '\\n'); say(event='done', id=r['id'])"
     worker = start(peer(f"ready()\nfor r in requests(): {speak}"), threads=3, debug=True)
-    worker.wait(worker.request("warm"), timeout=20)
+    worker.wait(worker.submit("warm"), timeout=20)
     worker.stop()
-    assert "launch.py" in (said := capfd.readouterr().err)
-    assert "handfit_core worker --threads 3 --debug" in said
-
-
-# Settings
-
-
-def test_options():
-    assert CaptureOptions().to_message() == {}
-    given = CaptureOptions(
-        smoothing=0.0, intrinsics=(1.0, 2.0, 3.0, 4.0), plain_detection=False, hand_length=0.18
-    )
-    assert json.loads(json.dumps(given.to_message())) == {
-        "smoothing": 0.0,
-        "intrinsics": [1.0, 2.0, 3.0, 4.0],
-        "plain_detection": False,
-        "hand_length": 0.18,
-    }
-
-
-# The shared worker
-
-
-@pytest.fixture
-def registered(tmp_path):
-    blender_manient.register()
-    preferences.get().cache_folder = str(tmp_path / "cache")
-    yield
-    blender_manient.unregister()
-
-
-def test_one_worker_until_the_preferences_change(registered):
-    assert shared.current() is None
-    worker = shared.worker()
-    assert shared.worker() is worker
-    preferences.get().threads = 2
-    other = shared.worker()
-    assert other is not worker
-    assert shared.current() is other
-
-
-@needs_scripts
-def test_a_busy_worker_is_not_replaced(registered, peer):
-    preferences.get().python = peer("ready()\nfor r in requests(): say(event='done', id=r['id'])")
-    worker = shared.worker()
-    request = worker.request("warm")
-    preferences.get().threads = 2
-    assert shared.worker() is worker
-    worker.wait(request, timeout=20)
-    assert shared.worker() is not worker
-    assert not worker.alive
-
-
-@needs_scripts
-def test_unregister_ends_it_and_its_files(peer, tmp_path):
-    blender_manient.register()
-    preferences.get().cache_folder = str(tmp_path / "cache")
-    preferences.get().python = peer("ready()\nfor r in requests(): pass")
-    worker = shared.worker()
-    worker.request("warm")
-    pid = worker.pid
-    assert pid is not None
-    take = shared.temporary_take("a photo.jpg")
-    take.write_bytes(b"x")
-    blender_manient.unregister()
-    assert not exists(pid)  # already: Blender may be about to remove the files that it runs
-    assert list((tmp_path / "cache").iterdir()) == []
-    assert shared.current() is None
-
-
-def test_takes_have_names_of_their_own(registered, tmp_path):
-    first, second = shared.temporary_take("my clip.mp4"), shared.temporary_take("my clip.mp4")
-    assert first != second
-    assert first.parent.is_dir()
-    assert first.name.endswith(".take.npz")
-    assert shared.cache_folder() in first.parents
-
-
-def test_a_full_disk_is_one_sentence(registered):
-    with pytest.raises(OutputError, match=r"full.*MB free.*preferences"):
-        shared.temporary_take(needed=1 << 60)
-
-
-def test_a_folder_that_cannot_be_written_is_one_sentence(registered, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    preferences.get().cache_folder = str(tmp_path / "file")
-    with pytest.raises(OutputError, match=r"cannot write here.*preferences"):
-        shared.temporary_take()
-
-
-def test_takes_of_a_crashed_blender_go(registered):
-    folder = shared.cache_folder()
-    old, recent = folder / "takes-old", folder / "takes-recent"
-    for path in (old, recent):
-        path.mkdir()
-        (path / "a.take.npz").write_bytes(b"x")
-    os.utime(old, (1, 1))
-    shared.temporary_take()
-    assert not old.exists()
-    assert recent.exists()
+    assert "launch.py worker --threads 3 --debug" in capfd.readouterr().err

@@ -1,7 +1,7 @@
-"""Starts handfit_core in a Python of the user's own: `PYTHON launch.py FOLDER ARGUMENT...`.
+"""Starts handfit_core in a Python of the user's own: `PYTHON launch.py ARGUMENT...`.
 
-FOLDER is handfit_core's, which lies among packages for Blender's Python. It is imported from there by name,
-so that nothing beside it comes into reach: torch, SciPy and the others are that Python's own.
+handfit_core may lie among packages for Blender's Python. It is imported from its folder by name, so that
+nothing beside it comes into reach: NumPy, SciPy and the others are that Python's own.
 
 An older Python must be able to read this file, to be told that it is too old.
 """
@@ -18,15 +18,15 @@ EXIT_UNFIT = 3
 def main():
     """Run handfit_core's command line; returns the exit code."""
     here = os.path.dirname(os.path.abspath(__file__))  # noqa: PTH100, PTH120
-    # Python puts a script's folder first; the modules in this one are the add-on's.
+    # Python puts a script's folder first; the modules in this one have names that anybody may use.
     sys.path[:] = [path for path in sys.path if os.path.abspath(path) != here]  # noqa: PTH100
     if sys.version_info < LOWEST:
         print(json.dumps({"event": "unfit", "python": platform.python_version()}))
         return EXIT_UNFIT
-    import_package("handfit_core", sys.argv[1])
+    import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
     from handfit_core.__main__ import main as run
 
-    return run(sys.argv[2:])
+    return run(sys.argv[1:])
 
 
 def import_package(name, folder):

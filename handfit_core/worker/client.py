@@ -1,6 +1,6 @@
 """Starts the process that captures, handfit_core's worker, and talks to it.
 
-Capturing needs torch, MediaPipe and OpenCV, which Blender's own Python does not have and must not be given.
+Capturing needs MediaPipe, OpenCV and SciPy, which Blender's own process must not import.
 docs/worker-protocol.md lists the messages.
 """
 
@@ -10,39 +10,16 @@ import contextlib
 import shutil
 import signal
 import time
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from handfit_core import errors
-from handfit_core.errors import Cancelled, HandfitError, ProtocolError
+from handfit_core.errors import Cancelled, ProtocolError
 from handfit_core.version import __version__
 from handfit_core.worker import protocol
-
-from .. import installation, verification
-from .interpreter import (
-    LAUNCHER,
-    PYTHON_VARIABLE,
-    find_python,
-    is_blenders_own,
-    worker_command,
-    worker_environment,
-)
-from .process import ChildProcess, out_of_memory_kills
-
-__all__ = [
-    "IN_BLENDER",
-    "PYTHON_VARIABLE",
-    "Advice",
-    "CaptureOptions",
-    "Event",
-    "Worker",
-    "WorkerError",
-    "as_error",
-    "find_python",
-]
+from handfit_core.worker.interpreter import find_python, runs_here, worker_command, worker_environment
+from handfit_core.worker.process import ChildProcess, out_of_memory_kills
+from handfit_core.worker.runner import Event, Runner, WorkerError
 
 _START_LIMIT = 60.0
 """seconds until a started process must have said that it is ready"""
@@ -59,20 +36,6 @@ _LONGEST_SENTENCE = 2000
 _CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
 """What a process does to itself; other signals come from outside"""
 
-Event = dict[str, Any]
-"""One message of the worker"""
-
-
-class WorkerError(HandfitError):
-    """The process that captures could not be started, is the wrong one, or died.
-
-    `details` has what it said last, for a bug report.
-    """
-
-    def __init__(self, message: str, details: str = "") -> None:
-        super().__init__(message)
-        self.details = details
-
 
 @dataclass(frozen=True)
 class Advice:
@@ -82,58 +45,25 @@ class Advice:
     """where the interpreter is chosen"""
     crash: str
     """what to do after a crash"""
+    broken: str = ""
+    """what to do where a package does not load that the Python which runs here was given; empty where nobody
+    gave it any"""
 
     @property
     def python(self) -> str:
         """What to do about an unfit interpreter."""
-        return f"choose a Python that has torch, SciPy, OpenCV and MediaPipe {self.where}"
+        return f"choose a Python that has SciPy, OpenCV and MediaPipe {self.where}"
 
 
-IN_BLENDER = Advice(
-    where=installation.IN_PREFERENCES,
-    crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
-)
+ADVICE = Advice(where="with --python or in $HANDFIT_PYTHON", crash="try again with --debug")
+"""For a worker that no window starts"""
 
 
-@dataclass(frozen=True)
-class CaptureOptions:
-    """What a capture can be told; None leaves it to the core."""
-
-    frames: str | None = None
-    """Source frames, as in 10-200:2"""
-    hands: str | None = None
-    solver: str | None = None
-    model: str | None = None
-    threshold: float | None = None
-    intrinsics: tuple[float, float, float, float] | None = None
-    """fx, fy, cx, cy in pixels of the upright picture"""
-    lens: tuple[float, float, float] | None = None
-    """Focal length in picture widths, and the principal point as parts of width and height, instead of
-    `intrinsics` where the picture's size is not known"""
-    landmark_model: str | None = None
-    smoothing: float | None = None
-    """0 takes every frame by itself"""
-    plain_detection: bool | None = None
-    hand_length: float | None = None
-    """Metres from the wrist to the tip of the middle finger"""
-    max_megapixels: float | None = None
-    """How large pictures and the frames of videos may be"""
-
-    def to_message(self) -> dict[str, Any]:
-        """The `options` of a capture request: those that are given."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in given.items()
-            if value is not None
-        }
-
-
-class Worker:
+class Worker(Runner):
     """One process that captures. It starts with the first request; after a crash the next one starts another.
 
     Nothing but `wait` blocks, and `stop` for a moment. No thread runs for it: what the process says is taken
-    in by `poll` and `wait`, and it works on only as long as somebody calls them.
+    in by `events` and `wait`, and it works on only as long as somebody calls them.
     """
 
     def __init__(
@@ -142,34 +72,32 @@ class Worker:
         threads: int | None = None,
         debug: bool = False,
         *,
-        advice: Advice = IN_BLENDER,
+        advice: Advice = ADVICE,
+        bytecode: Path | None = None,
     ) -> None:
         """`python`: the interpreter, as `find_python` takes it. `threads`: how many it may use, None for
-        its own choice. `debug`: its stderr, with tracebacks, is repeated on ours."""
+        its own choice. `debug`: its stderr, with tracebacks, is repeated on ours. `bytecode`: where the
+        Python that runs here keeps what it compiles for the process; None: nowhere."""
+        super().__init__()
         self.python = find_python(python)
         self._threads = threads
         self._debug = debug
         self._advice = advice
+        self._bytecode = bytecode if self.runs_here else None
         self._child: ChildProcess | None = None
         self._last_child: ChildProcess | None = None
         self._hello: Event | None = None
         self._start_deadline = 0.0
         self._kills_before: int | None = None
         """`out_of_memory_kills` when the last request was sent"""
-        self._number = 0
-        self._open: dict[int, str] = {}
-        self._events: deque[Event] = deque()
-
-    def __enter__(self) -> Worker:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop(_PATIENCE)
 
     @property
-    def blenders_own(self) -> bool:
-        """Whether Blender's own Python captures, with what the add-on's zip brings."""
-        return is_blenders_own(self.python)
+    def runs_here(self) -> bool:
+        """Whether it is the interpreter that runs here."""
+        return runs_here(self.python)
 
     @property
     def alive(self) -> bool:
@@ -186,27 +114,22 @@ class Worker:
         """The process's `ready` event, with its versions; None until `poll` or `wait` has seen it."""
         return self._hello
 
-    @property
-    def busy(self) -> bool:
-        """Whether a request has not been answered, or an answer was not taken yet."""
-        return bool(self._open or self._events)
-
     def start(self) -> None:
         """Start the process unless it runs; returns at once. Raises WorkerError."""
-        self._collect()
+        self._collect(0.0)
         if self._child is not None:
             return
         if Path(self.python).is_dir() and not shutil.which(self.python):
             raise WorkerError(f"'{self.python}' is a folder, not a Python; {self._advice.python}")
-        if not LAUNCHER.is_file():
-            raise WorkerError(installation.import_problem(FileNotFoundError(f"no {LAUNCHER.name}")).sentence)
         command = worker_command(self.python)
         if self._threads:
             command += ["--threads", str(self._threads)]
         if self._debug:
             command.append("--debug")
         try:
-            self._child = ChildProcess(command, worker_environment(self.python), echo=self._debug)
+            self._child = ChildProcess(
+                command, worker_environment(self.python, self._bytecode), echo=self._debug
+            )
         except OSError as error:
             raise WorkerError(
                 f"cannot start the Python '{self.python}' ({error.strerror or error}); {self._advice.python}"
@@ -215,79 +138,27 @@ class Worker:
         self._hello = None
         self._start_deadline = time.monotonic() + _START_LIMIT
 
-    def request(self, kind: str, **fields: Any) -> int:
+    def submit(self, kind: str, /, **fields: Any) -> int:
         """Ask for something; returns the number that its events carry as `id`.
 
-        Starts the process if need be. Raises WorkerError when it cannot be started, or where a part that a
-        capture needs is known to be missing; ProtocolError for values that JSON cannot hold, and for more of
-        them than the process reads.
+        Starts the process if need be. Raises WorkerError when it cannot be started; ProtocolError for values
+        that JSON cannot hold, and for more of them than the process reads.
         """
-        if kind == "capture" and self.blenders_own and (sentence := verification.before_capture()):
-            if sentence.endswith(installation.IN_PREFERENCES):
-                sentence = sentence.removesuffix(installation.IN_PREFERENCES) + self._advice.where
-            raise WorkerError(sentence)
         line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
         if len(line) > protocol.LONGEST_REQUEST:
             raise ProtocolError(f"a {kind} of {len(line) // 1_000_000} MB is too large; give it fewer frames")
         self.start()
         assert self._child is not None
         self._kills_before = out_of_memory_kills()
-        self._number += 1
-        self._open[self._number] = kind
         self._child.send(line)
-        return self._number
+        return self._opened(kind)
 
-    def cancel(self, job: int) -> None:
+    def cancel(self, request: int) -> None:
         """Have a request stopped as soon as it can be; its last event still comes."""
-        if job not in self._open or self._child is None:
+        if request not in self._open or self._child is None:
             return
         self._number += 1
-        self._child.send(protocol.encode({"id": self._number, "request": "cancel", "job": job}))
-
-    def poll(self, *ids: int) -> list[Event]:
-        """The events since the last call, in order: `progress`, `warning`, and last `done` or `error`.
-
-        With `ids` only those of these requests; the others are kept for who asks for them. Where the
-        process has died, every open request gets an `error` of type WorkerError.
-        """
-        self._collect()
-        if not ids:
-            events = list(self._events)
-            self._events.clear()
-            return events
-        events = [event for event in self._events if event["id"] in ids]
-        if events:
-            self._events = deque(event for event in self._events if event["id"] not in ids)
-        return events
-
-    def wait(
-        self, job: int, on_event: Callable[[Event], None] | None = None, timeout: float | None = None
-    ) -> Event:
-        """Block until a request is done; returns its `done` event. `on_event` gets the events before.
-
-        Raises the HandfitError that the worker names (InputError, NoHandFoundError, Cancelled, ...) or
-        WorkerError. After `timeout` seconds the process is killed, and with it every open request.
-        """
-        kind = self._open.get(job, "request")
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while True:
-            for event in self.poll(job):
-                if event["event"] == "done":
-                    return event
-                if event["event"] == "error":
-                    raise as_error(event)
-                if on_event:
-                    on_event(event)
-            if job not in self._open:
-                raise ValueError(f"request {job} does not exist, or was answered before")
-            if deadline is not None and time.monotonic() > deadline:
-                assert timeout is not None
-                self._give_up(
-                    f"the {kind} took longer than {timeout:g} seconds and was stopped; allow it more time, "
-                    "or give it fewer frames"
-                )
-            elif self._child is not None:
-                self._child.wait_for_news(0.05)
+        self._child.send(protocol.encode({"id": self._number, "request": "cancel", "job": request}))
 
     def stop(self, seconds: float = _GRACE) -> None:
         """End the process; open requests get an `error` of type Cancelled.
@@ -309,11 +180,14 @@ class Worker:
         ending = "" if code is None else f"the process ended {_ending(code)}"
         return "\n".join(filter(None, (child.last_words().strip(), ending)))
 
-    def _collect(self) -> None:
-        """Take in what the process said since the last time."""
+    def _collect(self, wait: float) -> None:
+        """Take in what the process said since the last time. Where it has died, every open request gets an
+        `error` of type WorkerError."""
         child = self._child
         if child is None:
             return
+        if wait:
+            child.wait_for_news(wait)
         child.exchange()
         ended = child.ended()
         for message in child.received():
@@ -367,7 +241,7 @@ class Worker:
                 f"the worker of '{self.python}' speaks protocol {version}, this add-on needs "
                 f"{protocol.PROTOCOL}; install the handfit-core that belongs to the add-on there"
             )
-        elif installation.is_installed() and message.get("version") != __version__:
+        elif message.get("version") != __version__:
             self._give_up(
                 f"the add-on was updated from version {__version__} to {message.get('version')} while "
                 "Blender was running; restart Blender"
@@ -401,32 +275,22 @@ class Worker:
             child.kill()
         self._answer_all(kind, why, self.details())
 
-    def _answer_all(self, kind: str, message: str, details: str) -> None:
-        for job in self._open:
-            self._events.append(
-                {"event": "error", "id": job, "type": kind, "message": message, "details": details}
-            )
-        self._open.clear()
-
     def _what_is_missing(self, message: Event) -> str:
         """One sentence for a part that the process could not import."""
-        if self.blenders_own and installation.is_installed():
+        if self.runs_here and self._advice.broken:
             return self._broken_part(_last_line(str(message.get("details", ""))))
         return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"
 
     def _broken_part(self, said: str) -> str:
-        """The same for one that the zip should have brought."""
-        return verification.explanation() or (
-            f"a part of the add-on does not load ({said}), although all its files are there; restart "
-            f"Blender, and if it happens again, {self._advice.python}"
-        )
+        """One sentence for a package that does not load although it was brought along."""
+        return f"a package that capturing needs does not load ({said}): {self._advice.broken}"
 
     def _why_it_died(self, child: ChildProcess) -> str:
         """One sentence for a process that ended without saying why."""
         code = child.exit_code or 0
         last = _last_line(child.last_words())
         if "No module named" in last:
-            if self.blenders_own and installation.is_installed():
+            if self.runs_here and self._advice.broken:
                 return self._broken_part(last)
             return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
         said = f", last saying: {last}" if last else ""
@@ -443,25 +307,12 @@ class Worker:
             # A system that does not count may have done it itself, for whatever reason.
             who = "from outside" if kills is not None else "from outside or by the system"
             return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
-        if self._hello is None and not self.blenders_own:
+        if self._hello is None and not self.runs_here:
             return (
                 f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
                 f"{self._advice.python}"
             )
         return f"the worker process ended {_ending(code)}{said}; {self._advice.crash}"
-
-
-def as_error(event: Event) -> HandfitError:
-    """An `error` event as the exception that it was in the worker, with its details as a note."""
-    message, details = str(event.get("message") or "the request failed"), str(event.get("details") or "")
-    kind = getattr(errors, str(event.get("type")), None)
-    if isinstance(kind, type) and issubclass(kind, HandfitError):
-        error = kind(message)
-    else:
-        error = WorkerError(message, details)
-    if details:
-        error.add_note(details)
-    return error
 
 
 def _last_line(words: str) -> str:

@@ -1,7 +1,8 @@
 """The Python that captures: which one, how the worker is started with it, and what its process inherits.
 
-With Blender's own Python everything comes from the extension's wheels. A Python of the user's own brings
-torch and the others itself, and gets nothing but handfit_core: wheels for Blender's Python need not fit it.
+The Python that runs here, Blender's own, finds everything in the folder that handfit_core lies in. A Python
+of the user's own brings NumPy, MediaPipe and the others itself, and gets nothing but handfit_core: packages
+for the one need not fit the other.
 """
 
 from __future__ import annotations
@@ -12,19 +13,10 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-import bpy
-
 import handfit_core
-from handfit_core.worker.checking import BUNDLED_VARIABLE, LEFT_OUT_VARIABLE
-
-from .. import verification
-from ..installation import is_installed, left_out
-from ..preferences import ADDON, unquoted
 
 PYTHON_VARIABLE = "HANDFIT_PYTHON"
-"""Names the Python that has torch, MediaPipe and OpenCV, when it is not the one that is running"""
-
-LAUNCHER = Path(__file__).with_name("launch.py")
+"""Names the Python that captures, when it is not the one that is running"""
 
 
 def find_python(python: str | None = None) -> str:
@@ -33,8 +25,16 @@ def find_python(python: str | None = None) -> str:
     return os.path.expanduser(typed) or sys.executable  # noqa: PTH111
 
 
+def unquoted(text: str) -> str:
+    """Without the spaces and quotes around it that come with a copied path."""
+    text = text.strip()
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1].strip()
+    return text
+
+
 @lru_cache(maxsize=16)
-def is_blenders_own(python: str) -> bool:
+def runs_here(python: str) -> bool:
     """Whether it is the interpreter that runs here, maybe by another name, with the same packages."""
     python = shutil.which(python) or python
     if _plain(python) == _plain(sys.executable):
@@ -50,25 +50,19 @@ def is_blenders_own(python: str) -> bool:
 
 def worker_command(python: str) -> list[str]:
     """What starts the worker with this interpreter, as `find_python` gives it."""
-    if is_blenders_own(python):
+    if runs_here(python):
         # -P: not from the folder in which Blender happens to have been started.
         return [python, *_own_flags(), "-P", "-u", "-m", "handfit_core", "worker"]
-    return [python, "-u", str(LAUNCHER), str(_core_folder()), "worker"]
+    return [python, "-u", str(_core_folder() / "worker" / "launch.py"), "worker"]
 
 
-def worker_environment(python: str) -> dict[str, str]:
-    """The process's environment: nothing that is meant for Blender's Python, except for that one itself."""
+def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, str]:
+    """The process's environment: nothing that is meant for the Python that runs here, except for that one
+    itself. `bytecode`: where it keeps what it compiles; None: nowhere."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    for name in (BUNDLED_VARIABLE, LEFT_OUT_VARIABLE):
-        environment.pop(name, None)
-    if is_blenders_own(python):
+    if runs_here(python):
         environment["PYTHONPATH"] = str(_core_folder().parent)
-        if is_installed():
-            environment[BUNDLED_VARIABLE] = "1"
-            if missing := left_out(verification.place()):
-                environment[LEFT_OUT_VARIABLE] = ",".join(missing)
     environment["PYTHONIOENCODING"] = "utf-8"
-    bytecode = _bytecode_folder(python)
     if bytecode is None:
         environment["PYTHONDONTWRITEBYTECODE"] = "1"
     else:
@@ -79,20 +73,6 @@ def worker_environment(python: str) -> dict[str, str]:
 def _own_flags() -> list[str]:
     """Blender takes nothing from the folder where pip puts packages for one user; nor does its worker."""
     return ["-s"] if sys.flags.no_user_site else []
-
-
-def _bytecode_folder(python: str) -> Path | None:
-    """Where the worker keeps what it compiles; compiling torch anew costs each start some two seconds.
-
-    Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it
-    removes them; so a folder that goes with the extension. In it whole paths are repeated, which Windows
-    finds too long.
-    """
-    if sys.platform == "win32" or not (
-        is_installed() and ADDON.startswith("bl_ext.") and is_blenders_own(python)
-    ):
-        return None
-    return Path(bpy.utils.extension_path_user(ADDON, path="bytecode"))
 
 
 def _core_folder() -> Path:

@@ -12,18 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_manient.preferences import full_path
-from blender_manient.worker import client, interpreter
-from blender_manient.worker.client import Worker, WorkerError
-from blender_manient.worker.interpreter import (
-    find_python,
-    is_blenders_own,
-    worker_environment,
-)
 from handfit_core.errors import InputError
+from handfit_core.worker import interpreter
+from handfit_core.worker.client import Worker
+from handfit_core.worker.interpreter import find_python, runs_here, worker_environment
+from handfit_core.worker.runner import WorkerError
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
-LAUNCHER = ROOT / "blender_manient" / "worker" / "launch.py"
+LAUNCHER = ROOT / "handfit_core" / "worker" / "launch.py"
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +61,11 @@ def test_choice_of_the_interpreter(monkeypatch):
 
 
 def test_blenders_own_python_by_other_names(bare_python):
-    assert is_blenders_own(sys.executable)
-    assert is_blenders_own(os.path.relpath(sys.executable))
+    assert runs_here(sys.executable)
+    assert runs_here(os.path.relpath(sys.executable))
     # The same program behind a link, with packages of its own.
-    assert not is_blenders_own(bare_python)
-    assert not is_blenders_own("/nowhere/python")
+    assert not runs_here(bare_python)
+    assert not runs_here("/nowhere/python")
 
 
 def test_paths_as_they_are_typed_and_copied(monkeypatch, tmp_path):
@@ -77,10 +73,10 @@ def test_paths_as_they_are_typed_and_copied(monkeypatch, tmp_path):
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
     for typed in (f'"{sys.executable}"', f"  '{sys.executable}'", f" {sys.executable} "):
         monkeypatch.setenv("HANDFIT_PYTHON", typed)
-        assert find_python() == find_python(typed) == full_path(typed) == sys.executable
+        assert find_python() == find_python(typed) == sys.executable
     monkeypatch.setenv("HANDFIT_PYTHON", "~/python")
-    assert Path(find_python()) == Path(full_path("~/python")) == tmp_path / "python"
-    assert (find_python("python3"), full_path('""')) == ("python3", "")
+    assert Path(find_python()) == tmp_path / "python"
+    assert find_python("python3") == "python3"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows looks into the folder it is in, too")
@@ -94,13 +90,13 @@ def test_a_name_without_a_folder_is_looked_up_as_programs_are(monkeypatch, tmp_p
     (tmp_path / "programs" / name).chmod(0o755)
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("PATH", str(tmp_path / "programs"), prepend=os.pathsep)
-    is_blenders_own.cache_clear()
-    assert not is_blenders_own(name)
-    assert not is_blenders_own("python-that-is-nowhere")
+    runs_here.cache_clear()
+    assert not runs_here(name)
+    assert not runs_here("python-that-is-nowhere")
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
-    is_blenders_own.cache_clear()
-    assert is_blenders_own(Path(sys.executable).name)
-    is_blenders_own.cache_clear()
+    runs_here.cache_clear()
+    assert runs_here(Path(sys.executable).name)
+    runs_here.cache_clear()
 
 
 def test_blenders_own_python_gets_all_packages(monkeypatch):
@@ -119,7 +115,7 @@ def test_a_python_of_the_users_own_is_not_told_of_blenders_packages(monkeypatch,
 def test_only_handfit_core_comes_from_the_shared_folder(shared_folder, own_python):
     """The others would fail to import there; the add-on's own modules beside the launcher stay out, too."""
     with Worker(own_python) as worker:
-        done = worker.wait(worker.request("check"), timeout=120)
+        done = worker.wait(worker.submit("check"), timeout=120)
     assert "of another Python" not in done["report"]
     assert f"numpy: {np.__version__}: ok" in done["report"]
     assert "mein Python für Hände" in done["report"].splitlines()[1]
@@ -128,7 +124,7 @@ def test_only_handfit_core_comes_from_the_shared_folder(shared_folder, own_pytho
 def test_blenders_own_python_takes_what_lies_in_the_shared_folder(shared_folder):
     """The other side of the same coin: the decoys above are real."""
     with Worker(sys.executable) as worker, pytest.raises(WorkerError, match="numpy of another Python"):
-        worker.wait(worker.request("check"), timeout=60)
+        worker.wait(worker.submit("check"), timeout=60)
 
 
 def test_nothing_comes_from_the_folder_in_which_blender_was_started(tmp_path, monkeypatch):
@@ -136,7 +132,7 @@ def test_nothing_comes_from_the_folder_in_which_blender_was_started(tmp_path, mo
     (tmp_path / "handfit_core" / "__init__.py").write_text("raise ImportError('somebody else')\n")
     monkeypatch.chdir(tmp_path)
     with Worker() as worker, pytest.raises(InputError, match=r"nowhere\.jpg"):
-        worker.wait(worker.request("probe", input=[str(tmp_path / "nowhere.jpg")]), timeout=60)
+        worker.wait(worker.submit("probe", input=[str(tmp_path / "nowhere.jpg")]), timeout=60)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has another folder for a user's packages")
@@ -154,11 +150,11 @@ def test_the_users_own_packages_are_seen_where_they_are_here(tmp_path, isolated)
     (users / "usercustomize.py").write_text(f"open({str(seen)!r}, 'w').close()\n")
     code = (
         f"import os, sys; sys.path.insert(0, {str(ROOT)!r})\n"
-        "import bpy; from blender_manient.worker import client\n"
+        "from handfit_core.worker import client\n"
         f"os.environ['HOME'] = {str(tmp_path / 'home')!r}\n"
         "with client.Worker() as worker:\n"
         "    worker.start()\n"
-        "    while worker.alive and worker.ready is None: worker.poll()\n"
+        "    while worker.alive and worker.ready is None: worker.events()\n"
         "    print('READY', worker.ready, worker.details())\n"
         "sys.stdout.flush(); os._exit(0)\n"
     )
@@ -181,15 +177,9 @@ def test_the_users_own_packages_are_seen_where_they_are_here(tmp_path, isolated)
 )
 def test_what_is_no_python_is_named(program, expected):
     with Worker(program) as worker, pytest.raises(WorkerError) as caught:
-        worker.wait(worker.request("check"), timeout=60)
+        worker.wait(worker.submit("check"), timeout=60)
     assert expected in str(caught.value)
-    assert "torch, SciPy, OpenCV and MediaPipe in the add-on's preferences" in str(caught.value)
-
-
-def test_a_launcher_that_is_gone_is_not_the_pythons_fault(bare_python, monkeypatch, tmp_path):
-    monkeypatch.setattr(client, "LAUNCHER", tmp_path / "launch.py")
-    with Worker(bare_python) as worker, pytest.raises(WorkerError, match=r"add-on's files.*no launch\.py"):
-        worker.request("check")
+    assert "SciPy, OpenCV and MediaPipe with --python or in $HANDFIT_PYTHON" in str(caught.value)
 
 
 def test_a_python_without_packages_is_one_sentence(bare_python):
@@ -202,14 +192,14 @@ def test_a_python_without_packages_is_one_sentence(bare_python):
             WorkerError, match=r"cannot capture.*No module named.*choose a Python that has"
         ) as caught,
     ):
-        worker.wait(worker.request("check"), timeout=60)
+        worker.wait(worker.submit("check"), timeout=60)
     assert "\n" not in str(caught.value)
 
 
 def test_an_old_python_can_read_the_launcher_and_says_its_version():
     ast.parse(LAUNCHER.read_text(encoding="utf-8"), feature_version=(3, 6))
     code = (
-        "import sys, runpy; sys.version_info = (3, 9, 1); sys.argv = ['launch.py', 'nowhere', 'worker'];"
+        "import sys, runpy; sys.version_info = (3, 9, 1); sys.argv = ['launch.py', 'worker'];"
         f"runpy.run_path({str(LAUNCHER)!r}, run_name='__main__')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -14,9 +14,8 @@ from typing import Any
 
 from handfit_core.errors import ProtocolError
 from handfit_core.worker import protocol
+from handfit_core.worker.pipes import ReadEnd, pipe_from_child, pipe_to_child, wait_for
 from handfit_core.worker.protocol import LONGEST_EVENT
-
-from .pipes import ReadEnd, pipe_from_child, pipe_to_child, wait_for
 
 _CHUNK = 1 << 14
 """bytes of its output that are taken between two looks at the clock"""
