@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 from stage import ADDON
 
-from scenarios.capturing import capture, hands
+from scenarios.capturing import capture, hands, part
 
 
 def all_sections(stage, source, shot="sections"):
@@ -59,9 +59,7 @@ def preferences(stage):
 
 
 def _sections() -> list[type]:
-    from blender_manient import panels
-
-    return list(panels._CLASSES)
+    return list(part("panels")._CLASSES)
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:

@@ -6,8 +6,9 @@ import math
 
 import addon_utils
 import bpy
+from stage import ADDON
 
-from scenarios.capturing import begin, done, finish, hands
+from scenarios.capturing import begin, done, finish, hands, part
 
 INDEX_TIP = 8
 
@@ -47,7 +48,7 @@ def tour(stage, folder, source, edited_frame=12):
 
 
 def _drag_a_fingertip(stage):
-    from blender_manient.operators import edit_keypoints
+    edit_keypoints = part("operators.edit_keypoints")
 
     with stage.override():
         bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
@@ -68,7 +69,7 @@ def _drag_a_fingertip(stage):
 
 def _open_all_sections():
     """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
-    from blender_manient import panels
+    panels = part("panels")
 
     for cls in reversed(panels._CLASSES):
         bpy.utils.unregister_class(cls)
@@ -76,4 +77,4 @@ def _open_all_sections():
         if not hasattr(cls, "bl_parent_id"):
             cls.bl_options = set()
         bpy.utils.register_class(cls)
-    assert addon_utils.check("blender_manient")[1]
+    assert addon_utils.check(ADDON)[1]

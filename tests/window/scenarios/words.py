@@ -37,8 +37,7 @@ def long_names(stage, source, broken):
 @contextmanager
 def _texts():
     """A list that gets all texts and properties which the sections draw, each once, in their order."""
-    from blender_manient import panels
-
+    panels = part("panels")
     shown: list[str] = []
 
     def collect(parts) -> None:
