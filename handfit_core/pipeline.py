@@ -18,6 +18,7 @@ from handfit_core.detect.finder import HandCounter, open_finder
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
+from handfit_core.files import check_writable
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
@@ -219,6 +220,31 @@ def capture_with(
         model_digests={side: hand_model.digest for side, hand_model in models.items()},
         hands=tuple(fitted),
     )
+
+
+def capture_to_file(
+    source: MediaInput,
+    output: str | os.PathLike[str],
+    options: CaptureOptions,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    compact: bool = False,
+) -> dict[str, Any]:
+    """Capture and write the take (`compact` as in `Take.save`); what is to be told of it, fit for JSON.
+
+    Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
+    """
+    check_writable(output)
+    started = time.perf_counter()
+    take = capture_with(source, options, progress, should_stop)
+    path = take.save(output, compact=compact)
+    return {
+        "output": str(path),
+        "frames": len(take.frame_numbers),
+        "seconds": round(time.perf_counter() - started, 3),
+        "hands": hand_summaries(take),
+    }
 
 
 def detect_frames(
