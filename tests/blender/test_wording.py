@@ -13,6 +13,7 @@ from blender_manient import jobs, refiner
 from blender_manient.jobs import Building, Job
 from blender_manient.operators.jump_worst import MANIENT_OT_jump_worst
 from blender_manient.panels.capture import MANIENT_PT_capture
+from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_PT_proportions
 from blender_manient.remembered import Remembered
@@ -194,6 +195,8 @@ def test_a_mirrored_hand_is_not_told_to_be_captured_again(registered, make_take)
     why = refiner.why_not(bpy.context, active_hand(bpy.context))
     assert why.startswith("A mirrored hand is not in the picture")
     assert "capture" not in why
+    assert drawn(MANIENT_PT_refine).said.startswith(why)
+    assert "Mirrored: it is not in the picture itself" in drawn(MANIENT_PT_result).said
 
 
 def test_the_tooltip_has_the_pixels_and_the_button_goes_to_the_worst_frame(registered, make_take):
