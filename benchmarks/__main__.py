@@ -19,8 +19,8 @@ from benchmarks.packages import measure_packages
 from benchmarks.report import Results, json_of, text_of
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import check_writable, written_whole
-from handfit_core.frame_range import FrameRange
-from handfit_core.media import open_media
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
 from handfit_core.solvers import solver_names
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -31,8 +31,7 @@ How fast the solvers and the whole pipeline are.
 
 Four parts, each with its table:
   solvers   the fast solver on one frame and in batches against the paper's solvers, all on
-            the same detections of the hand that INPUT shows most; with a GPU beside the CPU
-            where torch finds one
+            the same detections of the hand that INPUT shows most
   pipeline  capturing INPUT, from file to take, against only reading it and detecting
   memory    the peak of a clip of 10 000 frames against one of 300; off unless asked for,
             as it captures all of these frames

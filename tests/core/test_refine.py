@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
-from handfit_core.align import align
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.landmarks import detector_landmarks
-from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.refine import (
     RefineHand,
     RefineResult,
@@ -36,7 +36,6 @@ from handfit_core.refine import (
 )
 from handfit_core.refine.models import hand_model
 from handfit_core.refine.recent import Recent
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.solvers.fast.chain import Chain
 from handfit_core.solvers.fast.fit import fit_frames, fit_track
@@ -139,9 +138,9 @@ def test_handles_are_the_solvers_points(side: Side) -> None:
     """The light function, the chain, and the mesh with offsets."""
     betas, orient, pose, transl = true_hands(side, 4)
     found = landmark_points(model_of(side), betas[0], orient, pose, transl)
-    chain = Chain(model_of(side), detector_landmarks(), torch.float64)
+    chain = Chain(model_of(side), detector_landmarks())
     posed = chain.pose(chain.state(betas, orient, pose, transl, np.zeros((4, 1))))
-    np.testing.assert_allclose(found, posed.points.numpy(), atol=1e-9)
+    np.testing.assert_allclose(found, posed.points, atol=1e-9)
     np.testing.assert_allclose(found, landmarks_of(side, betas, orient, pose, transl), atol=1e-9)
 
 
