@@ -33,6 +33,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
 
         info = source_info.of(settings)
+        text = ""
         if settings.target == "NEW":
             column.prop(settings, "matching")
             text = _becomes(context.scene, info)
@@ -43,7 +44,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         row.scale_y = 1.5
         row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
         if info.files is not None and info.files.kind != "photo":
-            if settings.target == "NEW" and (own := _becomes(context.scene, info, only_frame=True)) != text:
+            if text and (own := _becomes(context.scene, info, only_frame=True)) != text:
                 sentence(buttons, context, own, "SCENE_DATA")
             frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
             frame.only_frame = True
