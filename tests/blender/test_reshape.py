@@ -435,6 +435,12 @@ def test_hands_with_an_open_wrist_stay_open(make_take):
     assert len(hand.mesh.data.vertices) == len(load_model("open-hand", "right").v_template)
 
 
+def test_a_model_without_an_edge_at_its_wrist_has_no_forearm(make_take, imitation_mano):
+    """The panel shows no box where there is no wrist to close."""
+    (hand,) = build_take(make_take(sides=("right",), model=str(imitation_mano)).take).hands
+    assert (hand.armature.manient.wrist, hand.armature.manient.forearm) == ("open", False)
+
+
 def test_the_mirror_image_has_the_wrist_that_is_shown(make_take):
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take).hands
