@@ -27,7 +27,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Media, Source
-from handfit_core.options import CaptureOptions, HandChoice
+from handfit_core.options import OPTIONS, CaptureOptions, HandChoice
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import FAST_SOLVERS, TrackFit, get_solver
 from handfit_core.solvers.result import ShouldStop, never
@@ -131,23 +131,8 @@ def capture(
     NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a hand was
     found.
     """
-    options = CaptureOptions(
-        frames=frames,  # type: ignore (what is given is brought into the options' own forms)
-        hands=hands,
-        max_hands=max_hands,
-        detector=detector,
-        threshold=threshold,
-        plain_detection=plain_detection,
-        landmark_model=landmark_model,  # type: ignore
-        solver=solver,
-        model=model,  # type: ignore
-        smoothing=smoothing,
-        hand_length=hand_length,
-        intrinsics=intrinsics,  # type: ignore
-        lens=lens,  # type: ignore
-        max_megapixels=max_megapixels,
-    )
-    return capture_with(source, options, progress, should_stop)
+    given = {name: value for name, value in locals().items() if name in OPTIONS}
+    return capture_with(source, CaptureOptions(**given), progress, should_stop)
 
 
 def capture_with(
