@@ -81,7 +81,7 @@ def wheels_of_another_python(files: Files, path: Path) -> Path:
 
 
 def broken_off_download(files: Files, path: Path) -> Path:
-    """The first third of the zip; after half of it a wheel ends, whose list of files is taken for the zip's."""
+    """The first third of the zip; at its half a wheel ends, whose list of files passes for the zip's."""
     content = zips.write(files, path).read_bytes()
     path.write_bytes(content[: len(content) // 3])
     return path
