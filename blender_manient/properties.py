@@ -17,6 +17,8 @@ from bpy.props import (
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 
+from .exporters import EXPORTERS
+from .exporters import PRESETS as PROGRAMS
 from .scene.matching import CHOICES
 
 PRESETS = (
@@ -44,19 +46,8 @@ def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
     source_info.source_changed(settings, context)
 
 
-EXPORT_FORMATS = (
-    ("fbx", "FBX", "Autodesk FBX"),
-    ("glb", "glTF", "glTF 2.0 binary"),
-    ("usd", "USD", "Universal Scene Description"),
-    ("bvh", "BVH", "Biovision motion capture, a file per hand"),
-    ("abc", "Alembic", "Baked mesh cache"),
-    ("npz", "Hand Take", "The captured numbers, for other programs and later import"),
-)
-
-EXPORT_PRESETS = (
-    ("PLAIN", "Plain", "Blender's axes and metres"),
-    ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
-    ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
+EXPORT_FORMATS = tuple(
+    (e.name, e.label, e.description) for e in EXPORTERS.values() if e.writes != "collection"
 )
 
 
@@ -219,7 +210,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     export_preset: EnumProperty(  # type: ignore
         name="For",
-        items=EXPORT_PRESETS,
+        items=PROGRAMS,
         default="PLAIN",
     )
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import bpy
 
+from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-from ..correction_field import Pins
 from ..refiner import Refiner, why_not
 from ..scene.store import hand_of
 from ..selection import active_hand

@@ -13,7 +13,7 @@ from handfit_core.errors import HandfitError, InputError, OutputError
 from handfit_core.files import written_whole
 
 from ..cache import cache_folder
-from ..scene.proof import prove_whole
+from ..scene.proof import is_whole_png, prove_whole
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _write_png(image: bpy.types.Image, path: Path) -> None:
         with written_whole(path) as beside:
             twin.filepath_raw = str(beside)
             twin.save()
-            prove_whole(path, beside)
+            prove_whole(path, beside, is_whole_png)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise OutputError(f"{path}: Blender could not write the picture ({reason})") from error

@@ -18,16 +18,15 @@ from typing import Any, TypeVar
 import bpy
 
 from handfit_core.errors import BuildInterrupted, OptionError
-from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model import HandModel, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, Side
 from handfit_core.take import HandTrack, Take
 
-from .. import axes
+from ..rigs.captured_hand import build_rig
 from ..slices import result_of, retold
 from ..wording import NAME_BYTES, named_after, shortened_name
 from .animation import CURVES, animating, computing_keys, describe
-from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
 from .matching import note_matched
@@ -236,28 +235,29 @@ def _steps(
     hands = []
     for track, shaped in zip(take.hands, shapes, strict=True):
         model_of_side = models[track.side]
-        armature = keep(build_armature(named_after(name, f"{track.side} hand"), shaped, track.side))
+        rig = build_rig(named_after(name, f"{track.side} hand"), shaped, track.side)
+        armature = keep(rig.armature)
         keep(armature.data)
         armature.scale = (units, units, units)
         if own_camera is not None:
             put_before(armature, own_camera)
         describe(armature, take, track)
-        frames = rest_frames(armature, track.side)
+        rest = rig.rest
         yield work.done(1)
-        mesh = keep(build_mesh(f"{armature.name} mesh", model_of_side, shaped))
+        mesh = keep(build_mesh(f"{armature.name} mesh", model_of_side, shaped, rig))
         keep(mesh.data)
         made.extend(mesh.data.materials)
         mesh.parent = armature
         mesh.modifiers.new("Armature", "ARMATURE").object = armature
         yield work.done(1)
         if work.has_correctives(track):
-            offsets = axes.corrective_offsets(model_of_side, frames)
+            offsets = axes.corrective_offsets(model_of_side, rest.frames)
             yield None
-            for _ in adding_correctives(mesh, armature, track.side, offsets):
+            for _ in adding_correctives(mesh, rig, offsets):
                 yield work.done(0.3)
-        keys = yield from work.counting(computing_keys(take, track, shaped, frames, timing))
+        keys = yield from work.counting(computing_keys(take, track, shaped, rest, timing))
         action = None
-        for action in animating(armature, track, keys):
+        for action in animating(rig, keys):
             if action not in made:
                 keep(action)
             yield work.done(1)

@@ -24,6 +24,8 @@ from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 
+from ..rigs import rig_of
+from ..rigs.rig import Rig
 from ..slices import result_of
 from .models import kept_model
 from .timing import Timing
@@ -56,6 +58,11 @@ class CapturedHand:
     index: int
     """Which of `take.hands`"""
     side: Side
+
+    @property
+    def rig(self) -> Rig:
+        """Its bones."""
+        return rig_of(self.armature, self.side)
 
 
 @dataclass(frozen=True)
