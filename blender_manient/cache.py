@@ -179,10 +179,6 @@ def _unusable(path: Path, error: OSError) -> OutputError:
     )
 
 
-def register() -> None:
-    """Nothing to add; the folder is made when it is needed."""
-
-
 def unregister() -> None:
     """Remove this Blender's takes, and the folder if nothing else is in it, and forget the size."""
     _forget_size()

@@ -6,15 +6,13 @@ import importlib
 import inspect
 import pkgutil
 import sys
-from typing import TypeVar
+from typing import Any
 
 from handfit_core.files import shown
 
-_Kind = TypeVar("_Kind")
 
-
-def found_in(package: str, kind: type[_Kind]) -> list[type[_Kind]]:
-    """The classes of that kind that a package's modules define, by the modules' names.
+def found_in(package: str, kind: type) -> list[Any]:
+    """The concrete classes of that kind that a package's modules define, by the modules' names.
 
     A module that cannot be imported is named in the console and left out: one bad file takes none of the
     others away.

@@ -307,13 +307,8 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
 
 
-_CLASSES = (ManientSettings, ManientHand, ManientCapture)
-
-
 def register() -> None:
-    """Add the property groups to scenes, objects and collections."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
+    """Add the groups to scenes, objects and collections."""
     bpy.types.Scene.manient = PointerProperty(type=ManientSettings)
     bpy.types.Object.manient = PointerProperty(type=ManientHand)
     bpy.types.Collection.manient = PointerProperty(type=ManientCapture)
@@ -324,5 +319,3 @@ def unregister() -> None:
     del bpy.types.Collection.manient
     del bpy.types.Object.manient
     del bpy.types.Scene.manient
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)

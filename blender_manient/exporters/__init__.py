@@ -24,5 +24,6 @@ def find_exporter(name: str) -> Exporter:
     """The format of that name (case and a leading dot do not matter). Raises OptionError."""
     chosen = EXPORTERS.get(name.lower().lstrip("."))
     if chosen is None:
-        raise OptionError(f"there is no export format {name!r}; choose from {', '.join(EXPORTERS)}")
+        known = ", ".join(known for known, e in EXPORTERS.items() if e.writes != "captured")
+        raise OptionError(f"there is no export format {name!r}; choose from {known}")
     return chosen

@@ -166,13 +166,3 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         if not frames:
             raise OptionError("the hands have no keys; export the scene's frame range instead")
         return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_export_hand)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_export_hand)

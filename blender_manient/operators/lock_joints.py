@@ -77,13 +77,3 @@ class MANIENT_OT_lock_joints(bpy.types.Operator):
             return list(range(NUM_JOINTS))
         selected = {bone.name for bone in context.selected_pose_bones or () if bone.id_data == hand.armature}
         return [joint for joint, name in enumerate(hand.rig.bones) if name in selected]
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_lock_joints)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_lock_joints)

@@ -93,13 +93,3 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
         if self.keypoint not in pins:
             raise OptionError(f"keypoint {self.keypoint} has no pin in this frame")
         return others
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_move_keypoint)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_move_keypoint)

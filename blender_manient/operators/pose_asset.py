@@ -59,13 +59,3 @@ class MANIENT_OT_save_pose_asset(bpy.types.Operator):
             action.asset_generate_preview()
         self.report({"INFO"}, f"Saved {action.name} with {len(rig.bones) - (not self.wrist)} bones")
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_save_pose_asset)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_save_pose_asset)

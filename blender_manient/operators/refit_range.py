@@ -341,13 +341,3 @@ class _Work:
     def writing(self) -> Iterator[float]:
         """Write the keys; yields how much is done."""
         return self.refiner.replacing(self._asked.tolist(), self._poses)
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_refit_range)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_refit_range)

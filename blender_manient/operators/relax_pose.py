@@ -55,13 +55,3 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
             return {"CANCELLED"}
         set_pose(rig, quats[0])
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_relax_pose)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_relax_pose)

@@ -148,15 +148,3 @@ class MANIENT_MT_sources(bpy.types.Menu):
             entry.kind, entry.name = offer.kind, offer.name
         if not found:
             layout.label(text="No Images or Movie Clips in This File", icon="INFO")
-
-
-def register() -> None:
-    """Add the operator and its menu."""
-    bpy.utils.register_class(MANIENT_OT_use_source)
-    bpy.utils.register_class(MANIENT_MT_sources)
-
-
-def unregister() -> None:
-    """Take both away again."""
-    bpy.utils.unregister_class(MANIENT_MT_sources)
-    bpy.utils.unregister_class(MANIENT_OT_use_source)

@@ -20,9 +20,7 @@ def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:
     Raises HandModelError where no kind recognises a hand.
     """
     sides = SIDES if side is None else (side,)
-    sure, kind, side = max(
-        ((kind.recognises(armature, s), kind, s) for kind in KINDS for s in sides), key=lambda found: found[0]
-    )
-    if sure <= 0.0:
+    found = [kind(armature, s) for kind in KINDS for s in sides if kind.recognises(armature, s) > 0.0]
+    if not found:
         raise HandModelError(f"{armature.name!r} has no hand that is known here: select a captured hand")
-    return kind(armature, side)
+    return max(found, key=lambda rig: rig.recognises(armature, rig.side))

@@ -118,9 +118,10 @@ def export_hands(
 
     The files are `name.<suffix>`, unless the name has another ending that the format keeps; formats that hold
     one skeleton (BVH) get one file per hand, with `_left` and `_right` where there are two (`_left` and
-    `_left2` for two left hands). Frame numbers are kept. `whole`, a collection and its camera, is what .blend files hold; for takes the hands are
-    `CapturedHand`s. Lengths are in metres (Unreal's FBX: centimetres), whatever the scene's unit. The rest of
-    the open Blender file is neither written nor changed. Raises OptionError and OutputError.
+    `_left2` for two left hands). Frame numbers are kept. `whole`, a collection and its camera, is what .blend
+    files hold; for takes the hands are `CapturedHand`s. Lengths are in metres (Unreal's FBX: centimetres),
+    whatever the scene's unit. The rest of the open Blender file is neither written nor changed. Raises
+    OptionError and OutputError.
     """
     chosen = find_exporter(fmt)
     if reason := chosen.why_not():
