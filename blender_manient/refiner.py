@@ -16,8 +16,8 @@ import numpy as np
 from handfit_core.edit.corrections import Pins, changed_quats
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.refine import RefineHand, landmark_points, result_from_message, to_message
-from handfit_core.refine.models import hand_model
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.take import HandTrack
@@ -71,7 +71,7 @@ class Refiner:
         self.name = armature.name
         self.take, self.track = hand.take, hand.track
         self.side: Side = hand.side
-        self.model: HandModel = hand_model(hand.take.model, hand.side)
+        self.model: HandModel = kept_model(hand.take.model, hand.side)
         self._shaped: tuple[tuple[float, ...], ShapedHand] | None = None
 
     @property

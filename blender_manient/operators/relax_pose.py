@@ -7,11 +7,11 @@ import numpy as np
 
 from handfit_core.errors import HandfitError
 from handfit_core.hand_model.anatomy import relaxed_pose
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
 from ..scene.corrections import correct_frame, source_frames, timing_of
 from ..scene.keys import keyed_bones, set_pose
-from ..scene.models import kept_model
 from .needs_hand import hand_in, hand_is_there
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
@@ -30,7 +31,6 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .models import kept_model
 from .store import CapturedHand, hand_of, timing_of
 from .timing import Timing, timing_in
 

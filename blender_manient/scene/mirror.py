@@ -11,6 +11,7 @@ import numpy as np
 from handfit_core.hand_model import HandModel
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.forearm import with_wrist
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack
 
@@ -22,7 +23,6 @@ from .animation import describe
 from .correctives import add_correctives
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import build_mesh
-from .models import kept_model
 from .store import CapturedHand, describe_hand, keep_take
 
 _GAP = 0.01

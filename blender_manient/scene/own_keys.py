@@ -15,11 +15,11 @@ import numpy as np
 
 from handfit_core.edit.corrections import correction_between
 from handfit_core.hand_model import ShapedHand
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
 from .corrections import without_field
 from .keys import PoseKeys, nearest, read_pose_keys
-from .models import kept_model
 from .store import CapturedHand, hand_of, scene_frames
 
 _SAME_TURN = 0.01

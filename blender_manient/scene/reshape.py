@@ -28,6 +28,7 @@ from handfit_core.errors import HandfitError, HandModelError, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.hand_model.forearm import Wrist, with_wrist
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.shape_names import shape_names
 from handfit_core.skeleton import NUM_BETAS
 
@@ -37,7 +38,6 @@ from . import correctives
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
-from .models import kept_model
 from .object_mode import object_mode
 from .store import CapturedHand, hand_of
 

@@ -13,12 +13,12 @@ from mathutils import Matrix
 
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import rotmat_to_quat
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
 from .corrections import corrections_of
 from .keys import read_pose_keys
-from .models import kept_model
 from .object_mode import object_mode
 from .own_scene import own_scene, shown_in_pose
 from .sampling import rotations_of, sample

@@ -20,6 +20,7 @@ import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model.forearm import Wrist, with_wrist
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
@@ -27,7 +28,6 @@ from handfit_core.take import HandTrack, Take
 from ..rigs import rig_of
 from ..rigs.rig import Rig
 from ..slices import result_of
-from .models import kept_model
 from .timing import Timing
 
 _CACHED = 8
