@@ -13,11 +13,11 @@ from handfit_core.geometry.rotations import unflip_quats
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import assign_action, channels, first_slot
 from ..rigs.rig import Rig
-from ..slices import result_of
 from .timing import Timing
 
 CURVES = NUM_JOINTS * 4 + 3

@@ -23,11 +23,11 @@ from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
+from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
 from ..rigs import rig_of
 from ..rigs.rig import Rig
-from ..slices import result_of
 from .timing import Timing
 
 _CACHED = 8
