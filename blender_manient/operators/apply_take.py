@@ -100,13 +100,3 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
             return {"CANCELLED"}
         self.report({"INFO"}, f"Keyed {count} frame{'s' if count != 1 else ''} on {hand.armature.name}")
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_apply_take)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_apply_take)

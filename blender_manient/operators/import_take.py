@@ -103,12 +103,10 @@ def _menu_entry(self, _context):
 
 
 def register() -> None:
-    """Add the operator and its menu entry."""
-    bpy.utils.register_class(MANIENT_OT_import_take)
+    """Add the menu entry."""
     bpy.types.TOPBAR_MT_file_import.append(_menu_entry)
 
 
 def unregister() -> None:
-    """Take both away again."""
+    """Take it away again."""
     bpy.types.TOPBAR_MT_file_import.remove(_menu_entry)
-    bpy.utils.unregister_class(MANIENT_OT_import_take)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import bpy
 
+from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 from .. import shared_worker
-from ..correction_field import Pins
 from ..refiner import Refiner, why_not
 from ..scene.store import hand_of
 from ..selection import active_hand
@@ -93,13 +93,3 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
         if self.keypoint not in pins:
             raise OptionError(f"keypoint {self.keypoint} has no pin in this frame")
         return others
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_move_keypoint)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_move_keypoint)

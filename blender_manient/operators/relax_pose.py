@@ -7,13 +7,11 @@ import numpy as np
 
 from handfit_core.errors import HandfitError
 from handfit_core.hand_model.anatomy import relaxed_pose
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
-from .. import axes
-from ..scene.armature import rest_frames
 from ..scene.corrections import correct_frame, source_frames, timing_of
 from ..scene.keys import keyed_bones, set_pose
-from ..scene.models import kept_model
 from .needs_hand import hand_in, hand_is_there
 
 
@@ -33,18 +31,17 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
     def execute(self, context):
         """Set or correct the fifteen finger bones."""
         hand = hand_in(context)
-        armature, side = hand.armature, hand.side
+        armature, rig = hand.armature, hand.rig
         try:
-            model = kept_model(hand.take.model, side)
+            model = kept_model(hand.take.model, hand.side)
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         still = np.zeros((1, 3))
         try:
-            frames = rest_frames(armature, side)
-            quats, _ = axes.bone_pose(model.shaped(), frames, still, relaxed_pose(model)[None], still)
+            quats, _ = rig.to_bones(model.shaped(), still, relaxed_pose(model)[None], still)
             quats[:, 0] = np.nan  # not the wrist
-            chosen = keyed_bones(armature, side)
+            chosen = keyed_bones(rig)
             if context.scene.tool_settings.use_keyframe_insert_auto:
                 chosen = np.ones(NUM_JOINTS, dtype=bool)
             chosen[0] = False
@@ -56,15 +53,5 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
         except HandfitError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        set_pose(armature, side, quats[0])
+        set_pose(rig, quats[0])
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_relax_pose)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_relax_pose)

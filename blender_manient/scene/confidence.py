@@ -17,7 +17,6 @@ import numpy as np
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
-from .armature import bone_names
 from .store import CapturedHand, captured_hands, hand_of, rows_at
 
 GOOD: Final = 0.02
@@ -86,7 +85,7 @@ def _color(hand: CapturedHand, frame: float) -> None:
         _errors[key] = bone_errors(hand.take, hand.track)
     errors = np.full(NUM_JOINTS, np.nan) if row is None else _errors[key][row]
     bones = hand.armature.pose.bones
-    for name, color in zip(bone_names(hand.side), colors_of(errors), strict=True):
+    for name, color in zip(hand.rig.bones, colors_of(errors), strict=True):
         bone = bones.get(name)
         if bone is None:
             continue
@@ -111,7 +110,7 @@ def _keep_colors(hand: CapturedHand) -> None:
     if hand.armature.manient.own_colors:
         return
     before = {}
-    for name in bone_names(hand.side):
+    for name in hand.rig.bones:
         bone = hand.armature.pose.bones.get(name)
         if bone is not None:
             custom = bone.color.custom

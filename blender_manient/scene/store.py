@@ -20,12 +20,14 @@ import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model.forearm import Wrist, with_wrist
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
+from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
-from ..slices import result_of
-from .models import kept_model
+from ..rigs import rig_of
+from ..rigs.rig import Rig
 from .timing import Timing
 
 _CACHED = 8
@@ -56,6 +58,11 @@ class CapturedHand:
     index: int
     """Which of `take.hands`"""
     side: Side
+
+    @property
+    def rig(self) -> Rig:
+        """Its bones."""
+        return rig_of(self.armature, self.side)
 
 
 @dataclass(frozen=True)

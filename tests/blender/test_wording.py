@@ -10,7 +10,7 @@ import pytest
 import blender_manient
 from blender_manient import jobs, refiner
 from blender_manient.jobs import Building, Job
-from blender_manient.operators.jump_worst import MANIENT_OT_jump_worst
+from blender_manient.operators.doubtful_frames import MANIENT_OT_jump_worst
 from blender_manient.remembered import Remembered
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take

@@ -121,8 +121,16 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
             assert module.split(".")[0] not in (*HEAVY, *THREADED), name
 
 
-ASSEMBLIES = ("parts", "batch.order", "batch.run", "panels")
-PURE = ("axes", "picture_map", "wording", "installation", "slices", "batch.arguments", "batch.console")
+ASSEMBLIES = ("parts", "batch.order", "batch.run", "exporters", "exporters.take")
+PURE = (
+    "picture_map",
+    "wording",
+    "installation",
+    "sources",
+    "batch.arguments",
+    "batch.console",
+    "batch.inputs",
+)
 """Modules of the add-on that work without Blender"""
 
 
