@@ -23,11 +23,10 @@ from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
 from handfit_core.evaluate.commands import add_evaluate_command
-from handfit_core.files import check_writable
 from handfit_core.fit_quality import quality
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.options import CaptureOptions, add_options
-from handfit_core.pipeline import Progress, ProgressCallback, capture_with, hand_summaries
+from handfit_core.pipeline import Progress, capture_to_file
 from handfit_core.version import __version__
 
 EXIT_FAILED = 1
@@ -123,43 +122,13 @@ def _worker(args: argparse.Namespace) -> int:
 
 
 def _capture(args: argparse.Namespace) -> int:
-    output: _Output = args.reporter
-    check_writable(args.output)  # now, not after an hour of capturing
     source = args.input[0] if len(args.input) == 1 else args.input
-    started = time.perf_counter()
-    progress = None if args.progress == "none" else output.progress
-    take = capture_with(source, CaptureOptions.of_arguments(args), progress)
-    path = take.save(args.output)
-    output.done(
-        {
-            "output": str(path),
-            "frames": len(take.frame_numbers),
-            "seconds": round(time.perf_counter() - started, 3),
-            "hands": hand_summaries(take),
-        }
-    )
+    progress = None if args.progress == "none" else args.reporter.progress
+    args.reporter.done(capture_to_file(source, args.output, CaptureOptions.of_arguments(args), progress))
     return 0
 
 
-class _Output:
-    """Where progress, results, warnings and errors go."""
-
-    progress: ProgressCallback
-
-    def done(self, summary: dict[str, Any]) -> None:
-        raise NotImplementedError
-
-    def evaluated(self, summary: dict[str, Any], table: str) -> None:
-        raise NotImplementedError
-
-    def warning(self, message: str) -> None:
-        raise NotImplementedError
-
-    def error(self, kind: str, message: str) -> None:
-        raise NotImplementedError
-
-
-class _JsonOutput(_Output):
+class _JsonOutput:
     """One JSON object a line on stdout; docs/batch.md lists the events."""
 
     def _write(self, **event: Any) -> None:
@@ -188,7 +157,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-class _TextOutput(_Output):
+class _TextOutput:
     """A progress bar and sentences for people, on whatever sys.stderr is at the time."""
 
     _WIDTH = 30
@@ -260,7 +229,7 @@ def _mean_error(hand: dict[str, Any]) -> str:
 class _LogHandler(logging.Handler):
     """Sends the core's warnings to the output."""
 
-    def __init__(self, output: _Output) -> None:
+    def __init__(self, output: _JsonOutput | _TextOutput) -> None:
         super().__init__(logging.WARNING)
         self._output = output
 

@@ -18,6 +18,7 @@ from handfit_core.detect.finder import HandCounter, open_finder
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
+from handfit_core.files import check_writable
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
@@ -26,7 +27,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Media, Source
-from handfit_core.options import CaptureOptions, HandChoice
+from handfit_core.options import OPTIONS, CaptureOptions, HandChoice
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import FAST_SOLVERS, TrackFit, get_solver
 from handfit_core.solvers.result import ShouldStop, never
@@ -130,23 +131,8 @@ def capture(
     NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a hand was
     found.
     """
-    options = CaptureOptions(
-        frames=frames,  # type: ignore (what is given is brought into the options' own forms)
-        hands=hands,
-        max_hands=max_hands,
-        detector=detector,
-        threshold=threshold,
-        plain_detection=plain_detection,
-        landmark_model=landmark_model,  # type: ignore
-        solver=solver,
-        model=model,  # type: ignore
-        smoothing=smoothing,
-        hand_length=hand_length,
-        intrinsics=intrinsics,  # type: ignore
-        lens=lens,  # type: ignore
-        max_megapixels=max_megapixels,
-    )
-    return capture_with(source, options, progress, should_stop)
+    given = {name: value for name, value in locals().items() if name in OPTIONS}
+    return capture_with(source, CaptureOptions(**given), progress, should_stop)
 
 
 def capture_with(
@@ -219,6 +205,31 @@ def capture_with(
         model_digests={side: hand_model.digest for side, hand_model in models.items()},
         hands=tuple(fitted),
     )
+
+
+def capture_to_file(
+    source: MediaInput,
+    output: str | os.PathLike[str],
+    options: CaptureOptions,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    compact: bool = False,
+) -> dict[str, Any]:
+    """Capture and write the take (`compact` as in `Take.save`); what is to be told of it, fit for JSON.
+
+    Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
+    """
+    check_writable(output)
+    started = time.perf_counter()
+    take = capture_with(source, options, progress, should_stop)
+    path = take.save(output, compact=compact)
+    return {
+        "output": str(path),
+        "frames": len(take.frame_numbers),
+        "seconds": round(time.perf_counter() - started, 3),
+        "hands": hand_summaries(take),
+    }
 
 
 def detect_frames(

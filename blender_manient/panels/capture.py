@@ -33,6 +33,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
 
         info = source_info.of(settings)
+        text = ""
         if settings.target == "NEW":
             column.prop(settings, "matching")
             text = _becomes(context.scene, info)
@@ -43,7 +44,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         row.scale_y = 1.5
         row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
         if info.files is not None and info.files.kind != "photo":
-            if settings.target == "NEW" and (own := _becomes(context.scene, info, only_frame=True)) != text:
+            # Only what is not said above.
+            if text and not text.startswith(own := _becomes(context.scene, info, only_frame=True)):
                 sentence(buttons, context, own, "SCENE_DATA")
             frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
             frame.only_frame = True
@@ -85,7 +87,7 @@ def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only_frame
     """What becomes of the scene when the source, or only the current frame of it, is captured."""
     settings = scene.manient
     footage = source_info.footage(settings, info, only=scene.frame_current if only_frame else None)
-    ready = settings.render_setup and settings.camera != "ACTIVE"
+    ready = settings.render_setup and settings.camera != "ACTIVE" and not only_frame
     return said(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
 
 

@@ -117,7 +117,8 @@ def said(
         if footage is not None and footage.width:
             news += ", with the footage's camera"
         if render_setup and done is None and (footage is None or footage.width):
-            news += ". Renders show the picture, its colors as they are (Standard), lit by suns if unlit"
+            news += ". Renders show the picture, its colors as they are (Standard), and suns light the hands "
+            news += "if nothing else does"
         return f"Scene {'becomes' if done is None else 'became'} {news}"
     comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
     why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""

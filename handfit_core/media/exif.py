@@ -25,22 +25,30 @@ _LONG = 4
 
 def read_orientation(data: bytes) -> int:
     """EXIF orientation 1-8 of an encoded JPEG, PNG, WebP or TIFF; 1 where there is none."""
-    try:
-        tiff = _tiff_block(data)
-        value = None if tiff is None else _first_ifd_short(tiff, _ORIENTATION_TAG)
-    except (struct.error, IndexError, ValueError):
-        return 1  # damaged metadata is no reason to refuse a picture
+    value = _short(data, _ORIENTATION_TAG)
     return value if value is not None and 1 <= value <= 8 else 1
 
 
 def read_focal_35mm(data: bytes) -> float | None:
     """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where it is not told."""
+    value = _short(data, _FOCAL_35MM_TAG, within=_EXIF_IFD_TAG)
+    return float(value) if value else None
+
+
+def _short(data: bytes, tag: int, within: int | None = None) -> int | None:
+    """A tag's 16-bit number, from the first directory or from the one that the tag `within` leads to; None
+    where there is none, and in damaged metadata, which are no reason to refuse a picture."""
     try:
         tiff = _tiff_block(data)
-        value = None if tiff is None else _exif_ifd_short(tiff, _FOCAL_35MM_TAG)
+        order = None if tiff is None else {b"II": "<", b"MM": ">"}.get(tiff[:2])
+        if tiff is None or order is None:
+            return None
+        (directory,) = struct.unpack_from(order + "I", tiff, 4)
+        if within is not None:
+            directory = _ifd_value(tiff, order, directory, within, _LONG)
+        return None if directory is None else _ifd_value(tiff, order, directory, tag, _SHORT)
     except (struct.error, IndexError, ValueError):
         return None
-    return float(value) if value else None
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -103,27 +111,6 @@ def _from_chunks(
             return data[position + 8 : position + 8 + size]
         position += 8 + size + (size % 2 if type_first else 4)
     return None
-
-
-def _first_ifd_short(tiff: bytes, tag: int) -> int | None:
-    order = _byte_order(tiff)
-    if order is None:
-        return None
-    (offset,) = struct.unpack_from(order + "I", tiff, 4)
-    return _ifd_value(tiff, order, offset, tag, _SHORT)
-
-
-def _exif_ifd_short(tiff: bytes, tag: int) -> int | None:
-    order = _byte_order(tiff)
-    if order is None:
-        return None
-    (offset,) = struct.unpack_from(order + "I", tiff, 4)
-    nested = _ifd_value(tiff, order, offset, _EXIF_IFD_TAG, _LONG)
-    return None if nested is None else _ifd_value(tiff, order, nested, tag, _SHORT)
-
-
-def _byte_order(tiff: bytes) -> str | None:
-    return {b"II": "<", b"MM": ">"}.get(tiff[:2])
 
 
 def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from handfit_core.errors import OptionError
-from handfit_core.files import check_writable
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import Progress, capture_with, hand_summaries
+from handfit_core.pipeline import Progress, capture_to_file
 
 
 def source_of(message: Mapping[str, Any]) -> str | list[str]:
@@ -36,7 +34,6 @@ def answer(
     if not isinstance(compact, bool):
         raise OptionError(f"a capture's compact must be true or false, not {compact!r}")
     options = CaptureOptions.of_message(message.get("options") or {})
-    check_writable(output)
     stopped = False
 
     def asked() -> bool:
@@ -47,13 +44,5 @@ def answer(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    started = time.perf_counter()
-    take = capture_with(source, options, report, asked)
-    path = take.save(output, compact=compact)
-    return {
-        "output": str(path),
-        "frames": len(take.frame_numbers),
-        "seconds": round(time.perf_counter() - started, 3),
-        "hands": hand_summaries(take),
-        "stopped": stopped,
-    }
+    done = capture_to_file(source, output, options, report, asked, compact=compact)
+    return {**done, "stopped": stopped}

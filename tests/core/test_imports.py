@@ -126,7 +126,6 @@ PURE = (
     "picture_map",
     "wording",
     "installation",
-    "sources",
     "batch.arguments",
     "batch.console",
     "batch.inputs",
@@ -145,6 +144,27 @@ def test_modules_that_name_no_blender_need_none() -> None:
     pure = [name for name in MODULES if name.startswith("blender_manient.") and not imports_blender(name)]
     behind = {name for name in pure if any(map(imports_blender, loaded_with([name])))}
     assert behind <= {f"blender_manient.{name}" for name in ASSEMBLIES}
+
+
+ARROWS = {
+    "doors": ("errors", "doors"),
+    "geometry": ("errors", "geometry"),
+    "media": ("errors", "doors", "files", "geometry", "media"),
+    "detect": (
+        *("detect", "doors", "errors", "files", "geometry", "hand_model", "media"),
+        *("options", "registry", "skeleton"),
+    ),
+}
+"""What the rooms at the beginning of the path may know of the core"""
+
+
+@pytest.mark.parametrize("room", ARROWS)
+def test_rooms_know_only_what_comes_before_them(room: str) -> None:
+    known: set[str] = set()
+    for path in (ROOT / "handfit_core" / room).rglob("*.py"):
+        names = (m.split(".") for m in imported_modules(path))
+        known |= {name[1] for name in names if name[0] == "handfit_core" and len(name) > 1}
+    assert known <= set(ARROWS[room])
 
 
 def test_light_half_is_light() -> None:

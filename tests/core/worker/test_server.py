@@ -182,14 +182,7 @@ def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
     [
         ({"options": {"speed": 3}}, "OptionError", "no option 'speed' of a capture; choose from frames"),
         ({"options": {"threshold": "high"}}, "OptionError", "'threshold' must be a number; got 'high'"),
-        ({"options": {"threshold": True}}, "OptionError", "'threshold' must be a number"),
-        ({"options": {"plain_detection": 1}}, "OptionError", "must be true or false"),
-        ({"options": {"intrinsics": [1, 2]}}, "OptionError", "four numbers"),
-        ({"options": {"intrinsics": [-1, 1, 0, 0]}}, "OptionError", "focal lengths"),
-        ({"options": {"lens": [1]}}, "OptionError", "three numbers"),
         ({"options": {"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}}, "OptionError", "not both"),
-        ({"options": {"hand_length": 18}}, "OptionError", "between 50 and 300 mm"),
-        ({"options": {"frames": "x"}}, "OptionError", "'x'"),
         ({"options": {"solver": "magic"}}, "OptionError", "no solver 'magic'"),
         ({"options": [1]}, "OptionError", "options must be an object"),
         ({"input": "a.png"}, "OptionError", "input must be a list"),
@@ -204,7 +197,6 @@ def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
         ({"input": [" "]}, "InputError", "' ': there is no such file"),
         ({"options": {"intrinsics": [1e-300, 1e-300, 0, 0]}}, "OptionError", "focal lengths"),
         ({"options": {"intrinsics": [1, 1, 0, 0]}}, "OptionError", "between 32 and 640000 pixels"),
-        ({"options": {"threshold": 10**400}}, "OptionError", "a finite number"),
     ],
     ids=str,
 )
