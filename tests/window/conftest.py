@@ -56,9 +56,9 @@ def _window(tmp_path_factory, screenshots: Path, size: tuple[int, int]) -> Itera
 def rendered_hand() -> Path:
     """The bundled image sequence, for tests that capture."""
     python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
+    code = "import cv2, mediapipe, scipy"
     if subprocess.run([python, "-c", code], capture_output=True, check=False).returncode != 0:
-        pytest.skip("needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON")
+        pytest.skip("needs a Python with SciPy, OpenCV and MediaPipe in HANDFIT_PYTHON")
     return RENDERED_HAND
 
 
