@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
 RUN_TIME = ["torch", "scipy", "opencv-python-headless", "mediapipe"]
-EVALUATION = ["matplotlib", "jinja2"]
+EVALUATION = ["pandas", "matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
