@@ -262,7 +262,7 @@ def bump(session: nox.Session) -> None:
 @nox.session(python=PYTHON)
 def lint(session: nox.Session) -> None:
     """ruff (lint and format), pyright, and the forms and workflows of a public host against their schemas."""
-    tools = ["ruff", "pyright[nodejs]", "check-jsonschema", "nox", "pytest"]
+    tools = ["ruff", "pyright[nodejs]", "pandas-stubs", "check-jsonschema", "nox", "pytest"]
     install(session, *tools, CORE_NUMPY, *RUN_TIME, *EVALUATION)
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")

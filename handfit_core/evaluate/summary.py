@@ -92,7 +92,7 @@ def hands_table(scores: Scores) -> pd.DataFrame:
         }
     )
     tags = pd.DataFrame([dict(tags) for tags in scores.tags], index=told.index)
-    return told.join(tags[sorted(tags)].add_prefix("tag_"))
+    return told.join(tags[sorted(map(str, tags))].add_prefix("tag_"))
 
 
 def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
@@ -193,10 +193,12 @@ def _counted_epe(scores: Scores) -> np.ndarray:
 def _of_clips(scores: Scores) -> dict[str, float]:
     """The metrics of each hand of each clip, averaged with the number of its detected frames as weight."""
     hands = pd.DataFrame({"clip": scores.clips, "hand": scores.hands})
-    values = [_of_clip(scores, rows) for rows in hands.groupby(["clip", "hand"], sort=False).indices.values()]
+    tracks = hands.groupby(["clip", "hand"], sort=False).indices.values()
+    values = [_of_clip(scores, np.asarray(rows)) for rows in tracks]
     table = pd.DataFrame(values, columns=["frames", *_CLIP_METRICS], dtype=float)
     weights = table[list(_CLIP_METRICS)].notna().mul(table.pop("frames"), axis="index")
-    return (table.mul(weights).sum() / weights.sum()).to_dict()
+    means = table.mul(weights).sum() / weights.sum()
+    return {key: float(means[key]) for key in _CLIP_METRICS}
 
 
 def _of_clip(scores: Scores, rows: np.ndarray) -> tuple[int, float, float, float]:

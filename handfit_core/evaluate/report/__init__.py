@@ -93,7 +93,7 @@ def headline(evaluation: Evaluation) -> str:
     best = best_method(evaluation, metric)
     if best is None:
         return f"{text}. No method has an error to show."
-    value = text_of(numbers_of(evaluation).loc[best.method, metric.key], metric, with_unit=True)
+    value = text_of(float(numbers_of(evaluation)[metric.key][best.method]), metric, with_unit=True)
     if len(methods) == 1:
         return f"{text}. {best.method} has {metric.title} {value}."
     return f"{text}. Best of {len(methods)} methods: {best.method}, {metric.title} {value}."

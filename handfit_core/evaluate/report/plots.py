@@ -43,7 +43,7 @@ _COLOURS = (
     *("#7f3c8d", "#8c6d31", "#b2182b", "#1b7837", "#4d4d4d", "#17becf"),
 )
 _MARKERS = "osD^vPX<>*hp"
-_SETTINGS = {
+_SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "handfit",  # fixed ids, so that the same numbers give the same file
     **{"font.size": 10.0, "figure.figsize": (7.5, 4.2), "lines.markersize": 4.5},
     **{"axes.grid": True, "axes.grid.axis": "y", "axes.axisbelow": True, "grid.color": "#e6e6e6"},
@@ -166,7 +166,7 @@ def view_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
     reach = min(0.3, 0.05 * (len(methods) - 1))
     for s, offset in zip(methods, np.linspace(-reach, reach, len(methods)), strict=True):
         means = pd.Series(hand_means(s, metric.key)).groupby(seen).mean()[views]
-        style = _style(evaluation, focus, s) | {"linestyle": "none", "markersize": 7}
+        style = _style(evaluation, focus, s, linestyle="none", markersize=7)
         axes.plot(np.arange(len(views)) + offset, means, label=s.method, **style)
     axes.set_xticks(range(len(views)), [f"{view}\n{(seen == view).sum()} hands" for view in views])
     _finish(axes)
@@ -200,7 +200,7 @@ def _curves(
     axes = figure.add_subplot(xlabel=label, ylabel="share of correct points")
     for s, curve, area in curves:
         text = f"{s.method} ({area:.3f})" if math.isfinite(area) else s.method
-        axes.plot(thresholds, curve, label=text, **_style(evaluation, focus, s) | {"marker": ""})
+        axes.plot(thresholds, curve, label=text, **_style(evaluation, focus, s, marker=""))
     axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(0.0, 1.01))
     _finish(axes, "method (AUC)")
     return figure
@@ -217,16 +217,17 @@ def _finish(axes: Axes, title: str | None = None) -> None:
     axes.legend(title=title, bbox_to_anchor=(1.02, 1.0), borderaxespad=0.0)
 
 
-def _style(evaluation: Evaluation, focus: str | None, scores: Scores) -> dict[str, Any]:
-    """The same look for a method in every plot."""
+def _style(evaluation: Evaluation, focus: str | None, scores: Scores, **other: Any) -> dict[str, Any]:
+    """The same look for a method in every plot, but for what is asked to be `other`."""
     group = [s.method for s in evaluation.scores if s.is_baseline == scores.is_baseline]
     i = group.index(scores.method)
     if scores.is_baseline:
-        return {"color": "#888888", "linestyle": ("--", ":", "-.")[i % 3], "linewidth": 1.2}
+        return {"color": "#888888", "linestyle": ("--", ":", "-.")[i % 3], "linewidth": 1.2, **other}
     shown = focus_of(evaluation, focus)
     return {
         "color": _COLOURS[i % len(_COLOURS)],
         "marker": _MARKERS[i % len(_MARKERS)],
         "linestyle": "-" if i < len(_COLOURS) else (0, (5, 1.5)),
         "linewidth": 2.6 if shown and shown.method == scores.method else 1.3,
+        **other,
     }

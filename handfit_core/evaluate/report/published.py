@@ -102,7 +102,7 @@ def others_table(evaluation: Evaluation, focus: str | None = None) -> Table | No
         return None
     here = numbers_of(evaluation)["auc"]
     results = {**OTHERS_AUC[evaluation.kind]}
-    results["paper-a, as published"] = EXPERIMENTS.loc["paper-a", f"{evaluation.kind} auc"]
+    results["paper-a, as published"] = float(EXPERIMENTS[f"{evaluation.kind} auc"]["paper-a"])
     ours = {f"{s.method}, here": here[s.method] for s in beside_published(evaluation, focus)}
     ranked = pd.Series({**results, **ours}).dropna().sort_values(ascending=False, kind="stable")
     texts = [text_of(value, METRICS["auc"]) for value in ranked]

@@ -127,7 +127,7 @@ def error_metric(evaluation: Evaluation) -> Metric:
 
 def numbers_of(evaluation: Evaluation) -> pd.DataFrame:
     """The summaries: a row for each method, baselines first; a column for each of METRICS, NaN for none."""
-    found = pd.DataFrame.from_dict(evaluation.summaries, orient="index", dtype=float)
+    found = pd.DataFrame(dict(evaluation.summaries), dtype=float).T
     return found.reindex(index=[s.method for s in evaluation.scores], columns=list(METRICS))
 
 
@@ -245,7 +245,7 @@ def verdict(comparison: Comparison) -> str:
     if not c.is_significant:
         return f"no difference shown ({_interval(c.low, c.high, metric)}{few})"
     better = "better" if (c.difference < 0.0) == metric.lower_is_better else "worse"
-    interval = _interval(*sorted((abs(c.low), abs(c.high))), metric)
+    interval = _interval(min(abs(c.low), abs(c.high)), max(abs(c.low), abs(c.high)), metric)
     amount = text_of(abs(c.difference), metric, with_unit=True)
     return f"{c.first} is {amount} {better} than {c.second} ({interval}{few})"
 
