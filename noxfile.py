@@ -260,6 +260,13 @@ def bump(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHON)
+def docs(session: nox.Session) -> None:
+    """The documentation as a site that opens from the disk, into out/site/. A dead link is an error."""
+    install(session, "mkdocs-material", "mkdocstrings[python]", "ruff")
+    session.run("mkdocs", "build", "--strict", "--quiet", env={"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": "."})
+
+
+@nox.session(python=PYTHON)
 def lint(session: nox.Session) -> None:
     """ruff (lint and format), pyright, and the forms and workflows of a public host against their schemas."""
     tools = ["ruff", "pyright[nodejs]", "pandas-stubs", "check-jsonschema", "nox", "pytest"]

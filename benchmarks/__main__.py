@@ -31,8 +31,7 @@ How fast the solvers and the whole pipeline are.
 
 Four parts, each with its table:
   solvers   the fast solver on one frame and in batches against the paper's solvers, all on
-            the same detections of the hand that INPUT shows most; with a GPU beside the CPU
-            where torch finds one
+            the same detections of the hand that INPUT shows most
   pipeline  capturing INPUT, from file to take, against only reading it and detecting
   memory    the peak of a clip of 10 000 frames against one of 300; off unless asked for,
             as it captures all of these frames

@@ -42,7 +42,6 @@ class Contender:
     """Frames that one call does"""
     calls: int = 1
     """Calls in a row per round: more for what is quick"""
-    device: str = "cpu"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +50,6 @@ class Timing:
 
     name: str
     frames: int
-    device: str = "cpu"
     rounds: list[list[float]] = field(default_factory=list)
     """seconds of every call, per round"""
 
@@ -77,7 +75,7 @@ def interleaved(
 
     `on_round` is called with the number of rounds done. Returns one `Timing` per contender, in order.
     """
-    timings = [Timing(c.name, c.frames, c.device) for c in contenders]
+    timings = [Timing(c.name, c.frames) for c in contenders]
     for contender in contenders:
         contender.run(0)
     for number in range(rounds):

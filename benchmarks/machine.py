@@ -12,7 +12,7 @@ PACKAGES = ("numpy", "torch", "scipy", "mediapipe", "opencv-python-headless")
 
 
 def machine_facts() -> dict[str, Any]:
-    """Processor, cores, load, threads, GPU and versions; nothing that names the machine."""
+    """Processor, cores, load, threads and versions; nothing that names the machine."""
     import cv2
     import torch
 
@@ -24,7 +24,6 @@ def machine_facts() -> dict[str, Any]:
         "load_before": _load(),
         "torch_threads": torch.get_num_threads(),
         "opencv_threads": cv2.getNumThreads(),
-        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "python": platform.python_version(),
         "versions": {package: version(package) for package in PACKAGES},
     }

@@ -93,8 +93,7 @@ def _machine_lines(results: Results) -> str:
     return "\n".join(
         [
             f"input: {results.source}",
-            f"machine: {m['processor']}, {m['usable_cores']} of {m['cores']} cores{load}; "
-            f"GPU: {m['gpu'] or 'none'}",
+            f"machine: {m['processor']}, {m['usable_cores']} of {m['cores']} cores{load}",
             f"threads: torch {m['torch_threads']} (solvers take 1), OpenCV {m['opencv_threads']}",
             f"versions: Python {m['python']}, {packages}",
         ]
@@ -107,25 +106,10 @@ def _reference(results: Results, solvers: SolverTimings) -> Timing | None:
 
 def _solver_part(results: Results, solvers: SolverTimings) -> str:
     reference = _reference(results, solvers)
-    names = list(dict.fromkeys(t.name for t in solvers.timings))
-    devices = list(dict.fromkeys(t.device for t in solvers.timings))
-    header = ["solver"]
-    for device in devices:
-        on = "" if device == "cpu" else " on GPU"
-        header += [f"ms/frame{on}", "quartiles", f"frames/s{on}"]
-        if reference is not None:
-            header += [f"x {reference.name}{on}", "range"]
-    rows = [
-        [name]
-        + [
-            cell
-            for device in devices
-            for cell in _solver_cells(
-                next((t for t in solvers.timings if (t.name, t.device) == (name, device)), None), reference
-            )
-        ]
-        for name in names
-    ]
+    header = ["solver", "ms/frame", "quartiles", "frames/s"]
+    if reference is not None:
+        header += [f"x {reference.name}", "range"]
+    rows = [[t.name, *_solver_cells(t, reference)] for t in solvers.timings]
     rounds = len(solvers.timings[0].rounds)
     notes = [
         f"{rounds} rounds, in each of which all have their turn; batches are made of "
@@ -218,7 +202,6 @@ def _timing_json(timing: Timing) -> dict[str, Any]:
     spread: Spread = timing.seconds_per_frame
     return {
         "name": timing.name,
-        "device": timing.device,
         "frames_per_call": timing.frames,
         "seconds_per_frame": asdict(spread),
         "frames_per_second": 1 / spread.median,

@@ -26,9 +26,9 @@ class SolverTimings:
     doubtful: float
     """... that it doubts itself"""
 
-    def named(self, name: str, device: str = "cpu") -> Timing:
+    def named(self, name: str) -> Timing:
         """The timing of that name."""
-        return next(t for t in self.timings if (t.name, t.device) == (name, device))
+        return next(t for t in self.timings if t.name == name)
 
 
 def time_solvers(
@@ -41,11 +41,9 @@ def time_solvers(
     """Time the fast solver alone and in batches, and `slow` solvers by name, in turn.
 
     In one round all that take one frame take the same, and rounds take frames evenly spread over the
-    clip. Batches are of independent frames, each with its own shape; where torch finds a GPU, they
-    run on it, too. Raises OptionError for a solver that does not exist.
+    clip. Batches are of independent frames, each with its own shape. Raises OptionError for a solver that
+    does not exist.
     """
-    import torch
-
     from handfit_core.solvers.fast.fit import fit_frames
 
     frames = np.linspace(0, len(hand.detections) - 1, rounds).round().astype(int)
@@ -56,18 +54,13 @@ def time_solvers(
             hand.model, hand.single(int(frames[number])), hand.intrinsics, lambda: None
         )
 
-    def batch(size: int, device: str) -> Callable[[int], object]:
+    def batch(size: int) -> Callable[[int], object]:
         detections = hand.batch(size)
-        return lambda _: fit_frames(hand.model, detections, hand.intrinsics, device)
+        return lambda _: fit_frames(hand.model, detections, hand.intrinsics)
 
-    devices = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
     contenders = [Contender(name, alone(name)) for name in slow]
     contenders.append(Contender(ALONE, alone("fast"), calls=ALONE_CALLS))
-    contenders += [
-        Contender(f"fast, batch of {size}", batch(size, device), size, _calls(size), device)
-        for device in devices
-        for size in batches
-    ]
+    contenders += [Contender(f"fast, batch of {size}", batch(size), size, _calls(size)) for size in batches]
     timings = interleaved(contenders, rounds, on_round)
     fits = fit_frames(hand.model, hand.detections, hand.intrinsics)
     return SolverTimings(timings, float(fits.converged.mean()), float(fits.doubtful.mean()))

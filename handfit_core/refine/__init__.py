@@ -1,7 +1,7 @@
 """Re-fitting frames of a captured hand with an artist's corrections: points that are pinned to where they
 belong in the picture, and joints that are locked.
 
-Light to import; torch loads with the first fit.
+Light to import: SciPy loads with the first range.
 """
 
 from handfit_core.refine.hand import RefineHand, RefineResult

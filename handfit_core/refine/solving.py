@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
-import torch
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import Cancelled
@@ -28,7 +27,6 @@ from handfit_core.solvers.fast.keeping import Kept
 from handfit_core.solvers.fast.observation import Observation
 from handfit_core.solvers.fast.observe import Landmarked, landmarked
 from handfit_core.solvers.result import ShouldStop
-from handfit_core.torch_threads import one_thread
 
 LOOSE: Final = 4.0
 """times the expected errors of a pose's points, where they stand in for a detection among others"""
@@ -66,22 +64,21 @@ def each(
     detected = _detected(hand, rows)
     seen = _first_or_second(posed[rows], pinning.kept(points[rows], hand.intrinsics), detected)
     held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
-    fitter = fitter_of(model, torch.float32)
-    with one_thread(), torch.inference_mode():
-        for at, part in _chunks(rows):
-            observed = _rows(seen, part).observation(hand.intrinsics, fitter.dtype)
-            own = _start(fitter, hand, hand, posed[at], observed, at)
-            near = own if draft else None
-            if draft and guess is not None:
-                there = guess.present[at]
-                near = _start(fitter, hand, guess, there, observed, at).where(torch.tensor(there), own)
-            frames = _Frames(
-                fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
-                _rows(seen, part), _rows(detected, part), own, near,
-            )  # fmt: skip
-            state, held[at] = frames.corrected()
-            for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
-                pose[name][at] = values
+    fitter = fitter_of(model)
+    for at, part in _chunks(rows):
+        observed = _rows(seen, part).observation(hand.intrinsics)
+        own = _start(fitter, hand, hand, posed[at], observed, at)
+        near = own if draft else None
+        if draft and guess is not None:
+            there = guess.present[at]
+            near = _start(fitter, hand, guess, there, observed, at).where(there, own)
+        frames = _Frames(
+            fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
+            _rows(seen, part), _rows(detected, part), own, near,
+        )  # fmt: skip
+        state, held[at] = frames.corrected()
+        for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
+            pose[name][at] = values
     return _with_held(hand, held, pose)
 
 
@@ -122,18 +119,15 @@ class _Frames:
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self._select(palm)
-            found, held[palm] = some._palm_follows(
-                state.select(torch.tensor(palm)), _rows(seen, palm), left[palm]
-            )
+            found, held[palm] = some._palm_follows(state.select(palm), _rows(seen, palm), left[palm])
             state = _put(state, palm, found)
         return state, held
 
     def _select(self, rows: np.ndarray) -> _Frames:
-        index = torch.tensor(rows)
         return replace(
             self, pins=self.pins[rows], posed=self.posed[rows], locked=self.locked[rows],
-            seen=_rows(self.seen, rows), detected=_rows(self.detected, rows), own=self.own.select(index),
-            near=None if self.near is None else self.near.select(index),
+            seen=_rows(self.seen, rows), detected=_rows(self.detected, rows), own=self.own.select(rows),
+            near=None if self.near is None else self.near.select(rows),
         )  # fmt: skip
 
     def _fingers_alone(self) -> tuple[State, np.ndarray]:
@@ -151,8 +145,8 @@ class _Frames:
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
             short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
             if len(short):
-                some, kept = self._select(short), self.own.select(torch.tensor(short))
-                starts = [found.select(torch.tensor(short)), *some._other_bends()]
+                some, kept = self._select(short), self.own.select(short)
+                starts = [found.select(short), *some._other_bends()]
                 others = _rows(seen, short), kept, anywhere[short], doubt[short], held[short], starts
                 found = _put(found, short, some._solved(*others))
         return found, held
@@ -164,7 +158,7 @@ class _Frames:
         for bends in OTHER_BENDS:
             angles = np.zeros((1, 5, 3, 3))
             angles[0, ..., 2] = np.array(bends) * upper[..., 2]
-            local = rotation_of(self.own.local.new_tensor(angles)).expand_as(self.own.local)
+            local = np.broadcast_to(rotation_of(angles), self.own.local.shape)
             states.append(replace(self.own, local=local))
         return states
 
@@ -183,7 +177,7 @@ class _Frames:
         if self.near is not None:
             starts.insert(0, replace(self.near, local=reached.local))
         elif turns.any():
-            starts.insert(0, reached.where(torch.tensor(turns), starts[0]))
+            starts.insert(0, reached.where(np.asarray(turns), starts[0]))
         return self._solved(aim, reached, far, doubt, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
@@ -195,8 +189,8 @@ class _Frames:
             / np.maximum(at.sum(axis=1), 1)[:, None]
         )
         focal = np.array([self.intrinsics.fx, self.intrinsics.fy])
-        moved = state.wrist.clone()
-        moved[:, :2] += state.wrist[:, 2:] * state.wrist.new_tensor(off / focal)
+        moved = state.wrist.copy()
+        moved[:, :2] += state.wrist[:, 2:] * (off / focal)
         return replace(state, wrist=moved)
 
     def _solved(
@@ -208,12 +202,12 @@ class _Frames:
         held: np.ndarray,
         starts: list[State],
     ) -> State:
-        observed = seen.observation(self.intrinsics, self.fitter.dtype)
+        observed = seen.observation(self.intrinsics)
         # A frame without a pose has nothing to keep.
         turned = np.where(self.posed[:, None], pinning.angle_sigma(doubt, pinning.sizes(seen.pixels)), np.inf)
         near = Kept(
-            kept.wrist, kept.wrist.new_tensor(far), angles_of(kept.local).flatten(2),
-            kept.wrist.new_tensor(turned), pinning.LIMITS_SIGMA,
+            kept.wrist, far, angles_of(kept.local).reshape(-1, 5, 9),
+            turned, pinning.LIMITS_SIGMA,
         )  # fmt: skip
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
         return _cheapest(self.fitter, replace(observed, kept=near), starts, _held(held, kept), most)
@@ -232,38 +226,36 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     # Before the pins, of which one may lie far away.
     cuts = jumps(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
-    fitter = fitter_of(model, torch.float64)
-    with one_thread(), torch.inference_mode():
-        everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
+    fitter = fitter_of(model)
+    everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
 
-        def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
-            return over_time(
-                fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
-                lambda: _check(should_stop),
-            )  # fmt: skip
+    def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
+        return over_time(
+            fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
+            lambda: _check(should_stop),
+        )  # fmt: skip
 
-        observed = seen.observation(hand.intrinsics, fitter.dtype)
-        states = []
-        for at, part in _chunks(rows):
+    observed = seen.observation(hand.intrinsics)
+    states = []
+    for at, part in _chunks(rows):
+        _check(should_stop)
+        here = observed.select(part)
+        own = _start(fitter, hand, hand, posed[at], here, at)
+        states.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
+    alone = joined(states)
+    frames, state = smoothly(observed, alone)
+    if hand.pinned[rows].any():
+        plain = state.select(np.searchsorted(frames, rows))
+        observed, touched = _corrected(hand, seen, rows, plain)
+        corrected = [alone]
+        for at, _ in _chunks(touched):
             _check(should_stop)
-            here = observed.select(torch.tensor(part))
-            own = _start(fitter, hand, hand, posed[at], here, at)
-            states.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
-        alone = joined(states)
-        frames, state = smoothly(observed, alone)
-        if hand.pinned[rows].any():
-            plain = state.select(torch.tensor(np.searchsorted(frames, rows)))
-            observed, touched = _corrected(hand, seen, rows, plain)
-            corrected = [alone]
-            for part, _ in _chunks(touched):
-                _check(should_stop)
-                at = torch.tensor(part)
-                held = None if everywhere is None else everywhere.select(torch.tensor(rows[part]))
-                start = [plain.select(at)]
-                corrected.append(_cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS))
-            latest = np.arange(len(rows))
-            latest[touched] = len(rows) + np.arange(len(touched))
-            frames, state = smoothly(observed, joined(corrected).select(torch.tensor(latest)))
+            held = None if everywhere is None else everywhere.select(rows[at])
+            start = [plain.select(at)]
+            corrected.append(_cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS))
+        latest = np.arange(len(rows))
+        latest[touched] = len(rows) + np.arange(len(touched))
+        frames, state = smoothly(observed, joined(corrected).select(latest))
     for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
         pose[name][frames] = values
     return _with_held(hand, locked, pose)
@@ -279,10 +271,10 @@ def _corrected(
     doubt = pinning.followed(displaced)
     touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1)
     far = np.where(touched, pinning.distance_sigma(displaced, size), np.inf)
-    observed = pinning.pinned(seen, pins, doubt).observation(hand.intrinsics, plain.wrist.dtype)
-    angles = angles_of(plain.local).flatten(2)
-    anywhere = torch.full_like(angles[..., 0], torch.inf)
-    kept = Kept(plain.wrist, plain.wrist.new_tensor(far), angles, anywhere)
+    observed = pinning.pinned(seen, pins, doubt).observation(hand.intrinsics)
+    angles = angles_of(plain.local).reshape(-1, 5, 9)
+    anywhere = np.full(angles.shape[:2], np.inf)
+    kept = Kept(plain.wrist, far, angles, anywhere)
     return replace(observed, kept=kept), np.flatnonzero(touched)
 
 
@@ -306,14 +298,14 @@ def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
 
 def _points(fitter: FastFitter, state: State) -> np.ndarray:
     """(B, 21, 3) landmarks, metres, camera frame."""
-    return fitter.chain.pose(state).points.double().numpy()
+    return fitter.chain.pose(state).points
 
 
 def _put(state: State, rows: np.ndarray, found: State) -> State:
     """`state` with other poses in those rows."""
     order = np.arange(len(state))
     order[rows] = len(state) + np.arange(len(rows))
-    return joined([state, found]).select(torch.tensor(order))
+    return joined([state, found]).select(order)
 
 
 def _check(should_stop: ShouldStop) -> None:
@@ -412,12 +404,11 @@ def _start(
 ) -> State:
     """Where the solver begins: those poses with the depth's zero, and a relaxed hand where none is known."""
     state = _poses(fitter, hand, source, known, rows)
-    along = (fitter.chain.pose(state).points * observed.ray[:, None]).sum(dim=2).mean(dim=1, keepdim=True)
+    along = (fitter.chain.pose(state).points * observed.ray[:, None]).sum(axis=2).mean(axis=1, keepdims=True)
     state = replace(state, offsets=along)
     if known.all():
         return state
-    betas = torch.tensor(hand.betas, dtype=fitter.dtype)
-    return state.where(torch.tensor(known), fitter.start(observed, betas))
+    return state.where(known, fitter.start(observed, np.asarray(hand.betas, dtype=np.float64)))
 
 
 def _cheapest(
@@ -430,7 +421,7 @@ def _cheapest(
     """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
     difference, from the first. `max_iterations`: None for those of captures."""
     count = len(observed)
-    index = torch.arange(count).repeat(len(starts))
+    index = np.tile(np.arange(count), len(starts))
     held = held if held is None or len(starts) == 1 else held.select(index)
     start = joined(starts)
     solution = fitter.solve_each(
@@ -442,9 +433,9 @@ def _cheapest(
     )
     if len(starts) == 1:
         return solution.state
-    cost = torch.nan_to_num(solution.cost, nan=torch.inf).view(len(starts), count)
+    cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
     cost[0] *= CHEAPER
-    return solution.state.select(cost.argmin(dim=0) * count + torch.arange(count))
+    return solution.state.select(cost.argmin(axis=0) * count + np.arange(count))
 
 
 def _held(joints: np.ndarray, state: State) -> Held | None:

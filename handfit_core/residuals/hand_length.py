@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import torch
+import numpy as np
 
 
 def hand_length(
-    betas: torch.Tensor, expected: torch.Tensor, rates: torch.Tensor, sigma: float
-) -> tuple[torch.Tensor, torch.Tensor]:
+    betas: np.ndarray, expected: np.ndarray, rates: np.ndarray, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
     """betas (B, 10); expected (10,) of a hand of the right length; rates (10,) metres of length by beta;
     sigma in metres -> residuals (B,) and their derivatives (10,). The length is all but linear in betas."""
     slope = rates / sigma

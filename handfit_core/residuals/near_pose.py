@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
-import torch
+import numpy as np
 
 from handfit_core.residuals.rows import AngleRows
 
 
-def near_pose(angles: torch.Tensor, start: torch.Tensor, sigma: torch.Tensor) -> AngleRows:
+def near_pose(angles: np.ndarray, start: np.ndarray, sigma: np.ndarray) -> AngleRows:
     """angles (B, 5, 9) and start (B, 5, 9) radians; sigma (B, 5) radians by finger, infinite where nothing is
     kept. Nine rows: the shorter way round from `start`."""
-    turn = 2.0 * math.pi
-    away = torch.remainder(angles - start + math.pi, turn) - math.pi
-    weight = sigma.reciprocal()[..., None]
-    identity = torch.eye(9, dtype=angles.dtype, device=angles.device)
-    return AngleRows(away * weight, weight[..., None] * identity)
+    away = np.remainder(angles - start + np.pi, 2.0 * np.pi) - np.pi
+    weight = (1.0 / sigma)[..., None]
+    return AngleRows(away * weight, weight[..., None] * np.eye(9))

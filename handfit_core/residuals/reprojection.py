@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import torch
+import numpy as np
 
 from handfit_core.residuals.rows import PointRows
 
@@ -11,14 +11,15 @@ NEAREST = 0.02
 
 
 def reprojection(
-    points: torch.Tensor, pixels: torch.Tensor, sigma: torch.Tensor, focal: torch.Tensor, centre: torch.Tensor
+    points: np.ndarray, pixels: np.ndarray, sigma: np.ndarray, focal: np.ndarray, centre: np.ndarray
 ) -> PointRows:
     """points (B, 21, 3) metres, camera frame; pixels (B, 21, 2) and sigma (B, 21, 2) their expected errors;
     focal (B, 2) and centre (B, 2) pixels. Two rows: u = f x / z + c."""
-    inverse = points[..., 2:].clamp_min(NEAREST).reciprocal()
+    inverse = 1.0 / np.maximum(points[..., 2:], NEAREST)
     slope = points[..., :2] * inverse
     in_sigmas = focal[:, None] / sigma  # (B, 21, 2)
     residual = slope * in_sigmas + (centre[:, None] - pixels) / sigma
-    identity = torch.eye(2, dtype=points.dtype, device=points.device).expand(*slope.shape, 2)
-    directions = torch.cat([identity, -slope.unsqueeze(-1)], dim=-1)  # (B, 21, 2, 3)
-    return PointRows(residual, directions * (in_sigmas * inverse).unsqueeze(-1))
+    directions = np.zeros((*slope.shape, 3))
+    directions[..., 0, 0] = directions[..., 1, 1] = 1.0
+    directions[..., 2] = -slope
+    return PointRows(residual, directions * (in_sigmas * inverse)[..., None])

@@ -9,17 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import torch
+import numpy as np
 
 
 class Kernel(Protocol):
     """rho and its derivative."""
 
-    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+    def cost(self, squared: np.ndarray) -> np.ndarray:
         """rho(s), elementwise."""
         ...
 
-    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+    def weight(self, squared: np.ndarray) -> np.ndarray:
         """rho'(s), elementwise."""
         ...
 
@@ -30,15 +30,15 @@ class Huber:
 
     delta: float
 
-    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+    def cost(self, squared: np.ndarray) -> np.ndarray:
         """rho(s), elementwise."""
-        root = squared.sqrt()
-        inner = root.clamp_max(self.delta)
+        root = np.sqrt(squared)
+        inner = np.minimum(root, self.delta)
         return inner * (2 * root - inner)
 
-    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+    def weight(self, squared: np.ndarray) -> np.ndarray:
         """rho'(s), elementwise."""
-        return self.delta * squared.clamp_min(self.delta**2).rsqrt()
+        return self.delta / np.sqrt(np.maximum(squared, self.delta**2))
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class GemanMcClure:
 
     scale: float
 
-    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+    def cost(self, squared: np.ndarray) -> np.ndarray:
         """rho(s), elementwise."""
         return self.scale**2 * squared / (self.scale**2 + squared)
 
-    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+    def weight(self, squared: np.ndarray) -> np.ndarray:
         """rho'(s), elementwise."""
         return (self.scale**2 / (self.scale**2 + squared)) ** 2
 
@@ -60,14 +60,14 @@ class GemanMcClure:
 class QuadraticWhere:
     """Squares where `certain` says so, else another kernel."""
 
-    certain: torch.Tensor
+    certain: np.ndarray
     """bool, of the residuals' shape"""
     other: Kernel
 
-    def cost(self, squared: torch.Tensor) -> torch.Tensor:
+    def cost(self, squared: np.ndarray) -> np.ndarray:
         """rho(s), elementwise."""
-        return torch.where(self.certain, squared, self.other.cost(squared))
+        return np.where(self.certain, squared, self.other.cost(squared))
 
-    def weight(self, squared: torch.Tensor) -> torch.Tensor:
+    def weight(self, squared: np.ndarray) -> np.ndarray:
         """rho'(s), elementwise."""
-        return torch.where(self.certain, torch.ones_like(squared), self.other.weight(squared))
+        return np.where(self.certain, 1.0, self.other.weight(squared))

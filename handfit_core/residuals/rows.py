@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
+import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
 class PointRows:
     """Residuals of keypoints, each touching one keypoint only."""
 
-    residual: torch.Tensor
+    residual: np.ndarray
     """(B, 21, c)"""
-    jacobian: torch.Tensor
+    jacobian: np.ndarray
     """(B, 21, c, 3) by the keypoint, metres, camera frame"""
-    by_offset: torch.Tensor | None = None
+    by_offset: np.ndarray | None = None
     """(B, 21, c, m) by the term's own m offsets, which are solved for beside the hand; None: it has none"""
 
 
@@ -23,7 +23,7 @@ class PointRows:
 class AngleRows:
     """Residuals of the pose, each touching one finger only."""
 
-    residual: torch.Tensor
+    residual: np.ndarray
     """(B, 5, c)"""
-    jacobian: torch.Tensor
+    jacobian: np.ndarray
     """(B, 5, c, 9) by the finger's anatomical angles, radians"""

@@ -50,10 +50,10 @@ class TrueHands:
         """All samples whose hand, before the picture was mirrored, was of that side."""
         before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
         index = np.flatnonzero(before == SIDES.index(side))
-        chain = Chain(model_of(side), landmarks, torch.float64)
-        identity = torch.eye(3, dtype=torch.float64).expand(len(index), 3, 3)
-        zero = torch.zeros(len(index), 3, dtype=torch.float64)
-        betas = torch.tensor(samples["betas"][index])
+        chain = Chain(model_of(side), landmarks)
+        identity = np.broadcast_to(np.eye(3), (len(index), 3, 3))
+        zero = np.zeros((len(index), 3))
+        betas = np.asarray(samples["betas"][index], dtype=np.float64)
         return cls(
             index,
             chain,
@@ -73,9 +73,9 @@ def calibrate(samples: Samples) -> np.ndarray:
     for side in SIDES:
         hands = TrueHands.of(samples, side, NO_OFFSETS)
         posed = hands.chain.pose(hands.state)
-        points = posed.points.numpy()
+        points = posed.points
         frames = np.concatenate(
-            [np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)), _by_joint(posed.frames.numpy()[:, :, :3])],
+            [np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)), _by_joint(posed.frames[:, :, :3])],
             axis=1,
         )
         for row, sample in enumerate(hands.index):
@@ -147,9 +147,9 @@ def true_landmarks(samples: Samples, landmarks: Landmarks) -> np.ndarray:
     found = np.empty_like(samples["joints_3d"])
     for side in SIDES:
         hands = TrueHands.of(samples, side, landmarks)
-        points = hands.chain.pose(hands.state).points.numpy()
+        points = hands.chain.pose(hands.state).points
         bare = TrueHands.of(samples, side, NO_OFFSETS)
-        joints = bare.chain.pose(bare.state).points.numpy()
+        joints = bare.chain.pose(bare.state).points
         for row, sample in enumerate(hands.index):
             flip = _unmirror(samples, sample)
             move = align(joints[row], samples["joints_3d"][sample] * flip, with_scale=False)

@@ -49,3 +49,29 @@ def test_light_half_is_light() -> None:
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_capturing_and_fitting_again_need_no_torch() -> None:
+    """From pictures to a take, and from the take to a corrected range."""
+    code = """
+import sys
+import numpy as np
+from handfit_core import capture
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.refine import RefineHand, refit_each, refit_range, warm_up
+
+take = capture("samples/rendered_hand/hand.%04d.jpg", frames=FrameRange(1, 6))
+hand, = take.hands
+points = np.concatenate([hand.keypoints_2d, hand.keypoints_depth[..., None]], axis=-1)
+detections = tuple(HandDetection(hand.side, *one) for one in zip(hand.score, points, hand.world_landmarks))
+pins = np.full((len(points), 21, 2), np.nan)
+pins[2, 8] = hand.keypoints_2d[2, 8] + 10.0
+rest = pins, hand.global_orient, hand.hand_pose, hand.transl, np.zeros(16, dtype=bool)
+corrected = RefineHand(hand.side, hand.betas, take.intrinsics, detections, *rest)
+warm_up()
+for found in (refit_each(corrected), refit_range(corrected)):
+    assert found.present.all()
+assert "torch" not in sys.modules, "torch was imported"
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

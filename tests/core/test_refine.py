@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
@@ -139,9 +138,9 @@ def test_handles_are_the_solvers_points(side: Side) -> None:
     """The light function, the chain, and the mesh with offsets."""
     betas, orient, pose, transl = true_hands(side, 4)
     found = landmark_points(model_of(side), betas[0], orient, pose, transl)
-    chain = Chain(model_of(side), detector_landmarks(), torch.float64)
+    chain = Chain(model_of(side), detector_landmarks())
     posed = chain.pose(chain.state(betas, orient, pose, transl, np.zeros((4, 1))))
-    np.testing.assert_allclose(found, posed.points.numpy(), atol=1e-9)
+    np.testing.assert_allclose(found, posed.points, atol=1e-9)
     np.testing.assert_allclose(found, landmarks_of(side, betas, orient, pose, transl), atol=1e-9)
 
 

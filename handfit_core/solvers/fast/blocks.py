@@ -10,47 +10,49 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
+import numpy as np
+
+from handfit_core.solvers.fast.chain import Index
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """Gauss-Newton matrices of B problems: H x = -g."""
 
-    hand: torch.Tensor
+    hand: np.ndarray
     """(B, n, n)"""
-    mixed: torch.Tensor
+    mixed: np.ndarray
     """(B, 5, 9, n)"""
-    finger: torch.Tensor
+    finger: np.ndarray
     """(B, 5, 9, 9)"""
-    hand_gradient: torch.Tensor
+    hand_gradient: np.ndarray
     """(B, n)"""
-    finger_gradient: torch.Tensor
+    finger_gradient: np.ndarray
     """(B, 5, 9)"""
-    cost: torch.Tensor
+    cost: np.ndarray
     """(B,)"""
 
-    def where(self, chosen: torch.Tensor, other: Blocks) -> Blocks:
+    def where(self, chosen: np.ndarray, other: Blocks) -> Blocks:
         """These blocks where `chosen` (B,) says so, else the other's."""
 
-        def pick(name: str) -> torch.Tensor:
+        def pick(name: str) -> np.ndarray:
             mine, theirs = getattr(self, name), getattr(other, name)
-            return torch.where(chosen.view(-1, *[1] * (mine.ndim - 1)), mine, theirs)
+            return np.where(chosen.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
 
         return Blocks(*(pick(name) for name in self.__dataclass_fields__))
 
-    def select(self, index: torch.Tensor) -> Blocks:
+    def select(self, index: Index) -> Blocks:
         """The problems of that index."""
         return Blocks(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
-    def holding(self, of_hand: torch.Tensor, of_fingers: torch.Tensor) -> Blocks:
+    def holding(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
         """The same problems with some variables held: their increments come out as exactly zero, and the
         others' as if they were no variables. `of_hand` (B, n) and `of_fingers` (B, 5, 9) bool."""
-        hand_free, finger_free = (~of_hand).to(self.cost.dtype), (~of_fingers).to(self.cost.dtype)
+        hand_free, finger_free = 1.0 - of_hand, 1.0 - of_fingers
         hand = self.hand * hand_free[:, :, None] * hand_free[:, None]
         finger = self.finger * finger_free[..., None] * finger_free[..., None, :]
-        hand.diagonal(dim1=-2, dim2=-1).add_(1.0 - hand_free)
-        finger.diagonal(dim1=-2, dim2=-1).add_(1.0 - finger_free)
+        np.einsum("...ii->...i", hand)[...] += of_hand
+        np.einsum("...ii->...i", finger)[...] += of_fingers
         return Blocks(
             hand,
             self.mixed * finger_free[..., None] * hand_free[:, None, None],
@@ -60,62 +62,80 @@ class Blocks:
             self.cost,
         )
 
-    def step(self, damping: torch.Tensor, *, shared: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    def step(self, damping: np.ndarray, *, shared: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Increments (B, n) and (B, 5, 9) under Levenberg-Marquardt damping (B,), relative to the diagonals.
 
-        The last `shared` of the n variables are the same in all B problems.
+        The last `shared` of the n variables are the same in all B problems. NaN where a matrix is not
+        definite.
         """
         batch, n = self.hand_gradient.shape
-        factor, reduced, gradient, halves = self._without_fingers(damping)
-        if shared:
-            of_hand = _shared(reduced, gradient, n - shared)
-        else:
-            root = torch.linalg.cholesky_ex(reduced)[0]
-            of_hand = -torch.cholesky_solve(gradient.unsqueeze(-1), root).squeeze(-1)
-        # Back to the fingers: D y = -(g + B x), where L^-1 [B g] is at hand.
-        right = (halves[..., :n] @ of_hand[:, None, :, None]) + halves[..., n:]
-        of_fingers = -torch.linalg.solve_triangular(factor.mT, right.view(batch * 5, 9, 1), upper=True)
+        fingers = np.concatenate(
+            [_damped(self.finger, damping[:, None]), self.mixed, self.finger_gradient[..., None]], axis=-1
+        )
+        with np.errstate(all="ignore"):
+            fingers, halves = _eliminated(fingers.reshape(batch * 5, 9, 10 + n))
+            halves = halves.reshape(batch, 45, n + 1)
+            outer = np.swapaxes(halves[..., :n], 1, 2) @ halves  # (B, n, n + 1)
+            rest = np.concatenate([_damped(self.hand, damping), self.hand_gradient[..., None]], axis=-1)
+            of_hand = -_solved(rest - outer, shared)
+            # Back to the fingers: D y = -(g + B x).
+            of_fingers = -_substituted(fingers, 9, np.repeat(-of_hand, 5, axis=0))
         return of_hand, of_fingers.reshape(batch, 5, 9)
 
-    def promised(self, of_hand: torch.Tensor, of_fingers: torch.Tensor) -> torch.Tensor:
+    def promised(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> np.ndarray:
         """(B,) by how much a step lowers the cost, at the least, if the residuals are linear: -g^T x.
 
         g, here and in the blocks, is J^T r: half the cost's gradient.
         """
-        of_all = (self.finger_gradient * of_fingers).sum(dim=(1, 2))
-        return -of_all - (self.hand_gradient * of_hand).sum(dim=1)
-
-    def _without_fingers(
-        self, damping: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The fingers' Cholesky factors (5B, 9, 9), the reduced matrix (B, n, n) and gradient (B, n), and
-        L^-1 [B g] (B, 5, 9, n + 1)."""
-        batch, n = self.hand_gradient.shape
-        finger = _damped(self.finger, damping[:, None]).view(batch * 5, 9, 9)
-        factor = torch.linalg.cholesky_ex(finger)[0]
-        right = torch.cat([self.mixed, self.finger_gradient.unsqueeze(-1)], dim=-1).view(batch * 5, 9, n + 1)
-        halves = torch.linalg.solve_triangular(factor, right, upper=False).reshape(batch, 45, n + 1)
-        outer = halves[..., :n].mT @ halves  # (B, n, n + 1)
-        reduced = _damped(self.hand, damping) - outer[..., :n]
-        return factor, reduced, self.hand_gradient - outer[..., n], halves.view(batch, 5, 9, n + 1)
+        of_all = (self.finger_gradient * of_fingers).sum(axis=(1, 2))
+        return -of_all - (self.hand_gradient * of_hand).sum(axis=1)
 
 
-def _damped(matrix: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
-    damped = matrix.clone(memory_format=torch.contiguous_format)
-    damped.diagonal(dim1=-2, dim2=-1).mul_(1.0 + damping[..., None]).add_(1e-6)
+def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    damped = matrix.copy()
+    diagonal = np.einsum("...ii->...i", damped)
+    diagonal *= 1.0 + damping[..., None]
+    diagonal += 1e-6
     return damped
 
 
-def _shared(reduced: torch.Tensor, gradient: torch.Tensor, n: int) -> torch.Tensor:
-    """Increments of which the first n are each problem's own and the rest common to all."""
-    own, mixed, common = reduced[:, :n, :n], reduced[:, :n, n:], reduced[:, n:, n:]
-    factor = torch.linalg.cholesky_ex(own)[0]
-    right = torch.cat([mixed, gradient[:, :n, None]], dim=-1)
-    halves = torch.linalg.solve_triangular(factor, right, upper=False)
-    outer = halves[..., :-1].mT @ halves
-    total = (common - outer[..., :-1]).sum(dim=0)
-    total_gradient = (gradient[:, n:] - outer[..., -1]).sum(dim=0)
-    shape = -torch.linalg.solve(total, total_gradient)
-    back = halves[..., :-1] @ shape + halves[..., -1]
-    of_frame = -torch.linalg.solve_triangular(factor.mT, back.unsqueeze(-1), upper=True).squeeze(-1)
-    return torch.cat([of_frame, shape.expand(len(of_frame), -1)], dim=1)
+def _eliminated(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eliminate the k variables of N positive definite systems (N, k, k + m), whose last m columns are right
+    sides. Returns rows of the triangular systems (k, k + m, N), and L^-1 of the right sides (N, k, m), where
+    L L^T is the matrix. NaN where it is not definite."""
+    rows = np.ascontiguousarray(matrix.transpose(1, 2, 0))
+    count = len(rows)
+    for j in range(count - 1):
+        # The matrix is symmetric: its row j is its column, too.
+        factor = rows[j, j + 1 : count] / rows[j, j]
+        rows[j + 1 :, j + 1 :] -= factor[:, None] * rows[j, None, j + 1 :]
+    pivots = rows[range(count), range(count)]
+    halves = rows[:, count:] / np.sqrt(pivots)[:, None]
+    return rows, np.ascontiguousarray(halves.transpose(2, 0, 1))
+
+
+def _substituted(rows: np.ndarray, count: int, known: np.ndarray | None = None) -> np.ndarray:
+    """(N, k) solutions from what `_eliminated` leaves, of which the last right side counts. The other right
+    sides times `known` (N, m - 1) are taken off it; None: there are no others."""
+    found = np.empty((count, rows.shape[-1]))
+    right = rows[:, -1]
+    if known is not None:
+        right = right - np.einsum("kmn,nm->kn", rows[:, count:-1], known)
+    for j in reversed(range(count)):
+        beyond = (rows[j, j + 1 : count] * found[j + 1 :]).sum(axis=0)
+        found[j] = (right[j] - beyond) / rows[j, j]
+    return found.T
+
+
+def _solved(system: np.ndarray, shared: int) -> np.ndarray:
+    """(B, n) solutions of systems (B, n, n + 1), of which the last `shared` variables are common to all."""
+    batch, n, _ = system.shape
+    own = n - shared
+    rows, halves = _eliminated(system[:, :own])
+    if not shared:
+        return _substituted(rows, own)
+    outer = np.swapaxes(halves[..., :shared], 1, 2) @ halves
+    total = (system[:, own:, own:] - outer).sum(axis=0)
+    common = np.linalg.solve(total[:, :-1], total[:, -1])
+    mine = _substituted(rows, own, np.broadcast_to(common, (batch, shared)))
+    return np.concatenate([mine, np.broadcast_to(common, (batch, shared))], axis=1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from handfit_core.hand_model.anatomy import JointLimits
 from handfit_core.residuals.coupling import coupling
@@ -106,29 +105,26 @@ class Energy:
         self._chain, self._weights = chain, weights
         prior = prior.of_side(chain.model.side)
 
-        def tensor(a: np.ndarray | list[float]) -> torch.Tensor:
-            return torch.tensor(np.ascontiguousarray(a), dtype=chain.dtype, device=chain.device)
-
         whiten = np.linalg.inv(np.linalg.cholesky(prior.covariance)) * np.sqrt(weights.prior)
         joints = np.array([FINGER_JOINTS[f] for f in FINGERS]) - 1
-        self._lower = tensor(joint_limits.lower[joints].reshape(5, 9))
-        self._upper = tensor(joint_limits.upper[joints].reshape(5, 9))
-        self._knuckles = tensor([0.0, 1.0, 1.0, 1.0, 1.0])
+        self._lower = joint_limits.lower[joints].reshape(5, 9)
+        self._upper = joint_limits.upper[joints].reshape(5, 9)
+        self._knuckles = np.array([0.0, 1.0, 1.0, 1.0, 1.0])
         rules = [_COUPLING.get(f) for f in FINGERS]
-        slope = tensor([0.0 if r is None else r[0] for r in rules])
-        offset = tensor([0.0 if r is None else np.radians(r[1]) for r in rules])
-        sigma = tensor([np.inf if r is None else weights.coupling_sigma for r in rules])
-        flat = torch.zeros(1, 5, 9, dtype=chain.dtype, device=chain.device)
+        slope = np.array([0.0 if r is None else r[0] for r in rules])
+        offset = np.array([0.0 if r is None else np.radians(r[1]) for r in rules])
+        sigma = np.array([np.inf if r is None else weights.coupling_sigma for r in rules])
+        flat = np.zeros((1, 5, 9))
         self._habit = _Quadratic.of(
-            [pose_prior(flat, tensor(prior.mean), tensor(whiten)), coupling(flat, slope, offset, sigma)]
+            [pose_prior(flat, prior.mean, whiten), coupling(flat, slope, offset, sigma)]
         )
         emphasis = np.full(21, np.sqrt(weights.reprojection))
         emphasis[list(TIP_KEYPOINTS)] *= np.sqrt(weights.tips)
-        self._emphasis = tensor(emphasis)
-        self._shape_sigma = tensor(np.full(10, weights.shape_sigma))
-        self._shape_mean = tensor(np.zeros(10) if measured is None else measured.betas)
-        self._length_rates = None if measured is None else tensor(measured.length_rates)
-        self._same_joint = tensor(np.eye(3))[:, None, :, None]
+        self._emphasis = emphasis
+        self._shape_sigma = np.full(10, weights.shape_sigma)
+        self._shape_mean = np.zeros(10) if measured is None else measured.betas
+        self._length_rates = None if measured is None else measured.length_rates
+        self._same_joint = np.eye(3)[:, None, :, None]
 
     def of(self, posed: Posed, seen: Observation, *, shape: bool, shape_weight: float = 1.0) -> Blocks:
         """Cost and matrices. `shape`: whether betas are variables; `shape_weight` of their prior (in a clip
@@ -138,11 +134,11 @@ class Energy:
         moving = _times(rows[..., :3], chain.jacobian(posed, shape=shape))
         offsets, residual = rows[..., 3:-1], rows[..., -1:]
         # Columns: a finger's nine increments, the hand's own n variables, the residual.
-        whole = torch.cat([moving[..., :15], offsets, moving[..., 15:], residual], dim=-1)
-        of_hand = whole[..., 9:].flatten(1, 2)
-        corner = torch.bmm(of_hand.mT, of_hand)
-        of_finger = whole[:, 1:].view(batch, 5, -1, whole.shape[-1])  # (B, 5, 4 c, 9 + n + 1)
-        sides = of_finger[..., :9].mT @ of_finger
+        whole = np.concatenate([moving[..., :15], offsets, moving[..., 15:], residual], axis=-1)
+        of_hand = whole[..., 9:].reshape(batch, -1, whole.shape[-1] - 9)
+        corner = np.swapaxes(of_hand, 1, 2) @ of_hand
+        of_finger = whole[:, 1:].reshape(batch, 5, -1, whole.shape[-1])  # (B, 5, 4 c, 9 + n + 1)
+        sides = np.swapaxes(of_finger[..., :9], 2, 3) @ of_finger
 
         angle_squared, angle_cost = self._of_angles(posed.state.local, seen.kept)
         finger = sides[..., :9] + angle_squared[..., :9]
@@ -151,55 +147,54 @@ class Energy:
         cost = cost + angle_cost
         if seen.kept is not None:
             off, slope = distance(posed.state.wrist, seen.kept.wrist, seen.kept.distance_sigma)
-            cost = cost + off.square()
+            cost = cost + np.square(off)
             hand_gradient[:, 3:6] += off[:, None] * slope
             hand[:, 3:6, 3:6] += slope[:, :, None] * slope[:, None]
         if shape:
             of_shape, slope = shape_prior(posed.state.betas, self._shape_sigma, self._shape_mean)
-            cost = cost + shape_weight * of_shape.square().sum(dim=1)
+            cost = cost + shape_weight * np.square(of_shape).sum(axis=1)
             hand_gradient[:, -10:] += shape_weight * slope * of_shape
-            hand.diagonal(dim1=1, dim2=2)[:, -10:] += shape_weight * slope * slope
+            np.einsum("bii->bi", hand)[:, -10:] += shape_weight * slope * slope
             if self._length_rates is not None:
                 sigma = self._weights.length_sigma
                 off, slope = hand_length(posed.state.betas, self._shape_mean, self._length_rates, sigma)
-                cost = cost + shape_weight * off.square()
+                cost = cost + shape_weight * np.square(off)
                 hand_gradient[:, -10:] += shape_weight * off[:, None] * slope
                 hand[:, -10:, -10:] += shape_weight * slope[:, None] * slope
         return Blocks(hand, sides[..., 9:-1], finger, hand_gradient, finger_gradient, cost)
 
-    def _of_angles(self, local: torch.Tensor, kept: Kept | None) -> tuple[torch.Tensor, torch.Tensor]:
+    def _of_angles(self, local: np.ndarray, kept: Kept | None) -> tuple[np.ndarray, np.ndarray]:
         """J^T [J r] (B, 5, 9, 10) of the terms on angles by the joints' increments, and their cost (B,)."""
         angles = angles_of(local)
         rates = rates_of(angles)
-        flat = angles.flatten(2)
-        turn = (rates.unsqueeze(4) * self._same_joint).reshape(*flat.shape, 9)  # (B, 5, 9, 9)
+        flat = angles.reshape(-1, 5, 9)
+        turn = (rates[..., None, :] * self._same_joint).reshape(*flat.shape, 9)  # (B, 5, 9, 9)
         outside = self._limits(flat, kept)
         habit = self._habit
         away = flat - habit.best
-        pull = (away.flatten(1) @ habit.precision).view_as(flat)
-        cost = habit.least + (away * pull + outside.residual.square()).sum(dim=(1, 2))
+        pull = (away.reshape(-1, 45) @ habit.precision).reshape(flat.shape)
+        cost = habit.least + (away * pull + np.square(outside.residual)).sum(axis=(1, 2))
         precision = habit.blocks
         if kept is not None:
             near = near_pose(flat, kept.angles, kept.angle_sigma)
-            cost = cost + near.residual.square().sum(dim=(1, 2))
-            pull = pull + (near.jacobian.mT @ near.residual.unsqueeze(-1)).squeeze(-1)
-            precision = precision + near.jacobian.mT @ near.jacobian
-        turn, jacobian = turn.flatten(0, 1), outside.jacobian.flatten(0, 1)  # (5 B, 9, 9)
-        sloped = jacobian.mT
-        by_angle = torch.bmm(sloped, jacobian).view(*flat.shape, 9) + precision
-        gradient = torch.baddbmm(pull.reshape(-1, 9, 1), sloped, outside.residual.view(-1, 9, 1))
-        right = torch.cat([torch.bmm(by_angle.view(-1, 9, 9), turn), gradient], dim=-1)
-        return torch.bmm(turn.mT, right).view(*flat.shape, 10), cost
+            cost = cost + np.square(near.residual).sum(axis=(1, 2))
+            pull = pull + (np.swapaxes(near.jacobian, 2, 3) @ near.residual[..., None])[..., 0]
+            precision = precision + np.swapaxes(near.jacobian, 2, 3) @ near.jacobian
+        sloped = np.swapaxes(outside.jacobian, 2, 3)
+        by_angle = sloped @ outside.jacobian + precision
+        gradient = pull[..., None] + sloped @ outside.residual[..., None]
+        right = np.concatenate([by_angle @ turn, gradient], axis=-1)
+        return np.swapaxes(turn, 2, 3) @ right, cost
 
-    def _limits(self, flat: torch.Tensor, kept: Kept | None) -> AngleRows:
+    def _limits(self, flat: np.ndarray, kept: Kept | None) -> AngleRows:
         """What angles (B, 5, 9) beyond their ranges cost."""
         if kept is None or kept.limits_sigma is None:
             return limits(flat, self._lower, self._upper, self._weights.limits_sigma, self._knuckles)
-        already = limits(kept.angles, self._lower, self._upper, 1.0, self._knuckles).residual.abs()
-        more = already.clamp_min(PASSIVE_RANGE)
+        already = limits(kept.angles, self._lower, self._upper, 1.0, self._knuckles).residual
+        more = np.maximum(np.abs(already), PASSIVE_RANGE)
         return limits(flat, self._lower, self._upper, kept.limits_sigma, self._knuckles, more)
 
-    def _point_rows(self, posed: Posed, seen: Observation) -> tuple[torch.Tensor, torch.Tensor]:
+    def _point_rows(self, posed: Posed, seen: Observation) -> tuple[np.ndarray, np.ndarray]:
         """Weighted rows (B, 21, c, 3 + m + 1) by the point and by the terms' offsets, and their residuals;
         and the cost (B,)."""
         weights, points, offsets = self._weights, posed.points, posed.state.offsets
@@ -210,41 +205,43 @@ class Energy:
         terms: list[tuple[PointRows, float, Kernel]] = [
             (reprojection(points, seen.pixels, sigma, seen.focal, seen.centre), 1.0, of_pixels),
             (
-                depth(points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(dim=1), offsets[:, :1]),
+                depth(
+                    points, seen.depth, seen.depth_sigma, seen.ray, seen.focal.mean(axis=1), offsets[:, :1]
+                ),
                 weights.depth,
                 weights.depth_kernel,
             ),
         ]
         if seen.world is not None:
-            sigma = torch.full_like(seen.depth, weights.world_sigma)
+            sigma = np.full_like(seen.depth, weights.world_sigma)
             terms.append(
                 (world(points, seen.world, sigma, offsets[:, 1:4]), weights.world, weights.depth_kernel)
             )
         rows, costs, first = [], [], 0
         for term, factor, kernel in terms:
-            squared = term.residual.square().sum(dim=2)
-            costs.append(factor * kernel.cost(squared).sum(dim=1))
-            weight = (factor * kernel.weight(squared)).sqrt()[..., None, None]
+            squared = np.square(term.residual).sum(axis=2)
+            costs.append(factor * kernel.cost(squared).sum(axis=1))
+            weight = np.sqrt(factor * kernel.weight(squared))[..., None, None]
             rows.append(_side_by_side(term, first, offsets.shape[1]) * weight)
             first += 0 if term.by_offset is None else term.by_offset.shape[-1]
-        return torch.cat(rows, dim=2), sum(costs[1:], start=costs[0])
+        return np.concatenate(rows, axis=2), sum(costs[1:], start=costs[0])
 
 
-def _side_by_side(rows: PointRows, first: int, count: int) -> torch.Tensor:
+def _side_by_side(rows: PointRows, first: int, count: int) -> np.ndarray:
     """(B, 21, c, 3 + count + 1): by the point, by all terms' offsets, of which its own begin at `first`, and
     the residual."""
-    residual = rows.residual.unsqueeze(-1)
-    by_offset = residual.new_zeros(*residual.shape[:-1], count)
+    residual = rows.residual[..., None]
+    by_offset = np.zeros((*residual.shape[:-1], count))
     if rows.by_offset is not None:
         by_offset[..., first : first + rows.by_offset.shape[-1]] = rows.by_offset
-    return torch.cat([rows.jacobian, by_offset, residual], dim=-1)
+    return np.concatenate([rows.jacobian, by_offset, residual], axis=-1)
 
 
-def _times(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """(..., c, 3) @ (..., 3, n). Torch's own product of many small matrices takes several times longer."""
+def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(..., c, 3) @ (..., 3, n). The general product of many small matrices takes several times longer."""
     product = a[..., 0:1] * b[..., 0:1, :]
     for k in (1, 2):
-        product = product.addcmul_(a[..., k : k + 1], b[..., k : k + 1, :])
+        product += a[..., k : k + 1] * b[..., k : k + 1, :]
     return product
 
 
@@ -252,23 +249,23 @@ def _times(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 class _Quadratic:
     """Terms that are linear in angles, as one: least + (a - best)^T precision (a - best), by finger."""
 
-    blocks: torch.Tensor
+    blocks: np.ndarray
     """(5, 9, 9) precision"""
-    precision: torch.Tensor
+    precision: np.ndarray
     """(45, 45) the same on a diagonal"""
-    best: torch.Tensor
+    best: np.ndarray
     """(5, 9) radians"""
-    least: torch.Tensor
-    """()"""
+    least: float
 
     @classmethod
     def of(cls, terms: list[AngleRows]) -> _Quadratic:
         """Terms with one problem each, taken at angles of zero."""
-        residual = torch.cat([t.residual[0] for t in terms], dim=1).unsqueeze(-1).double()
-        jacobian = torch.cat([t.jacobian[0] for t in terms], dim=1).double()
-        precision = jacobian.mT @ jacobian
-        best = -torch.linalg.solve(precision, jacobian.mT @ residual)
-        least = (jacobian @ best + residual).square().sum()
-        dtype = terms[0].residual.dtype
-        whole = torch.block_diag(*precision)
-        return cls(precision.to(dtype), whole.to(dtype), best.squeeze(-1).to(dtype), least.to(dtype))
+        residual = np.concatenate([t.residual[0] for t in terms], axis=1)[..., None]
+        jacobian = np.concatenate([t.jacobian[0] for t in terms], axis=1)
+        transposed = np.swapaxes(jacobian, 1, 2)
+        precision = transposed @ jacobian
+        best = -np.linalg.solve(precision, transposed @ residual)
+        least = float(np.square(jacobian @ best + residual).sum())
+        whole = np.zeros((5, 9, 5, 9))
+        whole[range(5), :, range(5)] = precision
+        return cls(precision, whole.reshape(45, 45), best[..., 0], least)

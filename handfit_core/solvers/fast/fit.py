@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import torch
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.geometry.camera import Intrinsics
@@ -29,7 +28,6 @@ from handfit_core.solvers.fast.observe import Trust, landmarked
 from handfit_core.solvers.fast.smooth import Motion, smoothed
 from handfit_core.solvers.fast.start import relaxed_start
 from handfit_core.solvers.result import OnFrame, ShouldStop, TrackFit, never
-from handfit_core.torch_threads import one_thread
 
 TRUST: Final = Trust()
 WEIGHTS: Final = Weights()
@@ -97,34 +95,31 @@ class FastFitter:
     def __init__(
         self,
         model: HandModel,
-        dtype: torch.dtype,
-        device: torch.device | str = "cpu",
         hand_length: float | None = None,
     ) -> None:
-        self.model, self.dtype, self.device = model, dtype, device
-        self.chain = Chain(model, detector_landmarks(), dtype, device)
+        self.model = model
+        self.chain = Chain(model, detector_landmarks())
         with np.load(FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"])
         measured = None if hand_length is None else measured_hand(model, hand_length)
-        expected = np.zeros(NUM_BETAS) if measured is None else measured.betas
-        self._betas: torch.Tensor = torch.tensor(expected, dtype=dtype, device=device)
+        self._betas = np.zeros(NUM_BETAS) if measured is None else measured.betas
         self.energy = Energy(self.chain, prior, joint_limits(model.side), WEIGHTS, measured)
-        self._relaxed = torch.tensor(
-            prior.of_side(model.side).mean[None].copy(), dtype=dtype, device=device
-        )  # (1, 5, 9)
+        self._relaxed = prior.of_side(model.side).mean  # (5, 9)
 
     def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
         """What is seen of those detections through that camera."""
-        seen = landmarked(detections, self.model.side, TRUST)
-        return seen.observation(intrinsics, self.dtype, self.device)
+        return landmarked(detections, self.model.side, TRUST).observation(intrinsics)
 
-    def start(self, seen: Observation, betas: torch.Tensor | None = None) -> State:
+    def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
         count = len(seen)
         if betas is None:
             betas = self._betas
         return relaxed_start(
-            self.chain, seen, self._relaxed.expand(count, 5, 9), betas.expand(count, NUM_BETAS)
+            self.chain,
+            seen,
+            np.broadcast_to(self._relaxed, (count, 5, 9)),
+            np.broadcast_to(betas, (count, NUM_BETAS)),
         )
 
     def solve_each(
@@ -139,7 +134,7 @@ class FastFitter:
         """Independent frames, each with its own shape or the start's. `held` joints stay as in `start`.
         `max_iterations`: None for MAX_ITERATIONS."""
 
-        def linearise(state: State, index: torch.Tensor):
+        def linearise(state: State, index: np.ndarray):
             whole = len(index) == len(seen)
             blocks = self.energy.of(
                 self.chain.pose(state), seen if whole else seen.select(index), shape=shape
@@ -151,11 +146,11 @@ class FastFitter:
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
         return solve(self.chain, linearise, start, max_iterations=most, tolerance=TOLERANCE)
 
-    def solve_shape(self, seen: Observation) -> torch.Tensor:
+    def solve_shape(self, seen: Observation) -> np.ndarray:
         """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
         weight = 1.0 / min(len(seen), SHAPE_EVIDENCE)
 
-        def linearise(state: State, index: torch.Tensor):  # noqa: ARG001 (all frames, always)
+        def linearise(state: State, index: np.ndarray):  # noqa: ARG001 (all frames, always)
             return self.energy.of(self.chain.pose(state), seen, shape=True, shape_weight=weight)
 
         solution = solve(
@@ -194,47 +189,44 @@ def tell_of_odd_shapes(model: HandModel, length: float) -> None:
 
 
 @lru_cache(maxsize=8)
-def fitter_of(
-    model: HandModel, dtype: torch.dtype, device: str = "cpu", hand_length: float | None = None
-) -> FastFitter:
+def fitter_of(model: HandModel, hand_length: float | None = None) -> FastFitter:
     """Kept between calls: an edit that is answered while the artist drags should not build it again."""
-    return FastFitter(model, dtype, device, hand_length)
+    return FastFitter(model, hand_length)
 
 
 def fit_frames(
     model: HandModel,
     detections: Sequence[HandDetection],
     intrinsics: Intrinsics,
-    device: str = "cpu",
     hand_length: float | None = None,
 ) -> FrameFits:
     """Fit B pictures of a hand independently, each with a shape of its own, which is expected to have that
     length (metres; None: an average one)."""
-    fitter = fitter_of(model, torch.float32, device, hand_length)
-    with one_thread(), torch.inference_mode():
-        seen = fitter.observe(detections, intrinsics)
-        solution = fitter.solve_each(seen, fitter.start(seen), shape=True)
-        betas, orient, pose, transl = fitter.chain.parameters(solution.state)
-    cost, converged = solution.cost.cpu().numpy(), solution.converged.cpu().numpy()
+    fitter = fitter_of(model, hand_length)
+    seen = fitter.observe(detections, intrinsics)
+    solution = fitter.solve_each(seen, fitter.start(seen), shape=True)
     return FrameFits(
-        betas, orient, pose, transl, cost, solution.iterations.cpu().numpy(), converged,
-        _uncertain(fitter, seen, solution.state),
-    )  # fmt: skip
+        *fitter.chain.parameters(solution.state),
+        cost=solution.cost,
+        iterations=solution.iterations,
+        converged=solution.converged,
+        doubtful=_uncertain(fitter, seen, solution.state),
+    )
 
 
 def _uncertain(fitter: FastFitter, seen: Observation, state: State) -> np.ndarray:
     """(B,) bool: landmarks that the network expects to be far off, or that no hand fits."""
-    size = (seen.pixels.amax(dim=1) - seen.pixels.amin(dim=1)).amax(dim=1)
+    size = np.ptp(seen.pixels, axis=1).max(axis=1)
     points = fitter.chain.pose(state).points
     projected = (
-        points[..., :2] / points[..., 2:].clamp_min(NEAREST) * seen.focal[:, None] + seen.centre[:, None]
+        points[..., :2] / np.maximum(points[..., 2:], NEAREST) * seen.focal[:, None] + seen.centre[:, None]
     )
-    residual = torch.linalg.vector_norm(projected - seen.pixels, dim=-1).mean(dim=1)
-    expected = seen.pixel_sigma.mean(dim=(1, 2))
+    residual = np.linalg.norm(projected - seen.pixels, axis=-1).mean(axis=1)
+    expected = seen.pixel_sigma.mean(axis=(1, 2))
     # Written so that NaN is doubtful.
     sure = (expected <= DOUBTFUL_ERROR * size) & (residual <= DOUBTFUL_RESIDUAL * size)
-    sure &= points[..., 2].amin(dim=1) > NEAREST
-    return (~sure).cpu().numpy()
+    sure &= points[..., 2].min(axis=1) > NEAREST
+    return ~sure
 
 
 def fit_track(
@@ -253,24 +245,21 @@ def fit_track(
     """
     found = np.flatnonzero(track.detected)
     detections = [d for d in track.detections if d is not None]
-    with one_thread(), torch.inference_mode():
-        if len(detections) == 1:
-            # A picture by itself: float32, since nothing is summed over frames.
-            fits = fit_frames(model, detections, intrinsics, hand_length=hand_length)
-            parameters = [fits.betas, fits.global_orient, fits.hand_pose, fits.transl]
-            frames, converged, doubtful = found, fits.converged, fits.doubtful
-        else:
-            fitter = fitter_of(model, torch.float64, hand_length=hand_length)
-            seen = landmarked(detections, model.side, TRUST).observation(intrinsics, fitter.dtype)
-            solution = _clip(fitter, seen, should_stop)
-            if len(solution.state) < len(found):
-                found = found[: len(solution.state)]
-                seen = seen.select(torch.arange(len(found)))
-            converged = solution.converged.numpy()
-            doubtful = _uncertain(fitter, seen, solution.state)
-            cuts = jumps(seen.pixels.numpy()) | missing_between(found, track.holes)
-            frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
-            parameters = list(fitter.chain.parameters(state))
+    if len(detections) == 1:
+        fits = fit_frames(model, detections, intrinsics, hand_length)
+        parameters = [fits.betas, fits.global_orient, fits.hand_pose, fits.transl]
+        frames, converged, doubtful = found, fits.converged, fits.doubtful
+    else:
+        fitter = fitter_of(model, hand_length)
+        seen = fitter.observe(detections, intrinsics)
+        solution = _clip(fitter, seen, should_stop)
+        found = found[: len(solution.state)]
+        seen = seen.select(slice(len(found)))
+        converged = solution.converged
+        doubtful = _uncertain(fitter, seen, solution.state)
+        cuts = jumps(seen.pixels) | missing_between(found, track.holes)
+        frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
+        parameters = list(fitter.chain.parameters(state))
     for _ in found:
         on_frame()
     return _track_fit(parameters, frames, found, converged, doubtful, len(track.detections))
@@ -280,18 +269,18 @@ def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Sol
     """Every frame by itself, all with one shape; fewer when stopped."""
     count = len(seen)
     spread = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
-    betas = fitter.solve_shape(seen.select(torch.tensor(np.unique(spread))))
+    betas = fitter.solve_shape(seen.select(np.unique(spread)))
     parts = []
     for first in range(0, count, CHUNK):
-        chunk = seen.select(torch.arange(first, min(first + CHUNK, count)))
+        chunk = seen.select(slice(first, first + CHUNK))
         parts.append(fitter.solve_each(chunk, fitter.start(chunk, betas), shape=False))
         if should_stop():
             break
     return Solution(
         state=joined([p.state for p in parts]),
-        cost=torch.cat([p.cost for p in parts]),
-        iterations=torch.cat([p.iterations for p in parts]),
-        converged=torch.cat([p.converged for p in parts]),
+        cost=np.concatenate([p.cost for p in parts]),
+        iterations=np.concatenate([p.iterations for p in parts]),
+        converged=np.concatenate([p.converged for p in parts]),
     )
 
 
@@ -321,9 +310,9 @@ def over_time(
     for stretch in spans(found, fps, cuts):
         before_each()
         known = np.isin(stretch, found)
-        rows = torch.tensor(np.flatnonzero(np.isin(found, stretch)))
+        rows = np.flatnonzero(np.isin(found, stretch))
         guess = bridged(state.select(rows), known)
-        here = None if held is None else held.select(torch.tensor(stretch))
+        here = None if held is None else held.select(stretch)
         guess = guess if here is None else here.put(guess)
         if smoothing > 0:
             # Rows of frames without a detection repeat another's; they are not looked at.

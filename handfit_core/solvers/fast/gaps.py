@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.solvers.fast.chain import State
@@ -57,18 +56,14 @@ def bridged(state: State, known: np.ndarray) -> State:
     left, right = after - 1, after
     share = (frame - index[left]) / (index[right] - index[left])
 
-    def between(values: torch.Tensor) -> torch.Tensor:
-        array = values.double().cpu().numpy()
-        weight = share.reshape(-1, *[1] * (array.ndim - 1))
-        mixed = (1 - weight) * array[left] + weight * array[right]
-        return torch.tensor(mixed, dtype=values.dtype, device=values.device)
+    def between(values: np.ndarray) -> np.ndarray:
+        weight = share.reshape(-1, *[1] * (values.ndim - 1))
+        return (1 - weight) * values[left] + weight * values[right]
 
-    def turned(rotations: torch.Tensor) -> torch.Tensor:
-        array = rotations.double().cpu().numpy()
-        first = array[left]
-        turn = rotmat_to_rotvec(np.swapaxes(first, -1, -2) @ array[right])
-        part = share.reshape(-1, *[1] * (turn.ndim - 1)) * turn
-        return torch.tensor(first @ rotvec_to_rotmat(part), dtype=rotations.dtype, device=rotations.device)
+    def turned(rotations: np.ndarray) -> np.ndarray:
+        first = rotations[left]
+        turn = rotmat_to_rotvec(np.swapaxes(first, -1, -2) @ rotations[right])
+        return first @ rotvec_to_rotmat(share.reshape(-1, *[1] * (turn.ndim - 1)) * turn)
 
     return State(
         turned(state.root),

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import torch
 
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS
 from handfit_core.solvers.fast.blocks import Blocks
-from handfit_core.solvers.fast.chain import State
+from handfit_core.solvers.fast.chain import Index, State
 
 _JOINTS = np.array([FINGER_JOINTS[f] for f in FINGERS])
 """(5, 3) MANO's joints, finger by finger"""
@@ -25,9 +24,9 @@ class Held:
     state: State
     """B hands; only the held joints of it count"""
 
-    def select(self, index: torch.Tensor) -> Held:
+    def select(self, index: Index) -> Held:
         """The hands of that index."""
-        return Held(self.joints[index.cpu().numpy()], self.state.select(index))
+        return Held(self.joints[index], self.state.select(index))
 
     def variables(self) -> np.ndarray:
         """(B, 51) bool: root (3), joints finger by finger (45), place (3), as `smooth` orders them."""
@@ -38,24 +37,22 @@ class Held:
     def of(self, blocks: Blocks) -> Blocks:
         """The same problems without the held variables."""
         wrist, fingers = self._masks
-        of_hand = torch.zeros_like(blocks.hand_gradient, dtype=torch.bool)
+        of_hand = np.zeros(blocks.hand_gradient.shape, dtype=bool)
         of_hand[:, :6] = wrist
         return blocks.holding(of_hand, fingers)
 
     @cached_property
-    def _masks(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """(B, 1) and (B, 5, 9) bool, of the state's device."""
-        held = torch.tensor(self.variables(), device=self.state.root.device)
+    def _masks(self) -> tuple[np.ndarray, np.ndarray]:
+        """(B, 1) and (B, 5, 9) bool."""
+        held = self.variables()
         return held[:, :1], held[:, 3:48].reshape(-1, 5, 9)
 
     def put(self, state: State) -> State:
         """B hands with the held joints where they are held."""
-        device = state.root.device
-        wrist = torch.tensor(self.joints[:, 0], device=device)[:, None]
-        fingers = torch.tensor(self.joints[:, _JOINTS], device=device)[..., None, None]
+        wrist, fingers = self.joints[:, :1], self.joints[:, _JOINTS, None, None]
         return replace(
             state,
-            root=torch.where(wrist[..., None], self.state.root, state.root),
-            local=torch.where(fingers, self.state.local, state.local),
-            wrist=torch.where(wrist, self.state.wrist, state.wrist),
+            root=np.where(wrist[..., None], self.state.root, state.root),
+            local=np.where(fingers, self.state.local, state.local),
+            wrist=np.where(wrist, self.state.wrist, state.wrist),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
+import numpy as np
 
 from handfit_core.solvers.fast.blocks import Blocks
 from handfit_core.solvers.fast.chain import Chain, State, joined
@@ -18,7 +18,7 @@ LEAST_DAMPING = 1e-7
 WORTH_PACKING = 0.85
 """Problems that have ended are dropped from the batch when no more than this part of it goes on"""
 
-Linearise = Callable[[State, torch.Tensor], Blocks]
+Linearise = Callable[[State, np.ndarray], Blocks]
 """(state, index) -> blocks: index (B,) tells which of all problems the state's are"""
 
 
@@ -27,15 +27,16 @@ class Solution:
     """Where the solver stopped."""
 
     state: State
-    cost: torch.Tensor
+    cost: np.ndarray
     """(B,)"""
-    iterations: torch.Tensor
+    iterations: np.ndarray
     """(B,) int: steps tried"""
-    converged: torch.Tensor
+    converged: np.ndarray
     """(B,) bool: the next step promised less than the tolerance, or no step could lower the cost. Not where
     the cost is not finite"""
 
 
+@np.errstate(all="ignore")
 def solve(
     chain: Chain,
     linearise: Linearise,
@@ -48,24 +49,24 @@ def solve(
     """Minimise from `start`. With `shared_shape` all problems share betas and stop together.
 
     A problem ends when its next step promises to lower the cost by less than `tolerance` times the cost: that
-    step is neither tried nor taken.
+    step is neither tried nor taken. One without numbers ends at once, silently.
     """
-    count, device = len(start), start.root.device
+    count = len(start)
     shared = start.betas.shape[1] if shared_shape else 0
-    index = torch.arange(count, device=device)
+    index = np.arange(count)
     state, blocks = start, linearise(start, index)
-    damping = torch.full_like(blocks.cost, FIRST_DAMPING)
+    damping = np.full(count, FIRST_DAMPING)
     # A problem without numbers cannot be solved: it ends at once.
-    active = blocks.cost.isfinite()
-    iterations = torch.zeros(count, dtype=torch.long, device=device)
+    active = np.isfinite(blocks.cost)
+    iterations = np.zeros(count, dtype=np.int64)
     finished: list[_Finished] = []
     for _ in range(max_iterations):
         step = blocks.step(damping, shared=shared)
         before, promised = blocks.cost, blocks.promised(*step)
         if shared:
-            before, promised = before.sum().expand(count), promised.sum().expand(count)
+            before, promised = np.full(count, before.sum()), np.full(count, promised.sum())
         active = active & ~(promised < tolerance * before)
-        alive = int(active.sum())
+        alive = np.count_nonzero(active)
         if alive == 0:
             break
         if not shared and alive <= WORTH_PACKING * len(index):
@@ -78,7 +79,7 @@ def solve(
             before, active = before[active], active[active]
         candidate = chain.moved(state, *step)
         tried = linearise(candidate, index)
-        after = tried.cost.sum().expand(count) if shared else tried.cost
+        after = np.full(count, tried.cost.sum()) if shared else tried.cost
         iterations += active
         # NaN, from a matrix that was not definite, is not better.
         better = (after < before) & active
@@ -86,7 +87,7 @@ def solve(
             state, blocks = candidate, tried
         else:
             state, blocks = candidate.where(better, state), tried.where(better, blocks)
-        damping = torch.where(better, damping * LESS, damping * MORE).clamp(LEAST_DAMPING, MOST_DAMPING)
+        damping = np.clip(damping * np.where(better, LESS, MORE), LEAST_DAMPING, MOST_DAMPING)
         active = active & (damping < MOST_DAMPING)
     finished.append(_Finished(index, state, blocks.cost, iterations, active))
     return _gathered(finished)
@@ -96,21 +97,21 @@ def solve(
 class _Finished:
     """Some of the problems, where they ended."""
 
-    index: torch.Tensor
+    index: np.ndarray
     state: State
-    cost: torch.Tensor
-    iterations: torch.Tensor
-    active: torch.Tensor
+    cost: np.ndarray
+    iterations: np.ndarray
+    active: np.ndarray
 
 
 def _gathered(parts: list[_Finished]) -> Solution:
     """All problems in their own order."""
-    order = torch.argsort(torch.cat([p.index for p in parts]))
-    cost = torch.cat([p.cost for p in parts])[order]
-    active = torch.cat([p.active for p in parts])[order]
+    order = np.argsort(np.concatenate([p.index for p in parts]))
+    cost = np.concatenate([p.cost for p in parts])[order]
+    active = np.concatenate([p.active for p in parts])[order]
     return Solution(
         state=joined([p.state for p in parts]).select(order),
         cost=cost,
-        iterations=torch.cat([p.iterations for p in parts])[order],
-        converged=~active & cost.isfinite(),
+        iterations=np.concatenate([p.iterations for p in parts])[order],
+        converged=~active & np.isfinite(cost),
     )

@@ -1,11 +1,12 @@
-"""What the solver fits to: landmarks of B detections with their expected errors, as tensors."""
+"""What the solver fits to: landmarks of B detections with their expected errors, as arrays."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import torch
+import numpy as np
 
+from handfit_core.solvers.fast.chain import Index
 from handfit_core.solvers.fast.keeping import Kept
 
 
@@ -13,24 +14,24 @@ from handfit_core.solvers.fast.keeping import Kept
 class Observation:
     """Landmarks of B pictures of one model's hand. Pixels, camera frame."""
 
-    pixels: torch.Tensor
+    pixels: np.ndarray
     """(B, 21, 2)"""
-    pixel_sigma: torch.Tensor
+    pixel_sigma: np.ndarray
     """(B, 21, 2) expected errors, pixels"""
-    depth: torch.Tensor
+    depth: np.ndarray
     """(B, 21) along the line of sight about its mean, in pixels at the hand's distance"""
-    depth_sigma: torch.Tensor
+    depth_sigma: np.ndarray
     """(B, 21) pixels"""
-    ray: torch.Tensor
+    ray: np.ndarray
     """(B, 3) unit line of sight"""
-    focal: torch.Tensor
+    focal: np.ndarray
     """(B, 2) pixels"""
-    centre: torch.Tensor
+    centre: np.ndarray
     """(B, 2) pixels"""
-    pinned: torch.Tensor | None = None
+    pinned: np.ndarray | None = None
     """(B, 21) bool: pixels that are true, put there by a person: their cost grows with the square, so that no
     number of other landmarks can outvote them. None: there are none"""
-    world: torch.Tensor | None = None
+    world: np.ndarray | None = None
     """(B, 21, 3) world landmarks in metres; None where they are in `depth` already"""
     kept: Kept | None = None
     """Poses that the hands are to stay near; None: there are none"""
@@ -38,7 +39,7 @@ class Observation:
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def select(self, index: torch.Tensor) -> Observation:
+    def select(self, index: Index) -> Observation:
         """The detections of that index."""
         return replace(
             self, **{f.name: v[index] for f in fields(self) if (v := getattr(self, f.name)) is not None}

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
@@ -49,27 +48,22 @@ class Landmarked:
     pinned: np.ndarray | None = None
     """(N, 21) bool: pixels that a person has put there; None: there are none"""
 
-    def observation(
-        self, intrinsics: Intrinsics, dtype: torch.dtype, device: torch.device | str = "cpu"
-    ) -> Observation:
+    def observation(self, intrinsics: Intrinsics) -> Observation:
         """As seen through a camera."""
         middle = self.pixels.mean(axis=1)
         rays = intrinsics.rays(middle)
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         count = len(middle)
 
-        def tensor(array: np.ndarray) -> torch.Tensor:
-            return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
-
         return Observation(
-            pixels=tensor(self.pixels),
-            pixel_sigma=tensor(self.pixel_sigma),
-            depth=tensor(self.depth),
-            depth_sigma=tensor(self.depth_sigma),
-            ray=tensor(rays),
-            focal=tensor(np.array([intrinsics.fx, intrinsics.fy])).expand(count, 2),
-            centre=tensor(np.array([intrinsics.cx, intrinsics.cy])).expand(count, 2),
-            pinned=None if self.pinned is None else torch.tensor(self.pinned, device=device),
+            pixels=self.pixels,
+            pixel_sigma=self.pixel_sigma,
+            depth=self.depth,
+            depth_sigma=self.depth_sigma,
+            ray=rays,
+            focal=np.broadcast_to([intrinsics.fx, intrinsics.fy], (count, 2)),
+            centre=np.broadcast_to([intrinsics.cx, intrinsics.cy], (count, 2)),
+            pinned=self.pinned,
         )
 
 

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from handfit_core.residuals.temporal import place_acceleration, rotation_acceleration
 from handfit_core.solvers.fast.blocks import Blocks
@@ -68,16 +67,15 @@ def smoothed(
     state, first = start, 0
     while True:
         last = min(first + WINDOW + motion.overlap, count)
-        part = torch.arange(first, last)
-        rows = slice(first, last)
+        part = slice(first, last)
         found = _window(
             chain,
             energy,
             seen.select(part),
-            has_data[rows],
+            has_data[part],
             start.select(part),
             motion,
-            held[rows],
+            held[part],
             before_each,
         )
         # In the shared part the first half is the earlier window's, the second the later's.
@@ -89,8 +87,8 @@ def smoothed(
 
 
 def _put(whole: State, part: State, first: int, keep: int) -> State:
-    def put(name: str) -> torch.Tensor:
-        target = getattr(whole, name).clone()
+    def put(name: str) -> np.ndarray:
+        target = getattr(whole, name).copy()
         target[first + keep : first + len(part)] = getattr(part, name)[keep:]
         return target
 
@@ -112,7 +110,7 @@ def _window(
     before_each()
     state = start
     blocks = _data(chain, energy, seen, has_data, state)
-    total = float(blocks.cost.double().sum()) + _motion_cost(state, motion)
+    total = float(blocks.cost.sum()) + _motion_cost(state, motion)
     damping = 1e-4
     for _ in range(ITERATIONS):
         before_each()
@@ -123,7 +121,7 @@ def _window(
         step = _solve(matrix, gradient)
         candidate = _moved(chain, state, step, blocks)
         tried = _data(chain, energy, seen, has_data, candidate)
-        after = float(tried.cost.double().sum()) + _motion_cost(candidate, motion)
+        after = float(tried.cost.sum()) + _motion_cost(candidate, motion)
         if not after < total:
             damping *= 30.0
             continue
@@ -137,10 +135,10 @@ def _window(
 def _data(chain: Chain, energy: Energy, seen: Observation, has_data: np.ndarray, state: State) -> Blocks:
     """The frames' own matrices; zero where there is no data."""
     blocks = energy.of(chain.pose(state), seen, shape=False)
-    weight = torch.tensor(has_data, dtype=chain.dtype, device=chain.device)
+    weight = has_data.astype(np.float64)
     return Blocks(
         *(
-            getattr(blocks, name) * weight.view(-1, *[1] * (getattr(blocks, name).ndim - 1))
+            getattr(blocks, name) * weight.reshape(-1, *[1] * (getattr(blocks, name).ndim - 1))
             for name in Blocks.__dataclass_fields__
         )
     )
@@ -153,11 +151,11 @@ def _dense(blocks: Blocks, has_data: np.ndarray) -> tuple[np.ndarray, np.ndarray
     size = 45 + n
     matrix, gradient = np.zeros((count, size, size)), np.zeros((count, size))
     order = [0, 1, 2, *range(48, 51), *range(51, 51 + offsets)]  # where the hand's variables go
-    hand = blocks.hand.double().cpu().numpy()
-    mixed, finger = blocks.mixed.double().cpu().numpy(), blocks.finger.double().cpu().numpy()
+    hand = blocks.hand
+    mixed, finger = blocks.mixed, blocks.finger
     matrix[np.ix_(range(count), order, order)] = hand
-    gradient[:, order] = blocks.hand_gradient.double().cpu().numpy()
-    gradient[:, 3:48] = blocks.finger_gradient.double().cpu().numpy().reshape(count, 45)
+    gradient[:, order] = blocks.hand_gradient
+    gradient[:, 3:48] = blocks.finger_gradient.reshape(count, 45)
     for f in range(5):
         part = slice(3 + 9 * f, 12 + 9 * f)
         matrix[:, part, part] = finger[:, f]
@@ -184,13 +182,13 @@ def _banded(blocks: Blocks, has_data: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _rotations(state: State) -> np.ndarray:
     """(T, 16, 3, 3)"""
-    root = state.root.double().cpu().numpy()[:, None]
-    return np.concatenate([root, state.local.double().cpu().numpy().reshape(len(root), 15, 3, 3)], axis=1)
+    root = state.root[:, None]
+    return np.concatenate([root, state.local.reshape(len(root), 15, 3, 3)], axis=1)
 
 
 def _motion_cost(state: State, motion: Motion) -> float:
     turning, _ = rotation_acceleration(_rotations(state))
-    moving = place_acceleration(state.wrist.double().cpu().numpy())
+    moving = place_acceleration(state.wrist)
     return float(np.square(turning / motion.rotation).sum() + np.square(moving / motion.place).sum())
 
 
@@ -215,7 +213,7 @@ def _add_motion(band: np.ndarray, gradient: np.ndarray, state: State, motion: Mo
                     if below >= 0:
                         view[below, b : count - 2 + b, firsts + j] += block[:, :, i, j].T
     gradient[:, :48] = of_rotation.reshape(count, 48)
-    moving = place_acceleration(state.wrist.double().cpu().numpy()) / motion.place**2
+    moving = place_acceleration(state.wrist) / motion.place**2
     coefficients = (1.0, -2.0, 1.0)
     for a, ca in enumerate(coefficients):
         gradient[a : count - 2 + a, 48:] += ca * moving
@@ -243,15 +241,14 @@ def _solve(band: np.ndarray, gradient: np.ndarray) -> np.ndarray:
 
 def _moved(chain: Chain, state: State, step: np.ndarray, blocks: Blocks) -> State:
     """Apply increments; the terms' offsets follow the wrist along the way."""
-    tensor = torch.tensor(step, dtype=chain.dtype, device=chain.device)
-    own = tensor.new_zeros(len(tensor), state.offsets.shape[1])
-    of_hand = torch.cat([tensor[:, :3], tensor[:, 48:], own], dim=1)
-    moved = chain.moved(state, of_hand, tensor[:, 3:48].reshape(-1, 5, 9))
+    of_fingers = step[:, 3:48].reshape(-1, 5, 9)
+    of_hand = np.concatenate([step[:, :3], step[:, 48:], np.zeros_like(state.offsets)], axis=1)
+    moved = chain.moved(state, of_hand, of_fingers)
     # The offsets were eliminated: their own best increments, given the others'.
     offsets = state.offsets.shape[1]
-    corner = blocks.hand[:, 6:, 6:] + 1e-9 * torch.eye(offsets, dtype=chain.dtype, device=chain.device)
-    corner = corner + (corner.diagonal(dim1=-2, dim2=-1).sum(-1) < 1e-6).to(chain.dtype)[:, None, None]
-    pulled = blocks.hand_gradient[:, 6:] + (blocks.hand[:, 6:, :6] @ of_hand[:, :6, None]).squeeze(-1)
-    pulled = pulled + (blocks.mixed[..., 6:].mT @ tensor[:, 3:48].reshape(-1, 5, 9, 1)).sum(dim=1).squeeze(-1)
-    best = torch.linalg.solve(corner, -pulled.unsqueeze(-1)).squeeze(-1)
+    corner = blocks.hand[:, 6:, 6:] + 1e-9 * np.eye(offsets)
+    corner = corner + (np.trace(corner, axis1=1, axis2=2) < 1e-6)[:, None, None]
+    pulled = blocks.hand_gradient[:, 6:] + (blocks.hand[:, 6:, :6] @ of_hand[:, :6, None])[..., 0]
+    pulled = pulled + (np.swapaxes(blocks.mixed[..., 6:], 2, 3) @ of_fingers[..., None]).sum(axis=1)[..., 0]
+    best = np.linalg.solve(corner, -pulled[..., None])[..., 0]
     return replace(moved, offsets=state.offsets + best)

@@ -12,7 +12,6 @@ MACHINE = {
     "cores": 4,
     "usable_cores": 2,
     "load_before": 1.25,
-    "gpu": None,
     "torch_threads": 2,
     "opencv_threads": 2,
     "python": "3.11.7",
@@ -84,21 +83,9 @@ def test_memory_is_flat_or_not() -> None:
 
 def test_machine_is_described() -> None:
     text = text_of(results())
-    assert "Some CPU, 2 of 4 cores, load 1.2 before the start; GPU: none" in text
+    assert "Some CPU, 2 of 4 cores, load 1.2 before the start" in text
     assert "torch 2 (solvers take 1), OpenCV 2" in text
     assert "Python 3.11.7, numpy 2.0" in text
-
-
-def test_gpu_is_a_column_of_its_own() -> None:
-    on_gpu = Timing("fast, batch of 4", 4, "cuda", rounds=[[0.004], [0.004], [0.004]])
-    text = text_of(results(on_gpu))
-    assert "ms/frame on GPU" in text
-    assert line_of(text, "fast, batch of 4").split()[4:] == [
-        *("10.0", "10.0-10.0", "100", "200", "100-300"),
-        *("1.00", "1.00-1.00", "1000", "2000", "1000-3000"),
-    ]
-    assert line_of(text, "paper-a").split()[-5:] == ["-"] * 5
-    assert "on GPU" not in text_of(results())
 
 
 def test_without_anything_to_compare_with() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import torch
 
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
@@ -16,8 +15,7 @@ from handfit_core.solvers.fast.angles import rotation_of
 from handfit_core.solvers.fast.chain import Chain, State
 from handfit_core.solvers.fast.energy import Energy, PosePrior, Weights
 from handfit_core.solvers.fast.observation import Observation
-
-torch.set_num_threads(1)
+from tests.core.residuals.differences import random, unit
 
 FOCAL, CENTRE = 600.0, (320.0, 240.0)
 OFFSETS = Landmarks(np.random.default_rng(7).normal(size=(21, 3)) * 0.05)
@@ -27,7 +25,7 @@ RELAXED = np.tile(np.radians([0.0, 0.0, 20.0]), (5, 3)).reshape(5, 9)
 
 @cache
 def chain_of(side: Side = "right", landmarks: Landmarks = NO_OFFSETS) -> Chain:
-    return Chain(load_model("open-hand", side), landmarks, torch.float64)
+    return Chain(load_model("open-hand", side), landmarks)
 
 
 def prior_about_relaxed(degrees: float = 20.0) -> PosePrior:
@@ -48,43 +46,41 @@ def make_state(batch: int, chain: Chain, *, seed: int = 0, offsets: int = 1, spr
         angles = angles * np.tile([-1.0, -1.0, 1.0], 3)
     turns = rotvec_to_rotmat(rng.normal(size=(batch, 3)))
     wrist = rng.normal(size=(batch, 3)) * 0.05 + [0.0, 0.0, 0.5]
-    tensor = lambda a: torch.tensor(a, dtype=chain.dtype)  # noqa: E731
     return State(
-        root=tensor(turns),
-        local=rotation_of(tensor(angles).view(batch, 5, 3, 3)),
-        wrist=tensor(wrist),
-        betas=tensor(rng.normal(size=(batch, 10)) * 0.7),
-        offsets=tensor(np.tile([0.5, *wrist[0]][:offsets], (batch, 1))),
+        root=turns,
+        local=rotation_of(angles.reshape(batch, 5, 3, 3)),
+        wrist=wrist,
+        betas=rng.normal(size=(batch, 10)) * 0.7,
+        offsets=np.tile([0.5, *wrist[0]][:offsets], (batch, 1)),
     )
 
 
 def repeated(state: State, count: int) -> State:
     """The first hand, so many times."""
-    return state.select(torch.zeros(count, dtype=torch.long))
+    return state.select(np.zeros(count, dtype=int))
 
 
 def observe(
-    points: torch.Tensor, *, world: bool = False, noise: float = 0.0, sigma: float = 4.0
+    points: np.ndarray, *, world: bool = False, noise: float = 0.0, sigma: float = 4.0, seed: int = 0
 ) -> Observation:
     """(B, 21, 3) camera frame -> exact projections, depth along the ray through their middle in pixels."""
     batch = len(points)
-    generator = torch.Generator().manual_seed(0)
-    focal = torch.full((batch, 2), FOCAL, dtype=points.dtype)
-    centre = torch.tensor(CENTRE, dtype=points.dtype).expand(batch, 2)
+    focal = np.full((batch, 2), FOCAL)
+    centre = np.broadcast_to(CENTRE, (batch, 2))
     pixels = points[..., :2] / points[..., 2:] * FOCAL + centre[:, None]
-    towards = torch.cat([(pixels.mean(dim=1) - centre) / FOCAL, torch.ones_like(pixels[:, 0, :1])], dim=1)
-    ray = torch.nn.functional.normalize(towards, dim=1)
-    along = (points @ ray.unsqueeze(-1)).squeeze(-1)
-    middle = along.mean(dim=1, keepdim=True)
+    towards = np.concatenate([(pixels.mean(axis=1) - centre) / FOCAL, np.ones((batch, 1))], axis=1)
+    ray = unit(towards)
+    along = (points @ ray[..., None]).squeeze(-1)
+    middle = along.mean(axis=1, keepdims=True)
     depth = (along - middle) * FOCAL / middle
-    pixels = pixels + noise * torch.randn(pixels.shape, generator=generator, dtype=points.dtype)
+    pixels = pixels + noise * random(*pixels.shape, seed=seed)
     return Observation(
         pixels=pixels,
-        pixel_sigma=torch.full_like(pixels, sigma),
+        pixel_sigma=np.full_like(pixels, sigma),
         depth=depth,
-        depth_sigma=torch.full_like(depth, 3 * sigma),
+        depth_sigma=np.full_like(depth, 3 * sigma),
         ray=ray,
         focal=focal,
         centre=centre,
-        world=(points - points.mean(dim=1, keepdim=True)) * 1.2 if world else None,
+        world=(points - points.mean(axis=1, keepdims=True)) * 1.2 if world else None,
     )

@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-import torch
 
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
@@ -15,7 +14,7 @@ from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, bone_a
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, TIP_KEYPOINTS, Side
 from handfit_core.solvers.fast.angles import angles_of
 from handfit_core.solvers.fast.chain import Chain, State, exp
-from tests.core.residuals.differences import of_increments, random
+from tests.core.residuals.differences import close, of_increments, random
 from tests.core.solvers.fast.hands import OFFSETS, chain_of, make_state, repeated
 from tests.imitation_mano import imitation_model
 
@@ -34,9 +33,8 @@ def state_from(
 ) -> State:
     """The chain's state of MANO's parameters."""
     wrist = np.stack([chain.model.shaped(b).joints[0] for b in betas]) + transl
-    tensor = lambda a: torch.tensor(a, dtype=chain.dtype)  # noqa: E731
-    root, local = tensor(rotvec_to_rotmat(orient)), chain.local_from_pose(pose)
-    return State(root, local, tensor(wrist), tensor(betas), torch.zeros(len(betas), 1, dtype=chain.dtype))
+    root, local = rotvec_to_rotmat(orient), chain.local_from_pose(pose)
+    return State(root, local, wrist, betas, np.zeros((len(betas), 1)))
 
 
 def keypoints_of(model: HandModel, given: Parameters) -> np.ndarray:
@@ -47,20 +45,20 @@ def keypoints_of(model: HandModel, given: Parameters) -> np.ndarray:
 def test_pose_is_the_models_keypoints(side: Side) -> None:
     """The open hand's fingertips hang on the last bone alone, so that they agree like all others."""
     chain, given = chain_of(side), parameters(8)
-    found = chain.pose(state_from(chain, *given)).points.numpy()
+    found = chain.pose(state_from(chain, *given)).points
     np.testing.assert_allclose(found, keypoints_of(chain.model, given), rtol=0, atol=1e-12)
 
 
 def test_only_tips_differ_in_a_model_with_blended_skin() -> None:
     """MANO's fingertip vertices are skinned by more than one bone and moved by pose blend shapes."""
     model = imitation_model()
-    chain, given = Chain(model, NO_OFFSETS, torch.float64), parameters(8)
-    difference = chain.pose(state_from(chain, *given)).points.numpy() - keypoints_of(model, given)
+    chain, given = Chain(model, NO_OFFSETS), parameters(8)
+    difference = chain.pose(state_from(chain, *given)).points - keypoints_of(model, given)
     difference = np.linalg.norm(difference, axis=-1)
     joints = np.setdiff1d(np.arange(21), TIP_KEYPOINTS)
     assert difference[:, joints].max() < 1e-12
     flat = tuple(np.zeros_like(a) if i == 2 else a for i, a in enumerate(given))
-    at_rest = chain.pose(state_from(chain, *flat)).points.numpy() - keypoints_of(model, flat)  # type: ignore[arg-type]
+    at_rest = chain.pose(state_from(chain, *flat)).points - keypoints_of(model, flat)  # type: ignore[arg-type]
     assert np.abs(at_rest).max() < 1e-12
 
 
@@ -70,7 +68,7 @@ def test_landmarks_move_with_their_bones(side: Side) -> None:
     chain, given = chain_of(side, OFFSETS), parameters(3)
     model = chain.model
     offsets = np.einsum("kab,kb->ka", bone_axes(model)[list(LANDMARK_BONES)], OFFSETS.in_metres(model))
-    found = chain.pose(state_from(chain, *given)).points.numpy()
+    found = chain.pose(state_from(chain, *given)).points
     keypoints = keypoints_of(model, given)
     for i, (_, orient, pose, _) in enumerate(zip(*given, strict=True)):
         root, local = rotvec_to_rotmat(orient), rotvec_to_rotmat(pose.reshape(15, 3))
@@ -88,12 +86,12 @@ def test_landmarks_move_with_their_bones(side: Side) -> None:
 def test_left_mirrors_right(landmarks) -> None:
     mirror, turn_mirror = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, -1.0])
     betas, orient, pose, transl = parameters(4)
-    right, left = (Chain(load_model("open-hand", s), landmarks, torch.float64) for s in ("right", "left"))
+    right, left = (Chain(load_model("open-hand", s), landmarks) for s in ("right", "left"))
     there = left.pose(
         state_from(left, betas, orient * turn_mirror, pose * np.tile(turn_mirror, 15), transl * mirror)
     )
     here = right.pose(state_from(right, betas, orient, pose, transl))
-    np.testing.assert_allclose(there.points.numpy(), here.points.numpy() * mirror, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(there.points, here.points * mirror, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -103,13 +101,13 @@ def test_parameters_round_trip(side: Side) -> None:
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
     back, aim = chain.state(*given, np.zeros((5, 1))), state_from(chain, *given)
     for name in State.__dataclass_fields__:
-        torch.testing.assert_close(getattr(back, name), getattr(aim, name))
+        close(getattr(back, name), getattr(aim, name))
 
 
 def test_local_rotations_have_the_anatomical_angles() -> None:
     chain, (_, _, pose, _) = chain_of(), parameters(3)
     expected = anatomical_angles(rotvec_to_rotmat(pose.reshape(-1, 15, 3)), anatomical_axes(chain.model))
-    found = angles_of(chain.local_from_pose(pose)).numpy()
+    found = angles_of(chain.local_from_pose(pose))
     for f, finger in enumerate(FINGERS):
         rows = [j - 1 for j in FINGER_JOINTS[finger]]
         np.testing.assert_allclose(found[:, f], expected[:, rows], atol=1e-9)
@@ -122,48 +120,48 @@ def test_jacobians_by_finite_differences_over_moved(offsets: int, flat: bool) ->
     state = make_state(1, chain, offsets=offsets)
     if flat:
         state = State(
-            torch.eye(3, dtype=torch.float64)[None],
-            torch.eye(3, dtype=torch.float64).expand(1, 5, 3, 3, 3),
+            np.eye(3)[None],
+            np.broadcast_to(np.eye(3), (1, 5, 3, 3, 3)),
             state.wrist,
-            torch.zeros_like(state.betas),
+            np.zeros_like(state.betas),
             state.offsets,
         )
     posed, n = chain.pose(state), 6 + offsets + 10
 
-    def after(increments: torch.Tensor) -> torch.Tensor:
+    def after(increments: np.ndarray) -> np.ndarray:
         of_hand, of_fingers = increments[:, :n], increments[:, n:].reshape(-1, 5, 9)
         return chain.pose(chain.moved(repeated(state, len(increments)), of_hand, of_fingers)).points
 
     differences = of_increments(after, n + 45)  # (21, 3, n + 45)
-    assert differences[..., 6 : 6 + offsets].abs().max() == 0
-    wrist, rest = differences[0], differences[1:].view(5, 4, 3, n + 45)
+    assert np.abs(differences[..., 6 : 6 + offsets]).max() == 0
+    wrist, rest = differences[0], differences[1:].reshape(5, 4, 3, n + 45)
     own = [*range(6), *range(6 + offsets, n)]
-    close = partial(torch.testing.assert_close, rtol=1e-6, atol=1e-8)
+    near = partial(close, rtol=1e-6, atol=1e-8)
     jacobian = chain.jacobian(posed, shape=True)[0]
-    of_wrist, of_fingers = jacobian[0], jacobian[1:].view(5, 4, 3, 25)
-    close(of_wrist[:, 9:], wrist[:, own])
-    assert wrist[:, n:].abs().max() < 1e-9
-    assert of_wrist[:, :9].abs().max() == 0
-    close(of_fingers[..., 9:], rest[..., own])
-    torch.testing.assert_close(chain.jacobian(posed, shape=False)[0], jacobian[..., :15])
-    by_joints = torch.zeros(5, 4, 3, 5, 9, dtype=torch.float64)
+    of_wrist, of_fingers = jacobian[0], jacobian[1:].reshape(5, 4, 3, 25)
+    near(of_wrist[:, 9:], wrist[:, own])
+    assert np.abs(wrist[:, n:]).max() < 1e-9
+    assert np.abs(of_wrist[:, :9]).max() == 0
+    near(of_fingers[..., 9:], rest[..., own])
+    close(chain.jacobian(posed, shape=False)[0], jacobian[..., :15])
+    by_joints = np.zeros((5, 4, 3, 5, 9))
     for f in range(5):
         by_joints[f, :, :, f] = of_fingers[f, ..., :9]
-    close(by_joints.flatten(3), rest[..., n:])
+    near(by_joints.reshape(5, 4, 3, 45), rest[..., n:])
 
 
 def test_moved_by_nothing_is_the_same() -> None:
     chain = chain_of()
     state = make_state(2, chain)
-    zero = torch.zeros(2, 17, dtype=torch.float64), torch.zeros(2, 5, 9, dtype=torch.float64)
-    torch.testing.assert_close(chain.pose(chain.moved(state, *zero)).points, chain.pose(state).points)
+    zero = np.zeros((2, 17)), np.zeros((2, 5, 9))
+    close(chain.pose(chain.moved(state, *zero)).points, chain.pose(state).points)
 
 
 def test_moved_without_shape_keeps_betas() -> None:
     chain = chain_of()
     state = make_state(2, chain)
     after = chain.moved(state, random(2, 7, scale=0.1), random(2, 5, 9, scale=0.1))
-    assert torch.equal(after.betas, state.betas)
+    assert np.array_equal(after.betas, state.betas)
 
 
 def test_batch_equals_loop() -> None:
@@ -171,23 +169,21 @@ def test_batch_equals_loop() -> None:
     state = make_state(4, chain)
     whole = chain.pose(state)
     for i in range(4):
-        one = chain.pose(state.select(torch.tensor([i])))
-        torch.testing.assert_close(whole.points[i], one.points[0])
+        one = chain.pose(state.select(np.array([i])))
+        close(whole.points[i], one.points[0])
         for shape in (False, True):
-            torch.testing.assert_close(
-                chain.jacobian(whole, shape=shape)[i], chain.jacobian(one, shape=shape)[0]
-            )
+            close(chain.jacobian(whole, shape=shape)[i], chain.jacobian(one, shape=shape)[0])
 
 
 def test_exp_is_rodrigues_also_near_zero() -> None:
-    turns = torch.cat([random(5, 3), random(5, 3, scale=1e-9), torch.zeros(1, 3, dtype=torch.float64)])
-    np.testing.assert_allclose(exp(turns).numpy(), rotvec_to_rotmat(turns.numpy()), rtol=0, atol=1e-12)
+    turns = np.concatenate([random(5, 3), random(5, 3, scale=1e-9), np.zeros((1, 3))])
+    np.testing.assert_allclose(exp(turns), rotvec_to_rotmat(turns), rtol=0, atol=1e-12)
 
 
 def test_state_where_chooses_hand_by_hand() -> None:
     chain = chain_of()
     first, second = make_state(3, chain, seed=1), make_state(3, chain, seed=2)
-    mixed = first.where(torch.tensor([True, False, True]), second)
+    mixed = first.where(np.array([True, False, True]), second)
     for name in State.__dataclass_fields__:
-        assert torch.equal(getattr(mixed, name)[0], getattr(first, name)[0])
-        assert torch.equal(getattr(mixed, name)[1], getattr(second, name)[1])
+        assert np.array_equal(getattr(mixed, name)[0], getattr(first, name)[0])
+        assert np.array_equal(getattr(mixed, name)[1], getattr(second, name)[1])

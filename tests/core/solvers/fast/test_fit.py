@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-import torch
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
@@ -305,9 +304,3 @@ def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCapt
         assert (said or "") in caplog.text
         assert bool(caplog.records) == (said is not None)
         assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)
-
-
-def test_threads_are_given_back() -> None:
-    before = torch.get_num_threads()
-    fit_frames(model_of("right"), detections_of("right", poses(1)), CAMERA)
-    assert torch.get_num_threads() == before
