@@ -29,7 +29,7 @@ from .operators import (
     show_details,
     use_source,
 )
-from .scene import confidence, reshape, see_through
+from .scene import confidence, render_setup, reshape, see_through
 from .worker import shared
 
 PARTS = (
@@ -40,6 +40,7 @@ PARTS = (
     confidence,
     error_graph,
     see_through,
+    render_setup,
     import_take,
     export_hand,
     reset_shape,

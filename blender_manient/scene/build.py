@@ -30,7 +30,7 @@ from .animation import CURVES, animating, computing_keys, describe
 from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
-from .matching import note_matched
+from .matching import Footage, note_matched
 from .mesh import build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
@@ -189,12 +189,15 @@ def _steps(
     is one long step. Every data-block goes into `made`."""
     # Read every model before anything is made: a missing file must not leave half a rig behind.
     models: dict[Side, HandModel] = {}
+    wrists: dict[Side, Wrist] = {}
     warnings: list[str] = []
     for track in take.hands:
         loaded = load_model(model or take.model, track.side)
         warnings += _digest_warning(take, loaded)
         yield None
         models[track.side] = with_wrist(loaded, wrist)
+        # A model without an edge where a piece of forearm could begin comes back as it is.
+        wrists[track.side] = "open" if models[track.side] is loaded else wrist
         yield None
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
     timing = Timing() if match_scene else timing_in(scene, take, frame)
@@ -272,8 +275,8 @@ def _steps(
 
     # From here on the artist sees it.
     describe_capture(collection, camera, timing)
-    for index, armature in enumerate(hand.armature for hand in hands):
-        describe_hand(armature, collection, take, index, wrist)
+    for index, hand in enumerate(hands):
+        describe_hand(hand.armature, collection, take, index, wrists[hand.side])
     if own_camera is not None and plate is not None:
         warnings += _show_behind_own(own_camera, plate, take, scene)
     scene.collection.children.link(collection)
@@ -285,7 +288,7 @@ def _steps(
             frame_scene(scene, take)
             scene.camera = camera
             put_in_force(scene, stage)
-        note_matched(scene)
+        note_matched(scene, Footage.of_take(take, own_camera=own_camera is not None))
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)

@@ -10,7 +10,7 @@ import pytest
 
 import blender_manient
 from blender_manient.correction_field import changed_quats
-from blender_manient.operators.refit_range import replaced, suggested_range
+from blender_manient.operators.refit_range import MANIENT_OT_refit_range, replaced, suggested_range
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, write_pose_keys
@@ -18,6 +18,7 @@ from blender_manient.scene.own_keys import keyed_by_hand, note_fitted
 from blender_manient.scene.store import hand_of
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import Source
+from tests.drawn import drawn
 
 from .conftest import FRAMES, UNSEEN
 
@@ -115,6 +116,9 @@ def test_the_words_follow_the_range(armature):
     said, alert = replaced(bpy.context, frames[0], frames[-1])
     assert said == "Fits 12 frames again. Replaces 3 keys set by hand, on 2 frames"
     assert alert
+    dialog = drawn(MANIENT_OT_refit_range, first=frames[0], last=frames[-1])
+    # Without a window a dialog's lines have no room, and break after each letter.
+    assert "".join(dialog.said.split()) == "".join(f"first last {said}".split())
     said, alert = replaced(bpy.context, frames[5], frames[-1])
     assert said == "Fits 7 frames again. Replaces no key set by hand"
     assert not alert
