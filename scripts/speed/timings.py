@@ -13,8 +13,9 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture, detect_frames
-from handfit_core.solvers import DEFAULT_SOLVER, get_solver
+from handfit_core.solvers import get_solver
 from handfit_core.solvers.fast.fit import fit_frames
 from scripts.speed.interleaved import Contender, Timing, interleaved
 
@@ -48,7 +49,7 @@ class Hand:
 def find_hand(source: str, frames: FrameRange | None = None, model: str | None = None) -> Hand:
     """Detect an input's hands and keep the one seen most. Raises HandfitError."""
     media = open_media(source, frames)
-    _, found, _ = detect_frames(media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None)
+    _, found, _ = detect_frames(media, CaptureOptions())
     track = max(link_tracks(found), key=lambda t: int(t.detected.sum()))
     return Hand(
         model=load_model(model, track.side),
@@ -103,11 +104,10 @@ def time_pipeline(
 
     def detect(_: int) -> int:
         media = open_media(source, frames)
-        found = detect_frames(media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None)
-        return len(found[0])
+        return len(detect_frames(media, CaptureOptions())[0])
 
     def whole(_: int) -> object:
-        return capture(source, model=model, solver=DEFAULT_SOLVER, frames=frames)
+        return capture(source, model=model, frames=frames)
 
     count = detect(0)
     contenders = Contender("detection alone", detect, count), Contender("whole pipeline", whole, count)

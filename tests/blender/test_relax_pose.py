@@ -16,7 +16,7 @@ from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_p
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from handfit_core.evaluate.report import plots, sheets
 from handfit_core.evaluate.report.sheets import Sheet, crop_box, write_sheets
 from handfit_core.evaluate.summary import pck
-from handfit_core.media.opening import read_picture
+from handfit_core.media.pictures import read_picture
 from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.factory import make_scores
 from tests.core.evaluate.reports import COUNT, make_evaluation, write_picture
