@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Final
 
 from handfit_core.errors import DatasetError, OptionError
-from handfit_core.evaluate.datasets import dexter_object, egodexter, freihand, ho3d, plain, rhd
+from handfit_core.evaluate.datasets import freihand, ho3d, plain, rhd
+from handfit_core.evaluate.datasets.tips import DEXTER_OBJECT, EGODEXTER
 from handfit_core.evaluate.labels import Dataset
 
 __all__ = ["DATASET_KINDS", "open_dataset"]
 
-DATASET_KINDS: Final = (plain.KIND, freihand.KIND, ho3d.KIND, rhd.KIND, egodexter.KIND, dexter_object.KIND)
-"""The readers' names on the command line."""
-
-_WITH_SPLITS = {freihand.KIND: freihand, ho3d.KIND: ho3d, rhd.KIND: rhd}
-_OF_TIPS = {egodexter.KIND: egodexter.EGODEXTER, dexter_object.KIND: dexter_object.DEXTER_OBJECT}
+_WITH_SPLITS: Final = {freihand.KIND: freihand, ho3d.KIND: ho3d, rhd.KIND: rhd}
+_OF_TIPS: Final = {tip_set.kind: tip_set for tip_set in (EGODEXTER, DEXTER_OBJECT)}
+DATASET_KINDS: Final = (plain.KIND, *_WITH_SPLITS, *_OF_TIPS)
+"""The readers' names on the command line"""
 
 
 def open_dataset(
@@ -63,16 +63,11 @@ def open_dataset(
 
 def _recognised(root: Path) -> str:
     # HO-3D before FreiHAND: both may hold an evaluation_xyz.json.
-    tests = {
-        plain.KIND: plain.recognises,
-        rhd.KIND: rhd.recognises,
-        ho3d.KIND: ho3d.recognises,
-        freihand.KIND: freihand.recognises,
-        egodexter.KIND: egodexter.EGODEXTER.recognises,
-        dexter_object.KIND: dexter_object.DEXTER_OBJECT.recognises,
-    }
+    tests = {module.KIND: module.recognises for module in (plain, rhd, ho3d, freihand)}
+    tests |= {kind: tip_set.recognises for kind, tip_set in _OF_TIPS.items()}
     for kind, recognises in tests.items():
         if recognises(root):
             return kind
-    layouts = (m.LAYOUT for m in (plain, freihand, ho3d, rhd, egodexter, dexter_object))
+    layouts = [module.LAYOUT for module in (plain, *_WITH_SPLITS.values())]
+    layouts += [tip_set.layout for tip_set in _OF_TIPS.values()]
     raise DatasetError(f"{root}: this folder fits no layout that is known. Expected {', or '.join(layouts)}")
