@@ -91,7 +91,7 @@ def _unpack(stream: BinaryIO, layout: str, at: int | None = None) -> tuple[int, 
 
 
 def _cost(bits: int) -> int:
-    """Of so many bits per channel."""
+    """The cost of a picture with so many bits per channel."""
     if bits <= 8:
         return 1
     return 3 if bits <= 16 else -(-bits // 8)
