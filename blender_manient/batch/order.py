@@ -6,8 +6,10 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
+from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import OptionError
 from handfit_core.options import CaptureOptions
+from handfit_core.solvers import get_solver
 
 from ..exporters import EXPORTERS, find_exporter
 
@@ -34,6 +36,9 @@ class Order:
         """From parsed arguments (batch/arguments.py). Raises OptionError for values that cannot be meant."""
         formats = _checked_formats(args.format)
         options = CaptureOptions.of_arguments(args)
+        if args.python is None:  # a Python that is named may have solvers and detectors of its own
+            get_solver(options.solver)
+            DETECTORS.get(options.detector)
         return cls(
             output=args.output,
             formats=formats,
