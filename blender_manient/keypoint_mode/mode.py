@@ -17,10 +17,10 @@ import numpy as np
 
 from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 from .. import details, jobs, preferences, screen
-from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
 from ..rigs import rig_of
 from ..scene.keys import set_pose
