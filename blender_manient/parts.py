@@ -9,7 +9,7 @@ from types import ModuleType
 import bpy
 
 from . import cache, error_graph, jobs, operators, panels, preferences, properties, source_info
-from .scene import confidence, reshape, see_through
+from .scene import confidence, render_setup, reshape, see_through
 from .worker import shared
 
 _KINDS = (
@@ -69,6 +69,7 @@ PARTS = tuple(
             confidence,
             error_graph,
             see_through,
+            render_setup,
             shared,
             jobs,
             source_info,

@@ -49,9 +49,9 @@ class ManientPreferences(bpy.types.AddonPreferences):
     )
     max_megapixels: IntProperty(  # type: ignore
         name="Largest Picture",
-        description="Megapixels that a picture or a frame of a video may have; larger ones are refused "
-        "before they fill the memory. 0: 250, in files under 10 MB 64; for videos 80 and 12. "
-        "Any other number takes the place of all four: choose it for your largest pictures",
+        description="Megapixels that any picture, and any frame of a video, may have; larger ones are "
+        "refused before they fill the memory. 0: 250 for pictures and 80 for videos, or 64 and "
+        "12 where the files have less than 10 MB together, in which few real ones need more",
         default=0,
         min=0,
         soft_max=500,

@@ -158,18 +158,26 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     matching: EnumProperty(  # type: ignore
         name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size and camera",
+        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
         items=CHOICES,
         default="AUTO",
     )
-    matched: StringProperty(  # type: ignore
-        description="The settings that the scene was given by footage (scene/matching.py)"
+    matched_time: StringProperty(  # type: ignore
+        description="The rate and range that the scene was given by footage (scene/matching.py)"
+    )
+    matched_size: StringProperty(  # type: ignore
+        description="The picture size that the scene was given by footage"
     )
     render_setup: BoolProperty(  # type: ignore
         name="Ready to Render",
         description="Where the scene is matched, add lights if it has none and show the picture behind the "
-        "hands in renders. Your own lights and world stay as they are",
+        "hands in renders, its colors as they are (the view transform Standard for Blender's AgX). Your own "
+        "lights and world stay as they are",
         default=True,
+    )
+    rendered_camera: StringProperty(  # type: ignore
+        description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
+        options={"HIDDEN"},
     )
     pose_correctives: BoolProperty(  # type: ignore
         name="Pose Correctives",
@@ -230,7 +238,7 @@ def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
 def _error_shown_changed(_hand: bpy.types.PropertyGroup, context) -> None:
     from . import error_graph
 
-    error_graph.redraw(context)
+    error_graph.shown_changed(context)
 
 
 class ManientHand(bpy.types.PropertyGroup):

@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors.npz import LONGEST_HEADER, NotNpz, NpzArchive
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import OptionError, OutputError, TakeError
 from handfit_core.files import read_file, shown, storable, why, written_whole
@@ -48,6 +48,8 @@ _LARGEST_FPS: Final = 1e6
 _LARGEST_SIDE: Final = 1 << 24
 """pixels of a picture"""
 _MOST_HANDS: Final = 200
+_MOST_NAMES: Final = LONGEST_HEADER - (1 << 16)
+"""characters of all pictures' paths in the header, beside which the rest has room"""
 
 _TRACK_ARRAYS: dict[str, tuple[int, ...]] = {
     "global_orient": (3,),
@@ -83,6 +85,16 @@ class Source:
     """Absolute paths: the photo, the video, or every picture of the sequence that was read"""
     orientation: int = 1
     """EXIF orientation (1-8) that was undone on reading; pixels in a take are of the upright picture"""
+
+    def __post_init__(self) -> None:
+        """Raise TakeError for more names than a take's file holds: before a capture, and not after it."""
+        count = len(json.dumps(self.files, ensure_ascii=False))
+        if count > _MOST_NAMES:
+            raise TakeError(
+                f"the paths of {len(self.files)} pictures have {count} characters, and a take holds no more "
+                f"than {_MOST_NAMES}; capture fewer frames at once, or move them to a folder with a "
+                "shorter path"
+            )
 
     @property
     def name(self) -> str:

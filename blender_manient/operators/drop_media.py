@@ -60,7 +60,8 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
         layout.prop(settings, "hands")
         if settings.target == "NEW":
             layout.prop(settings, "matching")
-            text = said(scene, settings.matching, self._footage, scene.frame_current)
+            ready = settings.render_setup and settings.camera != "ACTIVE"
+            text = said(scene, settings.matching, self._footage, scene.frame_current, render_setup=ready)
             sentence(layout, context, text, "SCENE_DATA", width=_WIDTH)
 
     def execute(self, context):

@@ -35,7 +35,7 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
     )
     matching: bpy.props.EnumProperty(  # type: ignore
         name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size and camera",
+        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
         items=CHOICES,
         default="AUTO",
         options={"SKIP_SAVE"},
@@ -68,7 +68,7 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
         layout.prop(self, "matching")
         # After the import the scene is another one, which the choice is not about.
         if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
-            text = said(scene, self.matching, None, scene.frame_current)
+            text = said(scene, self.matching, None, scene.frame_current, render_setup=self.render_setup)
             sentence(layout, context, text, "SCENE_DATA")
 
     @errors_reported

@@ -28,7 +28,7 @@ from ..wording import NAME_BYTES, named_after, shortened_name
 from .animation import CURVES, animating, computing_keys, describe
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
-from .matching import note_matched
+from .matching import Footage, note_matched
 from .mesh import build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
@@ -142,12 +142,15 @@ def _steps(
     is one long step. Every data-block goes into `made`."""
     # Read every model before anything is made: a missing file must not leave half a rig behind.
     models: dict[Side, HandModel] = {}
+    wrists: dict[Side, Wrist] = {}
     warnings: list[str] = []
     for track in take.hands:
         loaded = load_model(how.model or take.model, track.side)
         warnings += _digest_warning(take, loaded)
         yield None
         models[track.side] = with_wrist(loaded, how.wrist)
+        # A model without an edge where a piece of forearm could begin comes back as it is.
+        wrists[track.side] = "open" if models[track.side] is loaded else how.wrist
         yield None
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
     timing = Timing() if how.match_scene else timing_in(scene, take, how.frame)
@@ -226,8 +229,8 @@ def _steps(
 
     # From here on the artist sees it.
     describe_capture(collection, camera, timing)
-    for index, armature in enumerate(hand.armature for hand in hands):
-        describe_hand(armature, collection, take, index, how.wrist)
+    for index, hand in enumerate(hands):
+        describe_hand(hand.armature, collection, take, index, wrists[hand.side])
     if how.camera is not None and plate is not None:
         warnings += _show_behind_own(how.camera, plate, take, scene)
     scene.collection.children.link(collection)
@@ -239,7 +242,7 @@ def _steps(
             frame_scene(scene, take)
             scene.camera = camera
             put_in_force(scene, stage)
-        note_matched(scene)
+        note_matched(scene, Footage.of_take(take, own_camera=how.camera is not None))
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)

@@ -27,6 +27,7 @@ from handfit_core.media.size_limit import (
     check_limit,
     check_picture,
     check_video,
+    common_limit,
     is_picture,
     is_video,
     not_a_video,
@@ -94,8 +95,8 @@ def open_media(
     """Open a photo, a list or folder of photos, a `name.%04d.png`, `name.####.png` or glob pattern, or
     a video.
 
-    `frames` picks source frame numbers of sequences and videos. `max_megapixels` takes the place of the
-    limits of `size_limit`. Raises InputError, and OptionError for a limit that is none.
+    `frames` picks source frame numbers of sequences and videos. `max_megapixels` is what a picture or frame
+    may have; None: the limits of `size_limit`. Raises InputError, and OptionError for a limit that is none.
     """
     opening = _Opening(frames or FrameRange(), check_limit(max_megapixels))
     try:
@@ -265,8 +266,8 @@ def read_picture(
     """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
 
     `as_stored` leaves the orientation alone, for pictures whose labels are in stored pixels.
-    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. `max_megapixels` takes the
-    place of the limits of `size_limit`. Raises InputError.
+    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. `max_megapixels` as in
+    `open_media`. Raises InputError.
     """
     import cv2
 
@@ -338,7 +339,7 @@ class _Pictures(Media):
 
     def __init__(self, files: list[Path], numbers: list[int], opening: _Opening, *, kind: Any) -> None:
         self._files, self._numbers = files, numbers
-        self._max_megapixels = opening.max_megapixels
+        self._max_megapixels = common_limit(files, opening.max_megapixels)
         frames = opening.frames
         self._first_number = frames.first if frames.first is not None else numbers[0]
         self.fps = DEFAULT_FPS

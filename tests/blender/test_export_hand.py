@@ -13,11 +13,13 @@ from mathutils import Matrix
 import blender_manient
 from blender_manient.blender_versions import use_nodes
 from blender_manient.exporters import EXPORTERS
+from blender_manient.panels.export import MANIENT_PT_export
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from handfit_core.take import Source, Take
+from tests.drawn import drawn
 
 from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world, write_png
 from .fbx_file import read_fbx
@@ -385,6 +387,13 @@ def test_a_format_that_this_blender_lacks_is_one_sentence(hands, tmp_path, monke
     with pytest.raises(RuntimeError, match="this Blender cannot write usd"):
         bpy.ops.manient.export_hand(filepath=str(tmp_path / "x"), file_format="usd")
     assert not list(tmp_path.iterdir())
+    others = [fmt for fmt, kind in EXPORTERS.items() if fmt != "usd" and kind.why_not()]
+    for chosen, grey in (("usd", ["usd", "Export"]), ("glb", ["usd"])):
+        bpy.context.scene.manient.export_format = chosen
+        panel = drawn(MANIENT_PT_export)
+        assert sorted(panel.grey) == sorted([*grey, *others])
+        assert "USD" in panel.said
+        assert "missing in this build of Blender" in panel.said
 
 
 def test_what_cannot_be_written_is_one_sentence(hands, tmp_path):

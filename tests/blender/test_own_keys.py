@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.operators.refit_range import replaced, suggested_range
+from blender_manient.operators.refit_range import MANIENT_OT_refit_range, replaced, suggested_range
 from blender_manient.rigs import rig_of
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
@@ -19,6 +19,7 @@ from blender_manient.scene.store import hand_of
 from handfit_core.edit.corrections import changed_quats
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import Source
+from tests.drawn import drawn
 
 from .conftest import FRAMES, UNSEEN
 
@@ -116,6 +117,9 @@ def test_the_words_follow_the_range(armature):
     said, alert = replaced(bpy.context, frames[0], frames[-1])
     assert said == "Fits 12 frames again. Replaces 3 keys set by hand, on 2 frames"
     assert alert
+    dialog = drawn(MANIENT_OT_refit_range, first=frames[0], last=frames[-1])
+    # Without a window a dialog's lines have no room, and break after each letter.
+    assert "".join(dialog.said.split()) == "".join(f"first last {said}".split())
     said, alert = replaced(bpy.context, frames[5], frames[-1])
     assert said == "Fits 7 frames again. Replaces no key set by hand"
     assert not alert

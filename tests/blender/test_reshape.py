@@ -10,6 +10,7 @@ import pytest
 
 import blender_manient
 from blender_manient.blender_versions import channels
+from blender_manient.panels.shape import MANIENT_PT_shape
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import reshape
@@ -23,6 +24,7 @@ from handfit_core.errors import HandModelError
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL, points_to_rest
 from handfit_core.hand_model.forearm import with_wrist
+from tests.drawn import drawn
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 
@@ -399,6 +401,7 @@ def test_the_forearm_can_be_hidden(make_take, with_correctives):
     as it was."""
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take).hands
+    assert "forearm" in drawn(MANIENT_PT_shape).said
     if with_correctives:  # shape keys are moved along
         hand.mesh.shape_key_add(name="Basis")
         hand.mesh.shape_key_add(name="mine").value = 1.0
@@ -426,10 +429,17 @@ def test_hands_with_an_open_wrist_stay_open(make_take):
     """As every hand of a file from before there were forearms."""
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take, wrist="open").hands
+    assert "forearm" not in drawn(MANIENT_PT_shape).said
     hand.armature.manient.forearm = True
     hand.armature.manient.betas = BETAS
     assert reshape.is_current(hand.armature)
     assert len(hand.mesh.data.vertices) == len(load_model("open-hand", "right").v_template)
+
+
+def test_a_model_without_an_edge_at_its_wrist_has_no_forearm(make_take, imitation_mano):
+    """The panel shows no box where there is no wrist to close."""
+    (hand,) = build_take(make_take(sides=("right",), model=str(imitation_mano)).take).hands
+    assert (hand.armature.manient.wrist, hand.armature.manient.forearm) == ("open", False)
 
 
 def test_the_mirror_image_has_the_wrist_that_is_shown(make_take):

@@ -170,7 +170,10 @@ def test_a_take_in_a_blend_is_checked_like_a_file(make_take, no_memory):
 def test_the_model_that_a_take_names_is_read_like_any_other(make_take, tmp_path, where):
     """Blender reads what a .blend or take of somebody else's names: it is never waited for."""
     path = tmp_path / "pipe"
-    os.mkfifo(path)
+    if where == "pipe":
+        if not hasattr(os, "mkfifo"):
+            pytest.skip("this system has no named pipes")
+        os.mkfifo(path)
     take = replace(make_take().take, model=str(path) if where == "pipe" else where)
     with pytest.raises(HandModelError, match="hand model"):
         build_take(take)

@@ -452,6 +452,14 @@ def test_a_take_that_is_no_file(tmp_path: Path) -> None:
         Take.load("a" * 5000)
 
 
+def test_what_is_saved_of_a_very_long_sequence_can_be_read() -> None:
+    files = tuple(f"/shots/{'a long folder name ' * 9}/frame.{number:08d}.png" for number in range(150_000))
+    source = Source("sequence", files)
+    assert Take.from_bytes(take(source=source).to_bytes()).source == source
+    with pytest.raises(TakeError, match=r"the paths of 70000 pictures have .* capture fewer frames at once"):
+        Source("sequence", ("a" * 1000,) * 70_000)
+
+
 def test_a_small_file_takes_no_more_memory_than_small_takes(tmp_path: Path) -> None:
     """Members that nobody knows are not read, and known ones not beyond what such a take can have."""
     path = take().save(tmp_path / "t.npz")

@@ -21,6 +21,7 @@ from handfit_core.media.size_limit import (
     check_frame_size,
     check_limit,
     check_picture,
+    common_limit,
 )
 from tests.bombs import clip, with_claimed_size, with_frame_count, with_sample_count
 from tests.child import ROOT, peak_megabytes
@@ -90,6 +91,45 @@ def test_more_bytes_per_channel_count_more(tmp_path: Path) -> None:
     (tmp_path / "a.hdr").write_bytes(with_claimed_size(".hdr", 8000, 4000))
     with pytest.raises(InputError, match=r"32 megapixels, which count as 128\), .* no more than 64 are read"):
         check_picture(tmp_path / "a.hdr")
+
+
+def deep_png(path: Path, width: int, height: int, size: int = 0) -> Path:
+    """One with 16 bits per channel, of at least `size` bytes."""
+    data = bytearray(with_claimed_size(".png", width, height))
+    data[24] = 16
+    path.write_bytes(data + bytes(max(0, size - len(data))))
+    return path
+
+
+def test_a_named_limit_counts_pixels_alone(tmp_path: Path) -> None:
+    small, large = (deep_png(tmp_path / f"{size}.png", 10_000, 10_000, size) for size in (0, SMALL_FILE))
+    check_picture(large)  # a medium-format camera's
+    with pytest.raises(InputError, match=r"which count as 300\), and in a file under 10 MB no more than 64"):
+        check_picture(small)
+    for path in (small, large):
+        check_picture(path, 100)
+        with pytest.raises(InputError, match=r"\(100 megapixels\), and no more than 99 are read"):
+            check_picture(path, 99)
+
+
+def test_a_sequences_pictures_have_one_limit(tmp_path: Path) -> None:
+    files = [deep_png(tmp_path / f"a{i}.png", 10_000, 10_000, SMALL_FILE // 2) for i in range(2)]
+    limit = common_limit(files, None)
+    for file in files:
+        check_picture(file, limit)
+    assert common_limit(files, 12.5) == 12.5
+    assert common_limit(files[:1], None) is None
+    few_bytes = [jpeg(tmp_path / f"b{i}.jpg", 100, 100) for i in range(2)]
+    assert common_limit([*few_bytes, tmp_path / "gone.jpg"], None) is None
+
+
+def test_a_frame_with_few_bytes_is_read_as_its_neighbours_are(tmp_path: Path) -> None:
+    flat = np.zeros((8100, 8000, 3), dtype=np.uint8)  # more than small files may claim
+    for number in (1, 2):
+        cv2.imwrite(str(tmp_path / f"a{number}.png"), flat)
+    padded = tmp_path / "a2.png"
+    padded.write_bytes(padded.read_bytes() + bytes(SMALL_FILE))
+    assert [frame.rgb is not None for frame in open_media(tmp_path).frames()] == [True, True]
 
 
 def test_the_limit_is_an_option(tmp_path: Path) -> None:

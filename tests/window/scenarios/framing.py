@@ -19,12 +19,13 @@ def whole_picture(stage, source):
 
     yield from stage.open_sidebar()
     view = stage.area().spaces[0].region_3d
-    view.view_camera_zoom, view.view_camera_offset = 50.0, (0.3, 0.2)
+    _zoom_into(view)
     yield from capture(stage, source)
     yield 0.3
     yield from stage.screenshot("framed-with-sidebar")
     found["with sidebar"] = _seen(stage)
 
+    _zoom_into(view)
     view.view_perspective = "PERSP"
     bpy.context.view_layer.objects.active = hands()[-1]
     operator = part("operators.edit_keypoints")
@@ -44,6 +45,10 @@ def whole_picture(stage, source):
     yield from stage.screenshot("framed-in-quad-view")
     found["quad view"] = _seen(stage)
     return found
+
+
+def _zoom_into(view: bpy.types.RegionView3D) -> None:
+    view.view_camera_zoom, view.view_camera_offset = 50.0, (0.3, 0.2)
 
 
 def _seen(stage) -> dict:
