@@ -11,6 +11,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import detect_frames
 
 
@@ -38,7 +39,7 @@ def find_hand(
 ) -> Hand:
     """Detect an input's hands and keep the one seen most. Raises HandfitError."""
     media = open_media(source, frames)
-    _, found, _ = detect_frames(media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None)
+    _, found, _ = detect_frames(media, CaptureOptions())
     track = max(link_tracks(found), key=lambda t: int(t.detected.sum()))
     return Hand(
         model=load_model(model, track.side),

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from benchmarks.interleaved import Contender, Timing, interleaved
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture, detect_frames
 
 DETECTION = "detection alone"
@@ -32,9 +33,7 @@ def time_pipeline(
     def detect(_: int) -> None:
         nonlocal count
         media = open_media(source, frames)
-        numbers, _found, _ = detect_frames(
-            media, lambda _: None, max_hands=2, threshold=0.5, landmark_model=None
-        )
+        numbers, _found, _ = detect_frames(media, CaptureOptions())
         count = len(numbers)
 
     detect(0)

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import OutputError
-from handfit_core.paths import cache_dir
+from handfit_core.files import cache_dir
 from handfit_core.slices import slice_clock
 
 from . import preferences

@@ -19,8 +19,10 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
 from handfit_core.slices import retold, slice_clock
-from handfit_core.take import Source, Take
+from handfit_core.take import Take
 
 from . import details
 from .cache import folder_path, temporary_take
@@ -32,7 +34,6 @@ from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .wording import capitalised, without_name
 from .worker import shared
-from .worker.client import CaptureOptions
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
@@ -274,7 +275,7 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
     job.done, job.total = done, total
     part = done / total if total else 0.0
     # Detection takes nearly all of a capture's time, except with the paper's solvers.
-    share = 0.1 if (job.options.solver or "").startswith("paper") else 0.85
+    share = 0.1 if job.options.solver.startswith("paper") else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 
 

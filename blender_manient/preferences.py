@@ -8,6 +8,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from handfit_core.options import OPTIONS
+
 from .properties import PRESETS
 
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
@@ -50,8 +52,7 @@ class ManientPreferences(bpy.types.AddonPreferences):
     max_megapixels: IntProperty(  # type: ignore
         name="Largest Picture",
         description="Megapixels that any picture, and any frame of a video, may have; larger ones are "
-        "refused before they fill the memory. 0: 250 for pictures and 80 for videos, or 64 and "
-        "12 where the files have less than 10 MB together, in which few real ones need more",
+        f"refused before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}",
         default=0,
         min=0,
         soft_max=500,

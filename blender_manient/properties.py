@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -14,8 +17,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
-from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
@@ -49,6 +52,18 @@ def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
 EXPORT_FORMATS = tuple(
     (e.name, e.label, e.description) for e in EXPORTERS.values() if e.writes != "collection"
 )
+
+
+def of_option(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
+    """A property's description, default and range, as the capture's option of that name has them; `units`:
+    how many of the panel's units one of the option's has."""
+    option = OPTIONS[name]
+    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + said}
+    if option.default is not None:
+        shown["default"] = option.default
+    if math.isfinite(option.most):
+        shown |= {"min": option.least * units, "max": option.most * units}
+    return shown
 
 
 class ManientSettings(bpy.types.PropertyGroup):
@@ -93,25 +108,19 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     hands: EnumProperty(  # type: ignore
         name="Hands",
-        description="Which hands to keep",
         items=(
             ("auto", "Auto", "All hands that are found, up to two"),
             ("left", "Left", "The person's left hand only"),
             ("right", "Right", "The person's right hand only"),
             ("both", "Both", "One left and one right hand"),
         ),
-        default="auto",
+        **of_option("hands"),
     )
     use_hand_length: BoolProperty(  # type: ignore
         name="Expected Size", description="Tell how large the hand is, for its distance and shape"
     )
     hand_length: FloatProperty(  # type: ignore
-        name="Length",
-        description="From the wrist to the tip of the middle finger, in centimeters",
-        default=18.5,
-        min=5.0,
-        max=30.0,
-        precision=1,
+        name="Length", default=18.5, precision=1, **of_option("hand_length", 100.0, ", in centimeters")
     )
 
     # Capture
@@ -123,20 +132,14 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
     smoothing: FloatProperty(  # type: ignore
-        name="Smoothing",
-        description="How smooth motion is: 0 takes every frame by itself",
-        default=DEFAULT_SMOOTHING,
-        min=0.0,
-        max=MOST_SMOOTHING,
-        soft_max=4.0,
+        name="Smoothing", soft_max=4.0, **of_option("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
         name="Detection Threshold",
-        description="Lower finds more hands, and more that are none",
-        default=0.5,
-        min=0.05,
-        max=0.95,
         subtype="FACTOR",
+        soft_min=0.05,
+        soft_max=0.95,
+        **of_option("threshold"),
     )
     camera: EnumProperty(  # type: ignore
         name="Camera",

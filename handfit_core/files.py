@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Files of the user: written whole or not at all, read with a limit, named in messages; and the cache."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from io import FileIO
@@ -172,3 +173,16 @@ def _take_room(stream: FileIO, size: int) -> None:
     block = bytes(1 << 20)
     while (left := size - stream.tell()) > 0:
         stream.write(block[:left])
+
+
+def cache_dir() -> Path:
+    """Where files are kept between runs: `$HANDFIT_CACHE`, or the platform's cache folder."""
+    if override := os.environ.get("HANDFIT_CACHE"):
+        return Path(override).expanduser()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "handfit"

@@ -9,14 +9,13 @@ input has so few bytes that only a hostile one would need as much memory.
 from __future__ import annotations
 
 import contextlib
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from handfit_core.errors import InputError, OptionError
+from handfit_core.errors import InputError
 from handfit_core.media.picture_header import read_picture_header
 from handfit_core.media.video_header import read_video_header
 
@@ -48,13 +47,6 @@ LONGEST_SIDE: Final = 65_535
 """Pixels; no JPEG is longer"""
 
 _FRAMES_BY_NAME: Final = re.compile(r"%\d*d")
-
-
-def check_limit(max_megapixels: float | None) -> float | None:
-    """The limit as it came. Raises OptionError for one that is not above 0."""
-    if max_megapixels is not None and not 0.0 < max_megapixels < math.inf:
-        raise OptionError(f"max_megapixels must be a number above 0, not {max_megapixels:g}")
-    return max_megapixels
 
 
 def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | None:

@@ -16,7 +16,7 @@ from blender_manient.scene.corrections import corrections_of, keep_field
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
 from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 

@@ -18,7 +18,8 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from handfit_core.take import Source, Take
+from handfit_core.media.source import Source
+from handfit_core.take import Take
 from tests.drawn import drawn
 
 from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world, write_png

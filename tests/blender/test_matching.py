@@ -12,7 +12,7 @@ from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.matching import Footage, matches, said, why_kept
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH
 

@@ -16,7 +16,7 @@ from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import axes, load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 
 @pytest.fixture(autouse=True)

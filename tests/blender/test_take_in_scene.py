@@ -17,7 +17,7 @@ from blender_manient.scene.build import build_take
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, evaluated_vertices, joint_heads, world
 

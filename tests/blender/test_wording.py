@@ -28,9 +28,9 @@ from blender_manient.wording import (
     shortened_name,
     without_name,
 )
-from blender_manient.worker.client import CaptureOptions
 from handfit_core.fit_quality import mean_relative_error, relative_errors
-from handfit_core.take import Source
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
 from tests.drawn import drawn
 
 LONG = "entrevista con la señora Muñoz en el taller, segunda toma, cámara B, mano izquierda"

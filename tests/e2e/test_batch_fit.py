@@ -18,7 +18,8 @@ pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.media.source import Source
+from handfit_core.take import HandTrack, Take
 from tests.capturing import can_capture
 
 ROOT = Path(__file__).resolve().parents[2]

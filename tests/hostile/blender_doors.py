@@ -23,10 +23,11 @@ from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
 from blender_manient.worker import shared
-from blender_manient.worker.client import CaptureOptions, Worker, WorkerError, as_error
+from blender_manient.worker.client import Worker, WorkerError, as_error
 from handfit_core.errors import HandfitError
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
 from handfit_core.refine import result_from_message
-from handfit_core.take import Source
 from scripts import batch_fit
 from tests.drawn import drawn
 from tests.hostile.core_doors import check_ending, check_take

@@ -72,7 +72,7 @@ def test_upright_agrees_with_opencv(tmp_path) -> None:
 
 def test_tiff_is_turned_once(tmp_path) -> None:
     """OpenCV turns TIFFs whatever one asks for."""
-    from handfit_core.media.opening import read_picture
+    from handfit_core.media.pictures import read_picture
 
     pixels = np.zeros((12, 20, 3), dtype=np.uint8)
     pixels[0, 0] = 255  # top left as stored

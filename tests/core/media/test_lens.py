@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.media.lens import known_intrinsics
+from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import open_media
 
 WIDTH, HEIGHT = 60, 40
