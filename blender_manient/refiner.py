@@ -95,7 +95,7 @@ class Refiner:
 
     def betas(self) -> np.ndarray:
         """(10,) the shape that the rig has."""
-        return np.array(self.armature.manient.betas, dtype=np.float64)
+        return self.hand.betas
 
     def shaped(self) -> ShapedHand:
         """The model in that shape; computed when it changes."""

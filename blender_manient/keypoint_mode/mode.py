@@ -17,11 +17,11 @@ import numpy as np
 
 from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
 from handfit_core.worker.runner import as_error
 
 from .. import details, jobs, preferences, screen, shared_worker
-from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
 from ..rigs import rig_of
 from ..scene.keys import set_pose

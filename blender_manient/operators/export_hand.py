@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.errors import OptionError
 
 from ..exporters import EXPORTERS, PRESETS
 from ..exporters.exporter import Exporter
@@ -16,7 +16,7 @@ from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence
-from .needs_hand import hand_in, hand_is_there
+from .needs_hand import errors_reported, hand_in, hand_is_there
 
 
 def format_buttons(
@@ -98,25 +98,22 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
             layout.prop(self, "frame_range")
         layout.prop(self, "active_only")
 
+    @errors_reported
     def execute(self, context):
         """Write the file or files."""
         self._fill_in(context)
-        try:
-            if not self.filepath:
-                raise OptionError("choose a file to export to")
-            hands = self._hands(context)
-            path = self._path()
-            files = export_hands(
-                hands,
-                self._stage(context.scene, hands),
-                path.parent,
-                path.name.removesuffix(self._exporter.suffix),
-                self.file_format,
-                preset=self.preset if self._exporter.presets else "PLAIN",
-            )
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if not self.filepath:
+            raise OptionError("choose a file to export to")
+        hands = self._hands(context)
+        path = self._path()
+        files = export_hands(
+            hands,
+            self._stage(context.scene, hands),
+            path.parent,
+            path.name.removesuffix(self._exporter.suffix),
+            self.file_format,
+            preset=self.preset if self._exporter.presets else "PLAIN",
+        )
         wrote = f"Wrote {', '.join(f.name for f in files)} to {path.parent}"
         others = [o.name for hand in hands for o in hung_on(hand)] if self._exporter.writes == "hands" else []
         if others:

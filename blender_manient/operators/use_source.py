@@ -9,11 +9,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, InputError, OutputError
+from handfit_core.errors import InputError, OutputError
 from handfit_core.files import written_whole
 
 from ..cache import cache_folder
 from ..scene.proof import is_whole_png, prove_whole
+from .needs_hand import errors_reported
 
 
 @dataclass(frozen=True)
@@ -63,17 +64,14 @@ class MANIENT_OT_use_source(bpy.types.Operator):
     )
     name: bpy.props.StringProperty(name="Name", options={"SKIP_SAVE"})  # type: ignore
 
+    @errors_reported
     def execute(self, context):
         """Put its file into the panel."""
         settings = context.scene.manient
-        try:
-            if self.kind == "IMAGE":
-                path, sequence = _image_path(self.name)
-            else:
-                path, sequence = _clip_path(self.name)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if self.kind == "IMAGE":
+            path, sequence = _image_path(self.name)
+        else:
+            path, sequence = _clip_path(self.name)
         settings.source = path
         settings.as_sequence = sequence
         return {"FINISHED"}

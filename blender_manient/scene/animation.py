@@ -13,7 +13,6 @@ from handfit_core.geometry.rotations import unflip_quats
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import NUM_JOINTS
-from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import assign_action, channels, first_slot
@@ -67,11 +66,6 @@ def computing_keys(
     return HandKeys(scene_frames[seen], quats, locations)
 
 
-def hand_keys(take: Take, track: HandTrack, shaped: ShapedHand, rest: RestPose, timing: Timing) -> HandKeys:
-    """`computing_keys` at once."""
-    return result_of(computing_keys(take, track, shaped, rest, timing))
-
-
 def animating(rig: Rig, keys: HandKeys) -> Iterator[bpy.types.Action]:
     """Key a new action on the armature, a curve at a time. Yields the action each time.
 
@@ -91,19 +85,6 @@ def animating(rig: Rig, keys: HandKeys) -> Iterator[bpy.types.Action]:
     for component in range(3):
         new_curve(action, path, component, keys.frames, keys.locations[component], names[0])
         yield action
-
-
-def animate(
-    rig: Rig,
-    take: Take,
-    track: HandTrack,
-    shaped: ShapedHand,
-    timing: Timing | None = None,
-) -> bpy.types.Action:
-    """Key the track on the armature at once; by default on the source's frame numbers. Returns the action."""
-    describe(rig.armature, take, track)
-    *_, action = animating(rig, hand_keys(take, track, shaped, rig.rest, timing or Timing()))
-    return action
 
 
 def describe(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:

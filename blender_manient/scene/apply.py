@@ -14,13 +14,12 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
-from .corrections import end_corrections, source_frames
+from .corrections import end_corrections
 from .editable import check_editable, check_keyable
 from .keys import (
     PoseKeys,
@@ -151,7 +150,7 @@ def _of_track(
     hand: CapturedHand, take: Take, track: HandTrack, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions (N, 16, 4) and wrist locations (N, 3) of the take's rows about the target's bones."""
-    target = _shaped(hand)
+    target = hand.shaped()
     orient, pose, transl = (
         np.asarray(values, dtype=np.float64)[rows]
         for values in (track.global_orient, track.hand_pose, track.transl)
@@ -170,11 +169,6 @@ def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarra
     except HandModelError:
         # Its model file is not here. The target's stands in: wrists of one size differ by millimetres.
         return kept_model(hand.take.model, track.side).shaped(track.betas).joints[0]
-
-
-def _shaped(hand: CapturedHand) -> ShapedHand:
-    model = kept_model(hand.take.model, hand.side)
-    return model.shaped(np.array(hand.armature.manient.betas, dtype=np.float64))
 
 
 def _of_bones(
@@ -210,7 +204,7 @@ def _apply(
     check_unlocked(rig, joints=list(joints), location=wrist)
     end_corrections(
         hand.armature,
-        source_frames(timing_of(hand.collection), np.array([first, last])).tolist(),
+        timing_of(hand.collection).source_frames(np.array([first, last])).tolist(),
         whole=True,
         joints=joints,
         location=wrist,

@@ -61,11 +61,6 @@ def timing_of(armature: bpy.types.Object) -> Timing:
     return store.timing_of(capture) if capture is not None else Timing()
 
 
-def source_frames(timing: Timing, frames: np.ndarray) -> np.ndarray:
-    """Scene frames -> source frames, whole or not: the inverse of `Timing.scene_frames`."""
-    return (np.asarray(frames, dtype=np.float64) - timing.offset) / (timing.scale or 1.0)
-
-
 def corrected_frames(armature: bpy.types.Object) -> list[int]:
     """The scene frames with a correction, increasing; none where corrections cannot be read. For drawing."""
     try:
@@ -251,7 +246,7 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
     for stretch in changed_stretches(old, new):
         first, last = sorted(timing.scene_frames(np.array(stretch)).tolist())
         keys = read_pose_keys(rig, first, last)
-        places = _snapped(source_frames(timing, keys.frames), np.concatenate([old.frames, new.frames]))
+        places = _snapped(timing.source_frames(keys.frames), np.concatenate([old.frames, new.frames]))
         (turned_old, moved_old), (turned_new, moved_new) = old.at(places), new.at(places)
         # Keys at the end of the stretch, where nothing changes, are not even written.
         turns = np.any(turned_old != turned_new, axis=-1)
@@ -289,7 +284,7 @@ def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable
 def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
     """The keys as they would be without the hand's corrections. Raises TakeError."""
     field = corrections_of(armature)
-    places = _snapped(source_frames(timing_of(armature), keys.frames), field.frames)
+    places = _snapped(timing_of(armature).source_frames(keys.frames), field.frames)
     turned, moved = field.at(places)
     quats = changed_quats(keys.quats, turned, np.zeros_like(turned))
     return replace(keys, quats=quats, locations=keys.locations - moved)

@@ -40,7 +40,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     side = other_side(hand.side)
     model, source_model = (kept_model(hand.take.model, s) for s in (side, hand.side))
     source, own = hand.armature, hand.rig
-    betas = np.array(source.manient.betas, dtype=np.float64)
+    betas = hand.betas
     shaped = model.shaped(betas)
     keys = read_pose_keys(own)
     present = displayed_pose(own)

@@ -14,7 +14,6 @@ import bpy
 import numpy as np
 
 from handfit_core.edit.corrections import correction_between
-from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
@@ -59,7 +58,7 @@ def note_fitted(
     hand = hand_of(armature)
     if hand is None or len(frames) == 0:
         return
-    shaped = _shaped(hand)
+    shaped = hand.shaped()
     orient, pose, transl = hand.rig.from_bones(shaped, quats, locations)
     new = np.column_stack([frames, orient, np.reshape(pose, (-1, 45)), shaped.joints[0] + transl])
     old = _noted(armature)
@@ -81,18 +80,13 @@ def _holds(hand: CapturedHand, keys: PoseKeys, poses: np.ndarray) -> np.ndarray:
     """(N, 17) bool: whether keys (N) hold these poses (N, 51); never where a pose is NaN."""
     same = np.zeros((len(keys.frames), NUM_JOINTS + 1), dtype=bool)
     known = np.isfinite(poses).all(axis=-1)
-    shaped, poses = _shaped(hand), poses[known]
+    shaped, poses = hand.shaped(), poses[known]
     transl = poses[:, 48:] - shaped.joints[0]
     quats, locations = hand.rig.to_bones(shaped, poses[:, :3], poses[:, 3:48], transl)
     turned = np.linalg.norm(correction_between(keys.quats[known], quats), axis=-1)
     moved = np.linalg.norm(keys.locations[known] - locations, axis=-1)
     same[known] = np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
     return same
-
-
-def _shaped(hand: CapturedHand) -> ShapedHand:
-    model = kept_model(hand.take.model, hand.side)
-    return model.shaped(np.array(hand.armature.manient.betas, dtype=np.float64))
 
 
 def _noted(armature: bpy.types.Object) -> np.ndarray:

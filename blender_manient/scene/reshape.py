@@ -125,7 +125,7 @@ def reshape(armature: bpy.types.Object) -> None:
         )
     field = corrections_of(armature)  # before anything is changed: they may not be readable
     before = old_model.shaped(np.array(armature[APPLIED]))
-    betas = np.array(armature.manient.betas, dtype=np.float64)
+    betas = hand.betas
     after = model.shaped(betas)
     with object_mode():
         _own_data(armature, mesh)

@@ -55,7 +55,7 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
 def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
     """One hand's track; the open scene holds it and the camera. `metres` per unit of the artist's scene."""
     model = kept_model(hand.take.model, hand.side)
-    betas = np.array(hand.armature.manient.betas, dtype=np.float64)
+    betas = hand.betas
     shaped = model.shaped(betas)
     posed = _posed_rows(hand)
     present = hand.track.present | posed
