@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel
+from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
@@ -121,3 +121,6 @@ class _Labels:
     def _mesh(self, index: int, where: str) -> np.ndarray:
         meshes = self._vertices()
         return reading.vertices(where, meshes[index] if index < len(meshes) else None)
+
+
+READER = Reader(LAYOUT, recognises, read, has_splits=True)

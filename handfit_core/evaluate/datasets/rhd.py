@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels
+from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
@@ -83,3 +83,6 @@ def _labels(annotation: Any, where: str) -> Labels:
         if np.any(pixels[own, 2] > 0.5):
             hands.append(reading.hand_label(side, joints[own][_ORDER], intrinsics, pixels[own, :2][_ORDER]))
     return Labels(tuple(hands), intrinsics)
+
+
+READER = Reader(LAYOUT, recognises, read, has_splits=True)

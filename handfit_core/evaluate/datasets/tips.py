@@ -15,7 +15,7 @@ import numpy as np
 
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem
+from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem, Reader
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.opening import pictures_in, sequence_numbers
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
@@ -267,3 +267,8 @@ DEXTER_OBJECT = TipSet(
     notes=("Its *2D.txt files hold pixels of the depth picture and are not used.",),
 )
 """Sridhar et al. 2016: a left hand with a box, seen from the front, 640x480"""
+
+EGODEXTER_READER, DEXTER_OBJECT_READER = (
+    Reader(tip_set.layout, tip_set.recognises, tip_set.read, has_label_variants=True)
+    for tip_set in (EGODEXTER, DEXTER_OBJECT)
+)

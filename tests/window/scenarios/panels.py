@@ -58,16 +58,17 @@ def preferences(stage):
     yield 0.2
 
 
-def _sections() -> list[type]:
-    from blender_manient import panels
+def sections() -> list[type]:
+    """The panels of the tab that are registered, subsections after theirs."""
+    from blender_manient.section import Section
 
-    return list(panels._CLASSES)
+    return [cls for cls in Section.__subclasses__() if cls.is_registered]
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
     """Open all sections of new files, `but` for some: a section's state comes from its class when it is
     first drawn. Returns what `closed_again` wants."""
-    before = {cls: set(getattr(cls, "bl_options", ())) for cls in _sections()}
+    before = {cls: set(getattr(cls, "bl_options", ())) for cls in sections()}
     opened = {c: o if c.__name__ in but else o - {"DEFAULT_CLOSED"} for c, o in before.items()}
     _register_with(opened)
     return before

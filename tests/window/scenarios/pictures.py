@@ -8,6 +8,7 @@ import addon_utils
 import bpy
 
 from scenarios.capturing import begin, done, finish, hands
+from scenarios.panels import sections
 
 INDEX_TIP = 8
 
@@ -68,11 +69,10 @@ def _drag_a_fingertip(stage):
 
 def _open_all_sections():
     """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
-    from blender_manient import panels
-
-    for cls in reversed(panels._CLASSES):
+    shown = sections()
+    for cls in reversed(shown):
         bpy.utils.unregister_class(cls)
-    for cls in panels._CLASSES:
+    for cls in shown:
         if not hasattr(cls, "bl_parent_id"):
             cls.bl_options = set()
         bpy.utils.register_class(cls)
