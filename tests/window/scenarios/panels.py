@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 from stage import ADDON
 
-from scenarios.capturing import capture, hands
+from scenarios.capturing import capture, hands, part
 
 
 def all_sections(stage, source, shot="sections"):
@@ -60,9 +60,7 @@ def preferences(stage):
 
 def sections() -> list[type]:
     """The panels of the tab that are registered, subsections after theirs."""
-    from blender_manient.section import Section
-
-    return [cls for cls in Section.__subclasses__() if cls.is_registered]
+    return [cls for cls in part("section").Section.__subclasses__() if cls.is_registered]
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
