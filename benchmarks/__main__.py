@@ -19,8 +19,8 @@ from benchmarks.packages import measure_packages
 from benchmarks.report import Results, json_of, text_of
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import check_writable, written_whole
-from handfit_core.frame_range import FrameRange
-from handfit_core.media import open_media
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
 from handfit_core.solvers import solver_names
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import link_tracks
-from handfit_core.frame_range import FrameRange
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.keypoints import DetectedTrack, HandDetection
-from handfit_core.media import open_media
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
 from handfit_core.pipeline import detect_frames
 
 

@@ -13,8 +13,8 @@ from itertools import islice
 from pathlib import Path
 
 from handfit_core.errors import InputError, OutputError
-from handfit_core.media import open_media
-from handfit_core.read_ahead import read_ahead
+from handfit_core.media.opening import open_media
+from handfit_core.media.read_ahead import read_ahead
 
 SHORT = 300
 LONG = 10_000

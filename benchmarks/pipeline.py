@@ -6,8 +6,8 @@ import os
 from collections.abc import Callable
 
 from benchmarks.interleaved import Contender, Timing, interleaved
-from handfit_core.frame_range import FrameRange
-from handfit_core.media import open_media
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
 from handfit_core.pipeline import capture, detect_frames
 
 DETECTION = "detection alone"

@@ -119,9 +119,7 @@ def _solver_part(results: Results, solvers: SolverTimings) -> str:
     return "\n".join(["Solvers, on the same detections", "", table(header, rows), "", *notes])
 
 
-def _solver_cells(timing: Timing | None, reference: Timing | None) -> list[str]:
-    if timing is None:
-        return ["-"] * (3 if reference is None else 5)
+def _solver_cells(timing: Timing, reference: Timing | None) -> list[str]:
     seconds = timing.seconds_per_frame
     cells = [_ms(seconds.median), f"{_ms(seconds.low)}-{_ms(seconds.high)}", significant(1 / seconds.median)]
     if reference is not None:

@@ -41,7 +41,8 @@ def time_solvers(
     """Time the fast solver alone and in batches, and `slow` solvers by name, in turn.
 
     In one round all that take one frame take the same, and rounds take frames evenly spread over the
-    clip. Batches are of independent frames, each with its own shape. Raises OptionError for a solver that does not exist.
+    clip. Batches are of independent frames, each with its own shape. Raises OptionError for a solver that
+    does not exist.
     """
     from handfit_core.solvers.fast.fit import fit_frames
 

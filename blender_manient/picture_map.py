@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 
 
 def picture_to_region(

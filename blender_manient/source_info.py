@@ -15,8 +15,8 @@ import bpy
 import bpy.utils.previews
 
 from handfit_core.errors import HandfitError, InputError
-from handfit_core.media import VIDEO_SUFFIXES
-from handfit_core.size_limit import check_for_blender
+from handfit_core.media.opening import VIDEO_SUFFIXES
+from handfit_core.media.size_limit import check_for_blender
 
 from . import jobs, preferences, screen, sources
 from .scene.matching import Footage

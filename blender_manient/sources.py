@@ -9,7 +9,7 @@ import bpy
 
 from handfit_core.errors import InputError
 from handfit_core.files import shown, why
-from handfit_core.media import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
+from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 
 
 @dataclass(frozen=True)

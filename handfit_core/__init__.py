@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.take import HandTrack, Source, Take
 from handfit_core.version import __version__
 

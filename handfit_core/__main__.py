@@ -21,16 +21,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from handfit_core.camera import Intrinsics
 from handfit_core.detect.tracks import HAND_CHOICES
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.evaluate.commands import add_evaluate_command
 from handfit_core.files import check_writable
 from handfit_core.fit_quality import quality
-from handfit_core.frame_range import FrameRange
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.commands import add_model_commands
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.pipeline import Progress, ProgressCallback, capture, hand_summaries
-from handfit_core.size_limit import PICTURE, VIDEO
 from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, MOST_SMOOTHING, solver_names
 from handfit_core.version import __version__
 

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS
 from handfit_core.take import HandTrack
 

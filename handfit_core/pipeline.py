@@ -13,16 +13,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import HAND_CHOICES, HandChoice, link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
 from handfit_core.fit_quality import mean_relative_error
-from handfit_core.frame_range import FrameRange
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
-from handfit_core.keypoints import DetectedTrack, HandDetection
-from handfit_core.lens import known_intrinsics
-from handfit_core.media import Media, MediaInput, open_media
-from handfit_core.read_ahead import read_ahead
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lens import known_intrinsics
+from handfit_core.media.opening import Media, MediaInput, open_media
+from handfit_core.media.read_ahead import read_ahead
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, FAST_SOLVERS, TrackFit, get_solver
 from handfit_core.solvers.result import ShouldStop, never
@@ -108,8 +108,8 @@ def capture(
         Instead of `intrinsics`, where the picture's size is not known: focal length in widths of the picture,
         and the principal point in widths and heights of it, y downwards.
     max_megapixels
-        How large pictures and the frames of videos may be; None for the limits of `handfit_core.size_limit`.
-        What claims more is refused before it is decoded.
+        How large pictures and the frames of videos may be; None for the limits of
+        `handfit_core.media.size_limit`. What claims more is refused before it is decoded.
     should_stop
         Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
         frames seen so far, or all frames with those hands that were fitted; the others count as not detected.

@@ -16,13 +16,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import OptionError, OutputError, TakeError
 from handfit_core.files import read_file, shown, storable, why, written_whole
-from handfit_core.keypoints import HandDetection
-from handfit_core.npz import NotNpz, NpzArchive
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
-from handfit_core.values import LARGEST_WHOLE, number, path, shortly, text, whole
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1

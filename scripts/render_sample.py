@@ -23,10 +23,10 @@ sys.path.insert(0, str(ROOT))
 
 from blender_manient.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS
 from handfit_core.take import HandTrack, Source, Take
 

@@ -22,10 +22,10 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from handfit_core.detect.correction import network
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import written_whole
 from handfit_core.hand_model import landmarks
-from handfit_core.learned import network
 
 LEAST_SEED = 100
 """Seeds below are for rendered benchmarks: nothing is trained on what is tested"""

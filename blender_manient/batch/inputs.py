@@ -6,7 +6,7 @@ import glob
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handfit_core.media import (
+from handfit_core.media.opening import (
     PHOTO_SUFFIXES,
     VIDEO_SUFFIXES,
     is_pattern,

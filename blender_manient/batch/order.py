@@ -8,8 +8,8 @@ from pathlib import Path
 
 from handfit_core.__main__ import parse_intrinsics
 from handfit_core.errors import OptionError
-from handfit_core.frame_range import FrameRange
-from handfit_core.size_limit import check_limit
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.size_limit import check_limit
 from handfit_core.solvers import DEFAULT_SOLVER, get_solver
 
 from ..scene.export import FORMATS, available, find_format

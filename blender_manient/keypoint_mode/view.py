@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 
 from ..camera_view import camera_region, frame_whole_picture
 from ..picture_map import picture_to_region

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import HandfitError
-from handfit_core.media import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
+from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 
 from .. import jobs, preferences, source_info, sources
 from ..scene.matching import Footage, said

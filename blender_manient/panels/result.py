@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import bpy
 
-from handfit_core.camera import Intrinsics
 from handfit_core.fit_quality import mean_relative_error, quality
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.take import HandTrack
 
 from ..scene import markers

@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 
 from handfit_core.files import storable
+from handfit_core.geometry.rotations import unflip_quats
 from handfit_core.hand_model import ShapedHand
-from handfit_core.rotations import unflip_quats
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from handfit_core.rotations import rotmat_to_quat, unflip_quats
+from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.skeleton import Side
 
 from ..blender_versions import assign_action

@@ -20,7 +20,7 @@ import numpy as np
 from mathutils import Euler, Quaternion
 
 from handfit_core.errors import OptionError
-from handfit_core.rotations import unflip_quats
+from handfit_core.geometry.rotations import unflip_quats
 from handfit_core.skeleton import NUM_JOINTS, Side
 
 from ..blender_versions import action_slot, assign_action, channels

@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import InputError
-from handfit_core.exif import upright
 from handfit_core.files import is_file
-from handfit_core.media import numbered_like, sequence_numbers
-from handfit_core.size_limit import check_for_blender, is_picture, is_video
+from handfit_core.media.exif import upright
+from handfit_core.media.opening import numbered_like, sequence_numbers
+from handfit_core.media.size_limit import check_for_blender, is_picture, is_video
 from handfit_core.take import Take
 
 from .. import preferences

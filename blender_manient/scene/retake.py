@@ -12,7 +12,7 @@ import numpy as np
 from mathutils import Matrix
 
 from handfit_core.errors import TakeError
-from handfit_core.rotations import rotmat_to_quat
+from handfit_core.geometry.rotations import rotmat_to_quat
 from handfit_core.skeleton import NUM_JOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model.forearm import Wrist, with_wrist
-from handfit_core.media import MAX_FRAME_NUMBER
+from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handfit_core.keypoints import HandDetection
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.skeleton import SIDES
 
 SAME_HAND = 0.25

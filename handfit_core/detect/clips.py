@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.detect.agreement import SAME_HAND, distance
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.look_again import look_again
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.detect.search import search
 from handfit_core.detect.second_look import SecondLook
-from handfit_core.keypoints import HandDetection
 
 LOOK_BACK = 24
 """So many frames are kept, to be looked at again once a hand turns up ..."""

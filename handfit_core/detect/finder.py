@@ -7,10 +7,10 @@ import os
 import numpy as np
 
 from handfit_core.detect.clips import ClipFinder
+from handfit_core.detect.correction.sides import with_side_judged
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.detect.stills import StillFinder
-from handfit_core.keypoints import HandDetection
-from handfit_core.learned.sides import with_side_judged
 
 
 class HandFinder:

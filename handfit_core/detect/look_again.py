@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.detect.agreement import AGREEMENT, largest_agreement, mean_of, nearest
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.second_look import SecondLook
 from handfit_core.detect.view import CROP_SIZE, square_about
-from handfit_core.keypoints import HandDetection
 
 MOVED = 0.8
 """A hand is found again nearer than this to where it was seen, in units of its size."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import LandmarkModelError, OptionError
-from handfit_core.keypoints import HandDetection
 from handfit_core.skeleton import Side
 
 MAX_SIDE = 1920

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.detect.agreement import SAME_HAND, mean_of, nearest
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.second_look import SecondLook
 from handfit_core.detect.view import CROP_SIZE, square_about
-from handfit_core.keypoints import HandDetection
 
 SPAN = 2.0
 """Side of a crop in units of the hand's size"""

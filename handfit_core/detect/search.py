@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from handfit_core.detect.agreement import AGREEMENT, SAME_HAND, distance, largest_agreement, mean_of
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.look_again import look_again
 from handfit_core.detect.second_look import SecondLook
 from handfit_core.detect.view import View
-from handfit_core.keypoints import HandDetection
 
 SIZE = 384
 """Pixels a side of the views. The palm detector sees 192 of them, the landmark network a hand's 224."""

@@ -8,9 +8,9 @@ from types import TracebackType
 
 import numpy as np
 
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.detect.view import View
-from handfit_core.keypoints import HandDetection
 
 THRESHOLD = 0.15
 """Far lower than for a first look. One look is therefore never believed: two must agree."""

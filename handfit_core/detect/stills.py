@@ -7,11 +7,11 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.detect.refine import refine
 from handfit_core.detect.search import search
 from handfit_core.detect.second_look import SecondLook
-from handfit_core.keypoints import HandDetection
 
 
 class StillFinder:

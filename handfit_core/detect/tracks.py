@@ -14,8 +14,8 @@ from typing import Final, Literal
 import numpy as np
 
 from handfit_core.detect.agreement import distance
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import NoHandFoundError, OptionError
-from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.skeleton import SIDES, Side, other_side
 
 HandChoice = Literal["auto", "left", "right", "both"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.keypoints import HandDetection
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.skeleton import other_side
 
 CROP_SIZE = 256

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.align import align
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel
 
 

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handfit_core import detect, exif, keypoints, learned, media
+from handfit_core import detect, media
+from handfit_core.detect.correction.network import FILE as NETWORK_FILE
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.units import Unit
-from handfit_core.keypoints import HandDetection
-from handfit_core.learned.network import FILE as NETWORK_FILE
-from handfit_core.media import read_picture
+from handfit_core.media.opening import read_picture
 from handfit_core.paths import cache_dir
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
@@ -80,7 +80,7 @@ class Detector:
                 repr(settings.threshold),
                 str(settings.persistent),
                 version("opencv-python-headless"),
-                code_digest(detect, exif, keypoints, learned, media),
+                code_digest(detect, media),
             )
         )
         self._stills = None

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.methods import TrackResult, get_method
 from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.keypoints import DetectedTrack
 from handfit_core.skeleton import Side
 
 
@@ -111,16 +111,15 @@ def _content(model: HandModel) -> str:
 
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    from handfit_core import align, camera, learned, residuals, rotations, skeleton, solvers
+    from handfit_core import geometry, residuals, skeleton, solvers
+    from handfit_core.detect import correction
+    from handfit_core.detect.correction import network
     from handfit_core.evaluate import methods, raw_landmarks
     from handfit_core.hand_model import anatomy, data, landmarks, layer
-    from handfit_core.learned import network
 
     of_models = (anatomy, data, landmarks, layer)
     learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
-    code = code_digest(
-        solvers, residuals, learned, align, camera, rotations, skeleton, methods, raw_landmarks, *of_models
-    )
+    code = code_digest(solvers, residuals, correction, geometry, skeleton, methods, raw_landmarks, *of_models)
     return "|".join([code, *learnt])
 
 

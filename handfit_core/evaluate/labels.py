@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import Side
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.evaluate.labels import HandLabel
-from handfit_core.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
 
 MATCH_DISTANCE = 0.5
 """A detection whose points lie farther from the labels than half the hand's size (on average) has found

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.raw_landmarks import (
     fused_landmarks,
@@ -19,8 +19,8 @@ from handfit_core.evaluate.raw_landmarks import (
     world_landmarks,
 )
 from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel
-from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
 from handfit_core.solvers import PAPER_SOLVERS, get_solver, solver_names
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.align import align
+from handfit_core.geometry.similarity import align
 
 PCK_THRESHOLDS_MM: Final = np.linspace(20.0, 50.0, 100)
 """(100,) mm: the range that EgoDexter and Dexter+Object are usually reported on"""

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
 from handfit_core.evaluate.metrics import centroid_aligned_distances
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
 MM = 1000.0

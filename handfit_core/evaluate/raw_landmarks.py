@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.align import align
-from handfit_core.camera import Intrinsics
-from handfit_core.keypoints import HandDetection
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.similarity import align
 
 
 def image_landmarks(detection: HandDetection) -> np.ndarray:

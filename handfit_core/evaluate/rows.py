@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.errors import DatasetError, NoHandFoundError
 from handfit_core.evaluate.detections import UnitDetections
@@ -19,7 +19,7 @@ from handfit_core.evaluate.matching import label_pixels, match
 from handfit_core.evaluate.scores import ProtocolName
 from handfit_core.evaluate.units import Unit
 from handfit_core.evaluate.views import view_of
-from handfit_core.keypoints import DetectedTrack
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import TIP_KEYPOINTS, Side
 
 PAPER_SIDE: Side = "left"

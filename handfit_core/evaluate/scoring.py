@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.baselines import collapsed_to_centroid, mean_pose_at_truth
 from handfit_core.evaluate.labels import Problem
@@ -24,6 +23,7 @@ from handfit_core.evaluate.metrics import (
 from handfit_core.evaluate.paper_protocol import published_error
 from handfit_core.evaluate.rows import PAPER_SIDE, Row
 from handfit_core.evaluate.scores import ProtocolName, Scores
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS, Side
 

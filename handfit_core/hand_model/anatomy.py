@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.data import HandModel
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
 LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"

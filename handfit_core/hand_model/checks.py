@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.doors.values import shortly
 from handfit_core.errors import HandModelError
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, SIDES
-from handfit_core.values import shortly
 
 MOST_VERTICES: Final = 50_000
 MOST_FACES: Final = 2 * MOST_VERTICES

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from handfit_core import rotations
+from handfit_core.geometry import rotations
 from handfit_core.skeleton import (
     NUM_BETAS,
     NUM_JOINTS,

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.doors.safe_pickle import STAND_INS, NotAnArray, Refused, StandIn, array_of, load, reshaped
 from handfit_core.errors import HandModelError
 from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
-from handfit_core.safe_pickle import STAND_INS, NotAnArray, Refused, StandIn, array_of, load, reshaped
 from handfit_core.skeleton import MANO_TIP_VERTICES, NUM_JOINTS, PARENTS, Side
 
 MAX_FILE_BYTES = 64_000_000

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
-from handfit_core.keypoints import HandDetection
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 

@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model.data import HandModel, forward_kinematics
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, bone_axes, detector_landmarks
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS
 
 _BONES = list(LANDMARK_BONES)

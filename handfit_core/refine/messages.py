@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.doors.values import Unfit, number, shortly
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
-from handfit_core.keypoints import HandDetection
 from handfit_core.refine.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.recent import Recent
 from handfit_core.refine.refit import refit_each, refit_range
@@ -20,7 +21,6 @@ from handfit_core.skeleton import NUM_KEYPOINTS, other_side
 from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.solvers.result import ShouldStop
 from handfit_core.take import LARGEST
-from handfit_core.values import Unfit, number, shortly
 from handfit_core.worker.protocol import pack, unpack
 
 MODES = ("each", "draft", "range")

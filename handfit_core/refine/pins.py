@@ -26,7 +26,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS
 from handfit_core.solvers.fast.observe import Landmarked
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import HandModelError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel
-from handfit_core.keypoints import HandDetection
 from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points
 from handfit_core.refine.models import hand_model

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import Cancelled
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.data import HandModel
-from handfit_core.keypoints import HandDetection
 from handfit_core.refine import pins as pinning
 from handfit_core.refine.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.refine.handles import landmark_points

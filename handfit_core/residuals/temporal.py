@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.rotations import rotmat_to_rotvec
+from handfit_core.geometry.rotations import rotmat_to_rotvec
 
 SMALL = 1e-4
 """radians; below this the series is exact to double precision"""

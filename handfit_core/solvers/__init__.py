@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.data import HandModel
-from handfit_core.keypoints import DetectedTrack
 from handfit_core.solvers.paper import PaperOptions, fit_track
 from handfit_core.solvers.result import OnFrame, ShouldStop, TrackFit, TrackSolver, never
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.align import Similarity, align
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import Similarity, align
 from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
 from handfit_core.hand_model.data import HandModel
-from handfit_core.keypoints import DetectedTrack
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.solvers.placement import PlacedHand, place, turn_to_ray
 from handfit_core.solvers.result import OnFrame, ShouldStop, TrackFit, never

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 
 _ITERATIONS = 10
 _MIN_DEPTH = 0.05

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.data import HandModel
-from handfit_core.keypoints import DetectedTrack
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.layer import HandLayer
 from handfit_core.solvers.losses import Loss
 from handfit_core.solvers.placement import PlacedHand

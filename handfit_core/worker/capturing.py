@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import OptionError
 from handfit_core.files import check_writable
-from handfit_core.frame_range import FrameRange
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.pipeline import Progress, capture, hand_summaries
 
 

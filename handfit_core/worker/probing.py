@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from handfit_core.media import open_media
+from handfit_core.media.opening import open_media
 from handfit_core.worker.capturing import arguments, source_of
 
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.doors.values import Unfit, number, shortly, text, whole
 from handfit_core.errors import ProtocolError
-from handfit_core.values import Unfit, number, shortly, text, whole
 
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""

@@ -20,8 +20,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Final
 
+from handfit_core.doors.values import shortly
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
-from handfit_core.values import shortly
 from handfit_core.version import __version__
 from handfit_core.worker.protocol import (
     JOBS,

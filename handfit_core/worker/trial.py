@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.align import align
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
-from handfit_core.keypoints import HandDetection
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, WRIST_KEYPOINT, Side
 
 _CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)

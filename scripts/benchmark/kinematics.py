@@ -10,9 +10,9 @@ import functools
 
 import numpy as np
 
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, forward_kinematics, load_model
 from handfit_core.hand_model.anatomy import JointLimits, anatomical_axes, joint_limits
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side, keypoints_from_joints
 
 MIRROR_ROTVEC = np.array([1.0, -1.0, -1.0])

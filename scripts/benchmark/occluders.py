@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 
 from .meshes import Mesh, ball, box, cylinder, mug, pen
 from .views import covered_by, random_direction

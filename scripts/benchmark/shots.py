@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Source, Take

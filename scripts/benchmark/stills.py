@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.rotations import rotmat_to_rotvec
+from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.skeleton import SIDES, other_side
 
 from .contact import capsules

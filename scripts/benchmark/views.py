@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import Side
 
 from .contact import segment_distance

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from handfit_core.align import align
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical_arrays
+from handfit_core.detect.correction.network import LOG_SIGMA, MOST
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, hand_length
-from handfit_core.learned.canonical import FEATURES, Canonical, canonical_arrays
-from handfit_core.learned.network import LOG_SIGMA, MOST
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, TIP_KEYPOINTS, Side
 from handfit_core.solvers.fast.chain import Chain, State
 from handfit_core.solvers.placement import turn_to_ray

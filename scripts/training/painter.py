@@ -53,7 +53,7 @@ def paint(shot: Shot, rng: np.random.Generator) -> np.ndarray:
 
 def _with_wrist(hand: ShotHand, vertices: np.ndarray) -> np.ndarray:
     """Points of the model frame (N, 3) that move as the wrist does -> camera frame."""
-    from handfit_core.rotations import rotvec_to_rotmat
+    from handfit_core.geometry.rotations import rotvec_to_rotmat
 
     wrist = model_of(hand.side).shaped(hand.betas).joints[0]
     rotation = rotvec_to_rotmat(hand.global_orient[0])

@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
-from handfit_core.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES, Side, other_side
 from scripts.benchmark.shots import Shot
 from scripts.benchmark.stills import still_shot

@@ -11,10 +11,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from handfit_core.camera import Intrinsics  # noqa: E402
+from handfit_core.geometry.camera import Intrinsics  # noqa: E402
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
 from handfit_core.hand_model import HandModel, load_model, save_model_npz  # noqa: E402
 from handfit_core.hand_model.forearm import with_wrist  # noqa: E402
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
 from handfit_core.take import HandTrack, Source, Take  # noqa: E402
 from tests.imitation_mano import imitation_model  # noqa: E402

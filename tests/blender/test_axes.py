@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from blender_manient import axes
+from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
-from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.skeleton import SIDES, other_side
 
 

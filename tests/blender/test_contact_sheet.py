@@ -10,7 +10,7 @@ import pytest
 
 from blender_manient.scene.build import build_take
 from blender_manient.scene.preview import spread_frames, turned_rows
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from scripts.contact_sheet import find_takes, main, row
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH

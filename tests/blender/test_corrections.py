@@ -27,7 +27,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import OptionError, TakeError
-from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 
 from .conftest import FRAMES, UNSEEN
 

@@ -20,7 +20,7 @@ from blender_manient.scene.keys import (
     set_pose,
     write_pose_keys,
 )
-from handfit_core.rotations import quat_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotmat
 
 from .conftest import FRAMES, UNSEEN
 

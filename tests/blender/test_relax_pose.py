@@ -13,9 +13,9 @@ from blender_manient.scene import corrections
 from blender_manient.scene.armature import bone_names, rest_frames
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, remove_pose_keys
+from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
-from handfit_core.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.take import Source
 
 

@@ -247,7 +247,7 @@ def test_each_bone_keeps_its_own_keys(make_take):
 
 
 def _rest_rotations(armature, quats) -> np.ndarray:
-    from handfit_core.rotations import quat_to_rotmat
+    from handfit_core.geometry.rotations import quat_to_rotmat
 
     frames = rest_frames(armature, "right")
     return frames @ quat_to_rotmat(quats) @ np.swapaxes(frames, -1, -2)

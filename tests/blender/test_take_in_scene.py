@@ -14,8 +14,8 @@ from blender_manient.blender_versions import action_curves
 from blender_manient.scene.animation import CURVES
 from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import HandModelError, OptionError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.take import Source
 

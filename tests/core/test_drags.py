@@ -13,15 +13,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
     anatomical_angles,
     anatomical_axes,
     joint_limits,
     rotmats_from_angles,
 )
-from handfit_core.keypoints import HandDetection
 from handfit_core.refine import RefineResult, landmark_points, refit_each
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from tests.core.solvers.fast.detections import CAMERA, landmarks_of, model_of, seen
 from tests.core.test_refine import captured, distance, handles, make_hand, no_pins, true_hands

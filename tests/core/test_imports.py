@@ -43,7 +43,7 @@ def test_addon_has_no_threads(path: Path) -> None:
 
 def test_light_half_is_light() -> None:
     code = (
-        "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media, "
+        "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media.opening, "
         "handfit_core.solvers, handfit_core.pipeline, handfit_core.__main__\n"
         f"heavy = sorted(set({HEAVY!r}) & set(sys.modules))\n"
         "assert not heavy, heavy\n"
@@ -57,8 +57,8 @@ def test_capturing_and_fitting_again_need_no_torch() -> None:
 import sys
 import numpy as np
 from handfit_core import capture
-from handfit_core.frame_range import FrameRange
-from handfit_core.keypoints import HandDetection
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.refine import RefineHand, refit_each, refit_range, warm_up
 
 take = capture("samples/rendered_hand/hand.%04d.jpg", frames=FrameRange(1, 6))

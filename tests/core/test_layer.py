@@ -265,7 +265,7 @@ def test_cuda_agrees_with_the_cpu(model: HandModel) -> None:
 
 @pytest.mark.parametrize("scale", [0.0, 1e-12, 1e-6, 0.5, math.pi, 6.0])
 def test_rotvec_to_rotmat_agrees_with_numpy(scale: float) -> None:
-    from handfit_core import rotations
+    from handfit_core.geometry import rotations
 
     rotvec = np.random.default_rng(0).normal(size=(7, 4, 3))
     rotvec *= scale / np.linalg.norm(rotvec, axis=-1, keepdims=True)

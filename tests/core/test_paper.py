@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.keypoints import DetectedTrack, HandDetection
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import PALM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import PAPER_SOLVERS, get_solver, solver_names
 from handfit_core.solvers.paper import PaperFitter, normalise

@@ -11,14 +11,14 @@ import pytest
 
 import handfit_core
 from handfit_core import Intrinsics, Progress, Take, capture, pipeline
-from handfit_core.align import align
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import HandChoice
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError, TakeError
-from handfit_core.frame_range import FrameRange
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
-from handfit_core.keypoints import DetectedTrack, HandDetection
-from handfit_core.media import open_media
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
 from handfit_core.pipeline import _rate, hand_summaries, hand_track
 from handfit_core.solvers import TrackSolver, get_solver
 from handfit_core.solvers.result import TrackFit

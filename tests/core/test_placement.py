@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.solvers.placement import place, turn_to_ray
 
 CAMERA = Intrinsics(900.0, 950.0, 300.0, 260.0)

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.align import align
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.landmarks import detector_landmarks
-from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.refine import (
     RefineHand,
     RefineResult,
@@ -35,7 +36,6 @@ from handfit_core.refine import (
 )
 from handfit_core.refine.models import hand_model
 from handfit_core.refine.recent import Recent
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.solvers.fast.chain import Chain
 from handfit_core.solvers.fast.fit import fit_frames, fit_track

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import OutputError, TakeError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.take import FORMAT_VERSION, HandTrack, Source, Take
 
 FRAMES = 4

@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.take import HandTrack, Source, Take
 from tests.capturing import can_capture

@@ -119,7 +119,7 @@ def test_the_core_is_its_source_with_the_models_and_nothing_else(light, tmp_path
         "handfit_core/hand_model/data/landmarks.npz",
         "handfit_core/hand_model/data/open_hand_left.npz",
         "handfit_core/hand_model/data/open_hand_right.npz",
-        "handfit_core/learned/data/landmark_network.npz",
+        "handfit_core/detect/correction/data/landmark_network.npz",
     }
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "handfit_core").rglob("*.py")}
     assert {name for name in names if name.endswith(".py")} == modules

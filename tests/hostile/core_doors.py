@@ -25,8 +25,8 @@ import numpy as np
 from handfit_core import errors
 from handfit_core.__main__ import main
 from handfit_core.hand_model import load_model
-from handfit_core.lens import known_intrinsics
-from handfit_core.media import open_media
+from handfit_core.media.lens import known_intrinsics
+from handfit_core.media.opening import open_media
 from handfit_core.pipeline import hand_summaries
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.skeleton import SIDES
 from handfit_core.take import HandTrack, Source, Take

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.skeleton import SIDES
 from handfit_core.take import HandTrack, Source, Take

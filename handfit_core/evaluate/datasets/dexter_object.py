@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
 from handfit_core.evaluate.datasets.tips import DepthToColor, TipSet
+from handfit_core.geometry.camera import Intrinsics
 
 KIND = "dexter-object"
 LAYOUT = (

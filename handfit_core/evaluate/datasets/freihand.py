@@ -10,7 +10,7 @@ import numpy as np
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import orders, reading
 from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel
-from handfit_core.media import pictures_in
+from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 KIND = "freihand"

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, MeshLabel, Problem
 from handfit_core.files import written_whole
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, load_model
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
 

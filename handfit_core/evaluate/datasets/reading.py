@@ -9,10 +9,10 @@ from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from handfit_core import safe_pickle
-from handfit_core.camera import Intrinsics
+from handfit_core.doors import safe_pickle
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.labels import HandLabel, MeshLabel, Problem
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
 
 T = TypeVar("T")

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import orders, reading
 from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem
-from handfit_core.media import pictures_in, sequence_numbers
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.opening import pictures_in, sequence_numbers
 
 FPS = 30.0
 LABELS = ("cleaned", "original")

@@ -15,7 +15,7 @@ from handfit_core.evaluate.report.numbers import with_unit
 from handfit_core.evaluate.scores import Evaluation, Scores
 from handfit_core.evaluate.summary import METRICS, hand_means
 from handfit_core.files import written_whole
-from handfit_core.media import read_picture
+from handfit_core.media.opening import read_picture
 from handfit_core.skeleton import KEYPOINT_PARENTS
 
 CELLS = 12

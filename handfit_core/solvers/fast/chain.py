@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat, skew
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import Landmarks, bone_axes
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat, skew
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_KEYPOINTS
 
 _JOINTS = np.array([FINGER_JOINTS[f] for f in FINGERS])

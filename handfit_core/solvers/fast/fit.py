@@ -10,12 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import FILE, detector_landmarks
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, length_rates
-from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.residuals.reprojection import NEAREST
 from handfit_core.skeleton import NUM_BETAS
 from handfit_core.solvers.fast.chain import Chain, State, joined

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.solvers.fast.chain import State
 
 LONGEST_GAP = 0.5

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
-from handfit_core.keypoints import HandDetection
-from handfit_core.learned.canonical import canonical
-from handfit_core.learned.network import landmark_network
+from handfit_core.detect.correction.canonical import canonical
+from handfit_core.detect.correction.network import landmark_network
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import Side
 from handfit_core.solvers.fast.observation import Observation
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.geometry.rotations import skew
 from handfit_core.residuals.world import similarity
-from handfit_core.rotations import skew
 from handfit_core.skeleton import PALM_KEYPOINTS
 from handfit_core.solvers.fast.angles import rotation_of
 from handfit_core.solvers.fast.chain import Chain, State

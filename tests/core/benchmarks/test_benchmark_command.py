@@ -6,7 +6,7 @@ import pytest
 from benchmarks.__main__ import chosen_parts, main, numbers
 from benchmarks.detections import find_hand
 from handfit_core.errors import OptionError
-from handfit_core.frame_range import FrameRange
+from handfit_core.media.frame_range import FrameRange
 from tests.conftest import ROOT
 
 SAMPLE = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")

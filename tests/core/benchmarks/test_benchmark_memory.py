@@ -12,7 +12,7 @@ from benchmarks.__main__ import SAMPLE
 from benchmarks.memory import measure_memory, write_clip
 from benchmarks.memory_child import peak_memory
 from handfit_core.errors import InputError
-from handfit_core.media import open_media
+from handfit_core.media.opening import open_media
 from tests.conftest import ROOT
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from handfit_core.evaluate import metrics
 from handfit_core.evaluate.scores import Scores
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
-from handfit_core.rotations import rotvec_to_rotmat
 
 FOCAL = 600.0
 CENTRE = (320.0, 240.0)

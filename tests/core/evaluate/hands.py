@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
-from handfit_core.keypoints import HandDetection
-from handfit_core.rotations import rotmat_to_rotvec
 from handfit_core.skeleton import Side
 
 WIDTH, HEIGHT = 640, 480

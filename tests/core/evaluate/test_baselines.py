@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from handfit_core.align import align
 from handfit_core.evaluate.baselines import collapsed_to_centroid, mean_pose_at_truth
 from handfit_core.evaluate.metrics import centroid_aligned_distances, similarity_aligned_distances
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import SIDES, Side
 from tests.core.evaluate.factory import make_hands
 

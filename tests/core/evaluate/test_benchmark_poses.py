@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, TIP_KEYPOINTS
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.contact import penetration, segment_distance

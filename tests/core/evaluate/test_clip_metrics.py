@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import KEYPOINT_PARENTS
 from tests.core.evaluate.factory import make_hands
 

@@ -12,7 +12,7 @@ from handfit_core.errors import LandmarkModelError
 from handfit_core.evaluate.detections import Detector, DetectorSettings, UnitDetections
 from handfit_core.evaluate.labels import Entry, Labels
 from handfit_core.evaluate.units import Unit
-from handfit_core.media import read_picture
+from handfit_core.media.opening import read_picture
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 

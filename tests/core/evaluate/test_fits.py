@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.evaluate.fits import Fits, FitTask
-from handfit_core.keypoints import DetectedTrack
 from tests.conftest import ROOT
 from tests.core.evaluate.hands import CAMERA, joints, seen
 

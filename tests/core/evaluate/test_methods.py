@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.align import align
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.methods import get_method, method_names
 from handfit_core.evaluate.raw_landmarks import fused_landmarks, in_metres, world_landmarks
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
-from handfit_core.keypoints import DetectedTrack, HandDetection
 from handfit_core.solvers import PAPER_SOLVERS
 from handfit_core.solvers.paper import PaperFitter
 from tests.core.evaluate.hands import CAMERA, joints, seen

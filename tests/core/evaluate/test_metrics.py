@@ -6,7 +6,7 @@ from scipy.spatial import procrustes
 
 from handfit_core.evaluate import metrics
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from tests.core.evaluate.factory import make_hands
 
 RNG = np.random.default_rng(11)

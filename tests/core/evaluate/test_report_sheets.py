@@ -11,7 +11,7 @@ import pytest
 
 from handfit_core.evaluate.report import sheets
 from handfit_core.evaluate.report.sheets import crop_box, write_sheets
-from handfit_core.media import read_picture
+from handfit_core.media.opening import read_picture
 from tests.core.evaluate.factory import make_scores
 from tests.core.evaluate.reports import COUNT, make_evaluation, write_picture
 

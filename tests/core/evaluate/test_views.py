@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.evaluate.views import view_of
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from tests.core.evaluate.hands import joints
 
 

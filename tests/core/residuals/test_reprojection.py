@@ -1,6 +1,6 @@
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.residuals.reprojection import NEAREST, reprojection
 from tests.core.residuals.differences import by_each, close, of_own_point, random
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat, skew
 from handfit_core.residuals.temporal import (
     inverse_right_jacobian,
     place_acceleration,
     rotation_acceleration,
 )
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat, skew
 
 STEP = 1e-6
 AXES = np.random.default_rng(3).normal(size=(8, 3))

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from handfit_core.align import align
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.residuals.world import similarity, world
-from handfit_core.rotations import rotvec_to_rotmat
 from tests.core.residuals.differences import by_each, close, of_own_point, random
 
 LANDMARKS = random(3, 21, 3, scale=0.05)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.correction.canonical import canonical
+from handfit_core.detect.correction.network import LandmarkNetwork
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import NO_OFFSETS, Landmarks, detector_landmarks
-from handfit_core.learned.canonical import canonical
-from handfit_core.learned.network import LandmarkNetwork
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side, other_side
 from scripts.training import learn
 from scripts.training.learn import Samples

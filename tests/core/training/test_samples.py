@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.camera import Intrinsics
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES
 from scripts.benchmark.stills import still_shot
 from scripts.training import samples

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from handfit_core import Intrinsics, Take
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
-from handfit_core.keypoints import HandDetection
 from handfit_core.refine import RefineHand, to_message
 from handfit_core.refine.messages import answer, from_message
 from handfit_core.solvers.fast import smooth

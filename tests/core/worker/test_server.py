@@ -17,7 +17,7 @@ import pytest
 
 from handfit_core import Intrinsics, Take, capture
 from handfit_core.fit_quality import mean_relative_error
-from handfit_core.frame_range import FrameRange
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.version import __version__
 from handfit_core.worker.capturing import arguments
 from handfit_core.worker.protocol import PROTOCOL, decode, encode

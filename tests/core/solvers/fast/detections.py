@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from handfit_core.camera import Intrinsics
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.landmarks import detector_landmarks
-from handfit_core.keypoints import HandDetection
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side, other_side
 from handfit_core.solvers.placement import turn_to_ray
 from scripts.benchmark.kinematics import MIRROR_ROTVEC

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.landmarks import NO_OFFSETS, Landmarks
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import Side
 from handfit_core.solvers.fast.angles import rotation_of
 from handfit_core.solvers.fast.chain import Chain, State

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.solvers.fast.angles import angles_of, rates_of, rotation_of
 from tests.core.residuals.differences import by_each, close, random
 

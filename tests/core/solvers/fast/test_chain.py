@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, bone_axes
-from handfit_core.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, TIP_KEYPOINTS, Side
 from handfit_core.solvers.fast.angles import angles_of
 from handfit_core.solvers.fast.chain import Chain, State, exp

@@ -7,11 +7,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from handfit_core.align import align
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length
-from handfit_core.keypoints import DetectedTrack, HandDetection
-from handfit_core.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import PARENTS, SIDES, Side
 from handfit_core.solvers.fast import fit
 from handfit_core.solvers.fast.fit import FrameFits, fit_frames, fit_track, tell_of_odd_shapes

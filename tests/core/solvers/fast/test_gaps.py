@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.rotations import rotmat_to_rotvec
+from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.solvers.fast.chain import State
 from handfit_core.solvers.fast.gaps import LONGEST_GAP, bridged, jumps, missing_between, spans
 from tests.core.residuals.differences import close

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from handfit_core.learned.canonical import canonical
-from handfit_core.learned.network import landmark_network
+from handfit_core.detect.correction.canonical import canonical
+from handfit_core.detect.correction.network import landmark_network
 from handfit_core.skeleton import Side
 from handfit_core.solvers.fast.observe import Trust, landmarked
 from tests.core.solvers.fast.detections import CAMERA, landmarks_of, mirror_image, poses, seen

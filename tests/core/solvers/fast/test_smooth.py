@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handfit_core.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.solvers.fast import smooth
 from handfit_core.solvers.fast.angles import rotation_of
 from handfit_core.solvers.fast.chain import State

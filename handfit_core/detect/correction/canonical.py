@@ -1,0 +1,99 @@
+"""A detection as the network sees it: of a right hand, upright, centred, of unit size.
+
+NumPy only; N detections at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.skeleton import NUM_KEYPOINTS, WRIST_KEYPOINT, Side
+
+KNUCKLES = (5, 9, 13, 17)
+WORLD_SCALE = 10.0
+"""So that world landmarks, in metres, are of the order of one too"""
+FEATURES = 3 * 3 * NUM_KEYPOINTS + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Canonical:
+    """N detections in the canonical frame, and the way back."""
+
+    features: np.ndarray
+    """(N, FEATURES): image landmarks, world landmarks, the latter laid over the former, and the detector's
+    confidence in its side, negative where that is not the assumed one"""
+    fused: np.ndarray
+    """(N, 21, 3) image landmarks, with the depth averaged over both sets"""
+    turn: np.ndarray
+    """(N, 3, 3) from mirrored picture axes to the canonical ones"""
+    mirror: np.ndarray
+    """(N,) -1 where a left hand was mirrored, else 1"""
+    size: np.ndarray
+    """(N,) pixels per unit"""
+    middle: np.ndarray
+    """(N, 2) of the keypoints, pixels"""
+
+    def to_picture(self, points: np.ndarray) -> np.ndarray:
+        """(N, 21, 3) canonical points -> pixels, and depth in pixels about the mean of the detection's."""
+        turned = (points @ self.turn) * self.size[:, None, None]
+        turned[..., 0] *= self.mirror[:, None]
+        turned[..., :2] += self.middle[:, None]
+        return turned
+
+    def from_picture(self, points: np.ndarray) -> np.ndarray:
+        """The inverse of `to_picture`."""
+        moved = np.array(points, dtype=np.float64)
+        moved[..., :2] -= self.middle[:, None]
+        moved[..., 0] *= self.mirror[:, None]
+        return (moved / self.size[:, None, None]) @ np.swapaxes(self.turn, -1, -2)
+
+
+def canonical(detections: Sequence[HandDetection], sides: Sequence[Side]) -> Canonical:
+    """Bring detections into the canonical frame, each taken for a hand of that side."""
+    keypoints = np.array([d.keypoints for d in detections], dtype=np.float64).reshape(-1, NUM_KEYPOINTS, 3)
+    world = np.array([d.world for d in detections], dtype=np.float64).reshape(-1, NUM_KEYPOINTS, 3)
+    agreement = np.array(
+        [d.score if d.side == side else -d.score for d, side in zip(detections, sides, strict=True)]
+    )
+    return canonical_arrays(keypoints, world, np.array([side == "left" for side in sides]), agreement)
+
+
+def canonical_arrays(
+    keypoints: np.ndarray, world: np.ndarray, left: np.ndarray, agreement: np.ndarray
+) -> Canonical:
+    """As `canonical`, from arrays: (N, 21, 3) each, `left` (N,) bool, `agreement` (N,)."""
+    mirror = np.where(left, -1.0, 1.0)
+    middle = keypoints[..., :2].mean(axis=1)
+    points = keypoints - keypoints.mean(axis=1, keepdims=True)
+    laid = world - world.mean(axis=1, keepdims=True)
+    points[..., 0] *= mirror[:, None]
+    laid[..., 0] *= mirror[:, None]
+    size = np.maximum(np.sqrt(np.square(points[..., :2]).sum(axis=-1).mean(axis=1)), 1e-9)
+    up = points[:, KNUCKLES, :2].mean(axis=1) - points[:, WRIST_KEYPOINT, :2]
+    length = np.maximum(np.linalg.norm(up, axis=1), 1e-9)
+    sin, cos = -up[:, 0] / length, -up[:, 1] / length
+    turn = np.zeros((len(points), 3, 3))
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, -sin, sin, cos, 1.0
+    points = (points / size[:, None, None]) @ np.swapaxes(turn, -1, -2)
+    laid = laid @ np.swapaxes(turn, -1, -2)
+    over = _laid_over(laid, points)
+    fused = points.copy()
+    fused[..., 2] = (points[..., 2] + over[..., 2]) / 2.0
+    flat = [part.reshape(len(points), 3 * NUM_KEYPOINTS) for part in (points, WORLD_SCALE * laid, over)]
+    features = np.concatenate([*flat, agreement[:, None]], axis=1)
+    return Canonical(features, fused, turn, mirror, size, middle)
+
+
+def _laid_over(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Centred (N, K, 3) sources after the similarity transforms that lay them over centred targets
+    (Umeyama, 1991)."""
+    u, s, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ source)
+    sign = np.ones_like(s)
+    sign[:, 2] = np.sign(np.linalg.det(u @ vt))
+    rotation = (u * sign[:, None, :]) @ vt
+    scale = (s * sign).sum(axis=1) / np.maximum(np.square(source).sum(axis=(1, 2)), 1e-12)
+    return scale[:, None, None] * source @ np.swapaxes(rotation, -1, -2)

@@ -1,0 +1,91 @@
+"""The landmark network: three layers in NumPy, a few hundred kilobytes of weights.
+
+For a detection taken for a hand of one side it tells where the landmarks rather are, how far off each
+coordinate may still be, and whether the side is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.correction.canonical import Canonical, canonical
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.skeleton import NUM_KEYPOINTS
+
+FILE: Final = Path(__file__).parent / "data" / "landmark_network.npz"
+MOST: Final = 4.0
+"""Features beyond so many standard deviations count as that many"""
+CHUNK: Final = 512
+"""Detections looked at together; bounds the memory"""
+LOG_SIGMA: Final = -2.0
+"""What the network's log sigmas are counted from"""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the network says about N detections, in the canonical frame."""
+
+    points: np.ndarray
+    """(N, 21, 3) landmarks"""
+    sigma: np.ndarray
+    """(N, 21, 3) mean absolute error expected of each coordinate"""
+    right_side: np.ndarray
+    """(N,) probability that the assumed side is the true one"""
+
+
+class LandmarkNetwork:
+    """Weights and the forward pass."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self._mean = arrays["mean"].astype(np.float32)
+        self._scale = 1.0 / arrays["deviation"].astype(np.float32)
+        self._layers = [
+            (arrays[f"weight_{i}"].astype(np.float32).T.copy(), arrays[f"bias_{i}"].astype(np.float32))
+            for i in range(3)
+        ]
+
+    def __call__(self, seen: Canonical) -> Correction:
+        """Correct canonical detections."""
+        values = np.clip((seen.features.astype(np.float32) - self._mean) * self._scale, -MOST, MOST)
+        for weight, bias in self._layers[:-1]:
+            values = _gelu(values @ weight + bias)
+        weight, bias = self._layers[-1]
+        values = (values @ weight + bias).astype(np.float64)
+        per_point = values[:, :-1].reshape(-1, NUM_KEYPOINTS, 6)
+        return Correction(
+            points=seen.fused + per_point[..., :3],
+            sigma=np.exp(per_point[..., 3:] + LOG_SIGMA),
+            right_side=1.0 / (1.0 + np.exp(-values[:, -1])),
+        )
+
+
+@lru_cache(maxsize=1)
+def landmark_network() -> LandmarkNetwork:
+    """The network that ships with the package."""
+    with np.load(FILE, allow_pickle=False) as arrays:
+        return LandmarkNetwork(dict(arrays))
+
+
+def side_probability(detections: Sequence[HandDetection]) -> np.ndarray:
+    """(N,) probability that each detection's side is the true one."""
+    found = [np.empty(0)]
+    for first in range(0, len(detections), CHUNK):
+        part = detections[first : first + CHUNK]
+        found.append(landmark_network()(canonical(part, [d.side for d in part])).right_side)
+    return np.concatenate(found)
+
+
+def _gelu(x: np.ndarray) -> np.ndarray:
+    """x Phi(x) in the approximation by tanh (Hendrycks and Gimpel, 2016)."""
+    return (
+        0.5 * x * (1.0 + np.tanh(np.float32(np.sqrt(2.0 / np.pi)) * (x + np.float32(0.044715) * x * x * x)))
+    )
+
+
+__all__ = ["FILE", "Correction", "LandmarkNetwork", "landmark_network", "side_probability"]

@@ -1,0 +1,1 @@
+"""Arrays, pickles and single values from anywhere, checked before they are read."""

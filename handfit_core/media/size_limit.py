@@ -1,0 +1,145 @@
+"""Pictures and videos that claim more pixels than they may, or are no pictures and videos, are refused here,
+before anything decodes them. The core asks before OpenCV does, the add-on before Blender does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from handfit_core.errors import InputError, OptionError
+from handfit_core.media.picture_header import read_picture_header
+from handfit_core.media.video_header import read_video_header
+
+SMALL_FILE: Final = 10_000_000
+"""Bytes; a smaller file may claim less than a larger one. What it may claim stays below 1 GB in the worker
+and in Blender; with a larger one, nobody is surprised by what it takes."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Megapixels that one picture, or one frame of a video, may have."""
+
+    small_file: float
+    large_file: float
+
+    def __str__(self) -> str:
+        return f"{self.large_file:g}, in files under {SMALL_FILE / 1e6:g} MB {self.small_file:g}"
+
+
+PICTURE: Final = Limit(64.0, 250.0)
+"""Full-frame cameras and most phones have up to 61; the largest sensors have 200 in phones and 151 in
+cameras."""
+VIDEO: Final = Limit(12.0, 80.0)
+"""4K has 8.3 to 12, 8K 36 and 12K 80. Decoders keep up to some 30 frames at once, of one and a half bytes a
+pixel."""
+
+LONGEST_SIDE: Final = 65_535
+"""Pixels; no JPEG is longer"""
+
+_FRAMES_BY_NAME: Final = re.compile(r"%\d*d")
+
+
+def check_limit(max_megapixels: float | None) -> float | None:
+    """The limit as it came. Raises OptionError for one that is not above 0."""
+    if max_megapixels is not None and not 0.0 < max_megapixels < math.inf:
+        raise OptionError(f"max_megapixels must be a number above 0, not {max_megapixels:g}")
+    return max_megapixels
+
+
+def check_picture(path: Path, max_megapixels: float | None = None) -> None:
+    """Look at a picture's first bytes.
+
+    `max_megapixels` takes the place of the limits above. A picture with 16 bits per channel counts three
+    times, one of floats four times, a progressive JPEG 1.4 times: so much more memory they take. Raises
+    InputError where it claims more, or is no picture that can be read.
+    """
+    with _opened(path) as stream:
+        if stream.seek(0, 2) == 0:
+            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
+        header = read_picture_header(stream)
+    if header is None:
+        raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
+    _check(path, header.width, header.height, header.cost, PICTURE, max_megapixels)
+
+
+def check_video(path: Path, max_megapixels: float | None = None) -> None:
+    """Look at a video's first bytes; `max_megapixels` takes the place of the limit of a video's frames.
+
+    Raises InputError where a frame is larger, and where the file is no video that holds its frames itself: a
+    playlist would make FFmpeg open other files and addresses, and a name with %d in it other pictures.
+    """
+    if _FRAMES_BY_NAME.search(str(path.absolute())):
+        raise InputError(
+            f"{path}: the names of a video and its folders must not have %d in them, which stands for other "
+            "files; rename them"
+        )
+    with _opened(path) as stream:
+        header = read_video_header(stream)
+    if header is None:
+        raise InputError(not_a_video(path))
+    check_frame_size(path, header.width, header.height, max_megapixels)
+
+
+def check_frame_size(path: Path, width: int, height: int, max_megapixels: float | None = None) -> None:
+    """Raise InputError for a video whose frames are too large."""
+    _check(path, width, height, 1, VIDEO, max_megapixels)
+
+
+def check_for_blender(path: Path, max_megapixels: float | None = None) -> None:
+    """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
+    and one that is too large."""
+    (check_picture if is_picture(path) else check_video)(path, max_megapixels)
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file begins as a picture does. Raises InputError where it cannot be read."""
+    with _opened(path) as stream:
+        return read_picture_header(stream) is not None
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file begins as a video does. Raises InputError where it cannot be read."""
+    with _opened(path) as stream:
+        return read_video_header(stream) is not None
+
+
+def not_a_video(path: Path) -> str:
+    """What is said of a file that cannot be read as a video."""
+    return (
+        f"{path}: not a video, or one that is damaged or empty; play it in a viewer, and convert it to .mp4 "
+        "(H.264) if that works"
+    )
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    if not path.is_file():  # a named pipe would be waited for
+        raise InputError(f"{path}: there is no such file")
+    try:
+        with open(path, "rb") as stream:
+            yield stream
+    except OSError as error:  # also where a header names a place that no file reaches
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _check(path: Path, width: int, height: int, cost: float, limit: Limit, chosen: float | None) -> None:
+    megapixels = width * height / 1e6
+    most = chosen or (limit.small_file if path.stat().st_size < SMALL_FILE else limit.large_file)
+    if megapixels * cost <= most and max(width, height) <= LONGEST_SIDE:
+        return
+    counted = f", which count as {_rounded(megapixels * cost)}" if cost > 1 else ""
+    raise InputError(
+        f"{path}: claims {width} x {height} pixels ({_rounded(megapixels)} megapixels{counted}), and in a "
+        f"file of its kind and size no more than {most:g} are read; "
+        "save it smaller, or allow more (max_megapixels)"
+    )
+
+
+def _rounded(megapixels: float) -> str:
+    return f"{megapixels:.0f}" if megapixels >= 10 else f"{megapixels:.1f}"

@@ -1,0 +1,107 @@
+"""The landmark network: the file that ships, and the forward pass against torch's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
+from handfit_core.detect.correction.network import (
+    FILE,
+    LOG_SIGMA,
+    MOST,
+    LandmarkNetwork,
+    landmark_network,
+    side_probability,
+)
+from handfit_core.skeleton import Side
+from tests.core.solvers.fast.detections import landmarks_of, mirror_image, poses, seen
+
+RIGHT: Side = "right"
+POINTS = landmarks_of(RIGHT, *poses(12, seed=2))
+DETECTIONS = [seen(p, RIGHT, noise=2.0, seed=i) for i, p in enumerate(POINTS)]
+RIGHTS: list[Side] = [RIGHT for _ in DETECTIONS]
+
+
+def looked_at(count: int, spread: float = 1.0) -> Canonical:
+    rng = np.random.default_rng(1)
+    return Canonical(
+        features=spread * rng.normal(size=(count, FEATURES)),
+        fused=rng.normal(size=(count, 21, 3)),
+        turn=np.tile(np.eye(3), (count, 1, 1)),
+        mirror=np.ones(count),
+        size=np.ones(count),
+        middle=np.zeros((count, 2)),
+    )
+
+
+def torch_forward(arrays: dict[str, np.ndarray], seen: Canonical) -> torch.Tensor:
+    """(N, 127) by torch's own layers, in float64."""
+    layers = []
+    for i in range(3):
+        weight = torch.tensor(arrays[f"weight_{i}"].astype(np.float64))
+        linear = torch.nn.Linear(weight.shape[1], weight.shape[0], dtype=torch.float64)
+        linear.weight.data, linear.bias.data = weight, torch.tensor(arrays[f"bias_{i}"].astype(np.float64))
+        layers += [linear, torch.nn.GELU(approximate="tanh")]
+    mean, deviation = (torch.tensor(arrays[n].astype(np.float64)) for n in ("mean", "deviation"))
+    values = ((torch.tensor(seen.features) - mean) / deviation).clamp(-MOST, MOST)
+    with torch.no_grad():
+        return torch.nn.Sequential(*layers[:-1])(values)
+
+
+def shipped() -> dict[str, np.ndarray]:
+    with np.load(FILE, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def test_the_file_is_small_and_of_the_right_shapes() -> None:
+    arrays = shipped()
+    assert FILE.stat().st_size < 500_000
+    assert arrays["weight_0"].shape[1] == FEATURES == arrays["mean"].size == arrays["deviation"].size
+    assert arrays["weight_2"].shape[0] == 21 * 6 + 1
+    assert all(np.isfinite(a).all() for a in arrays.values())
+    assert np.all(arrays["deviation"] > 0)
+
+
+def test_it_says_something_about_every_landmark() -> None:
+    said = landmark_network()(canonical(DETECTIONS, RIGHTS))
+    assert said.points.shape == said.sigma.shape == (12, 21, 3)
+    assert said.right_side.shape == (12,)
+    assert np.all(said.sigma > 0)
+    assert np.all((said.right_side >= 0) & (said.right_side <= 1))
+    assert landmark_network() is landmark_network()
+
+
+def test_forward_pass_is_torchs() -> None:
+    arrays = shipped()
+    # Also where features are cut off.
+    for looked in (canonical(DETECTIONS, RIGHTS), looked_at(5), looked_at(5, spread=30.0)):
+        ours, theirs = LandmarkNetwork(arrays)(looked), torch_forward(arrays, looked).numpy()
+        per_point = theirs[:, :-1].reshape(-1, 21, 6)
+        np.testing.assert_allclose(ours.points - looked.fused, per_point[..., :3], atol=2e-5)
+        np.testing.assert_allclose(ours.sigma, np.exp(per_point[..., 3:] + LOG_SIGMA), rtol=1e-4)
+        np.testing.assert_allclose(ours.right_side, 1 / (1 + np.exp(-theirs[:, -1])), atol=1e-4)
+
+
+def test_a_perfect_detection_is_hardly_moved() -> None:
+    frame = canonical(DETECTIONS, RIGHTS)
+    moved = landmark_network()(frame).points - frame.fused
+    assert np.abs(moved).mean() < 0.1  # of the hand's size
+
+
+def test_bad_landmarks_are_expected_to_be_worse() -> None:
+    noisy = [seen(p, RIGHT, noise=25.0, seed=i) for i, p in enumerate(POINTS)]
+    clean = landmark_network()(canonical(DETECTIONS, RIGHTS)).sigma.mean()
+    assert landmark_network()(canonical(noisy, RIGHTS)).sigma.mean() > 1.3 * clean
+
+
+def test_sides() -> None:
+    """A right hand named a right one is likely; what is named wrong is not. Mirrored, it is the same."""
+    right = side_probability(DETECTIONS)
+    wrong = side_probability([replace(d, side="left", score=0.6) for d in DETECTIONS])
+    assert right.mean() > 0.8
+    assert wrong.mean() < right.mean() - 0.2
+    np.testing.assert_allclose(side_probability([mirror_image(d) for d in DETECTIONS]), right, atol=1e-4)
+    assert side_probability([]).shape == (0,)

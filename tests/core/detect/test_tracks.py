@@ -1,0 +1,187 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.tracks import link_tracks
+from handfit_core.errors import NoHandFoundError, OptionError
+from handfit_core.skeleton import Side
+
+SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
+
+
+def hand(x: float, side: Side = "right", score: float = 0.9, y: float = 300.0) -> HandDetection:
+    return HandDetection(side, score, SHAPE + [x, y, 0.0], SHAPE / 1000)
+
+
+def x_of(detection: HandDetection | None) -> float | None:
+    return None if detection is None else round(float((detection.keypoints - SHAPE)[0, 0]), 6)
+
+
+def test_crossing_hands_keep_their_identity() -> None:
+    frames = []
+    for t in range(21):
+        left, right = hand(100 + 20 * t, "left"), hand(500 - 20 * t, "right", y=340)
+        frames.append([left, right] if t % 2 else [right, left])
+    tracks = {t.side: t for t in link_tracks(frames)}
+    assert [x_of(d) for d in tracks["left"].detections] == [100 + 20 * t for t in range(21)]
+    assert [x_of(d) for d in tracks["right"].detections] == [500 - 20 * t for t in range(21)]
+
+
+def test_side_is_decided_over_the_clip() -> None:
+    frames = [[hand(100 + t, "left" if t in (3, 4) else "right")] for t in range(10)]
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert track.detected.all()
+
+
+def test_hand_that_leaves_and_returns_elsewhere_is_one_track() -> None:
+    frames = [[hand(100)], [hand(110)], [], [], [hand(900)], [hand(905)]]
+    (track,) = link_tracks(frames)
+    assert [x_of(d) for d in track.detections] == [100, 110, None, None, 900, 905]
+    np.testing.assert_array_equal(track.detected, [True, True, False, False, True, True])
+
+
+def test_duplicates_of_one_hand_are_merged() -> None:
+    tracks = link_tracks([[hand(100, score=0.6), hand(104, score=0.9)]])
+    assert len(tracks) == 1
+    assert x_of(tracks[0].detections[0]) == 104
+
+
+def test_two_hands_of_one_side_stay_two() -> None:
+    frame = [hand(100, "left", 0.97), hand(500, "left", 0.96)]
+    assert [t.side for t in link_tracks([frame])] == ["left", "left"]
+
+
+def test_hand_choice() -> None:
+    both = [[hand(100, "left", 0.8), hand(500, "right", 0.9)]]
+    assert [t.side for t in link_tracks(both, "left")] == ["left"]
+    assert [t.side for t in link_tracks(both, "right")] == ["right"]
+    assert [t.side for t in link_tracks(both, "auto", max_hands=1)] == ["right"]
+    alike = [[hand(100, "left", 0.99), hand(500, "left", 0.6)]]
+    assert {t.side: x_of(t.detections[0]) for t in link_tracks(alike, "both")} == {"left": 100, "right": 500}
+    assert [t.side for t in link_tracks([[hand(100, "left")]], "both")] == ["left"]
+    # A weak track of the missing side is better than relabelling a strong one.
+    three = [[hand(100, "right", 0.9), hand(500, "right", 0.8)]] * 3 + [[hand(900, "left", 0.9)]]
+    found = {t.side: x_of(next(d for d in t.detections if d)) for t in link_tracks(three, "both")}
+    assert found == {"right": 100, "left": 900}
+
+
+def test_a_stray_misdetection_is_no_second_hand() -> None:
+    frames = [[hand(100 + t)] for t in range(30)]
+    frames[7] = [*frames[7], hand(900, "left", 0.6)]
+    assert [t.side for t in link_tracks(frames)] == ["right"]
+
+
+def test_hands_that_cross_in_one_line_keep_their_identity() -> None:
+    """Both pass the same place, and the detector names both alike while they do."""
+    frames = []
+    for t in range(21):
+        unsure = 8 <= t <= 12
+        frames.append([hand(100 + 21 * t, "right" if unsure else "left"), hand(520 - 20 * t, "right", y=330)])
+    tracks = {t.side: t for t in link_tracks(frames)}
+    assert [x_of(d) for d in tracks["left"].detections] == [100 + 21 * t for t in range(21)]
+    assert [x_of(d) for d in tracks["right"].detections] == [520 - 20 * t for t in range(21)]
+
+
+def test_a_moving_hand_is_found_again_after_a_gap() -> None:
+    """Two hands of one side: only their motion tells which one comes back where."""
+    frames = [[hand(30 * t), hand(30 * t, y=500)] for t in range(6)]
+    frames += [[]] * 4
+    frames += [[hand(30 * t, y=500), hand(30 * t)] for t in range(10, 14)]
+    tracks = link_tracks(frames)
+    assert len(tracks) == 2
+    for track in tracks:
+        heights = [d.keypoints[0, 1] for d in track.detections if d is not None]
+        assert np.ptp(heights) == 0
+        assert track.detected.sum() == 10
+
+
+def test_a_hand_whose_side_flickers_is_one_track() -> None:
+    frames = [[hand(100 + 3 * t, "left" if t % 2 else "right", 0.9 if t % 2 else 0.8)] for t in range(20)]
+    (track,) = link_tracks(frames)
+    assert track.side == "left"
+    assert track.detected.all()
+
+
+def test_a_lost_hand_that_comes_back_as_one_of_the_other_side() -> None:
+    frames = [[hand(100 + t)] for t in range(10)] + [[]] * 5 + [[hand(220, "left", 0.7)]] * 3
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert track.detected.sum() == 13
+    # After a long time, it may well be the other hand.
+    apart = [[hand(100 + t)] for t in range(10)] + [[]] * 30 + [[hand(220, "left", 0.7)]] * 3
+    assert {t.side for t in link_tracks(apart)} == {"left", "right"}
+
+
+def test_one_hand_found_as_two_is_one_track() -> None:
+    """A little too far apart for a duplicate within the frame."""
+    frames = [[hand(100 + t), hand(130 + t, "left", 0.6)] for t in range(10)]
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert [x_of(d) for d in track.detections] == [100 + t for t in range(10)]
+
+
+def test_fingers_taken_for_a_small_hand_are_part_of_their_hand() -> None:
+    def part(t: float) -> HandDetection:
+        return HandDetection("left", 0.7, 0.4 * SHAPE + [100 + t, 300.0, 0.0], SHAPE / 1000)
+
+    (track,) = link_tracks([[hand(100 + t), part(t)] for t in range(10)])
+    assert track.side == "right"
+    # Beside the hand, it is another, farther away.
+    assert len(link_tracks([[hand(100 + t), part(t + 90)] for t in range(10)])) == 2
+
+
+def test_a_long_clip_with_a_long_gap() -> None:
+    frames = [[hand(100 + t % 50), hand(600 - t % 40, "left")] for t in range(1000)]
+    frames[500:600] = [[]] * 100
+    assert [t.detected.sum() for t in link_tracks(frames)] == [900, 900]
+
+
+def test_the_networks_word_decides_the_side() -> None:
+    """The detector names all of them left, and the network says that is unlikely."""
+    frames = [[replace(hand(100 + t, "left"), right_side=0.2)] for t in range(6)]
+    (track,) = link_tracks(frames)
+    assert track.side == "right"
+    assert [t.side for t in link_tracks(frames, "right")] == ["right"]
+    with pytest.raises(NoHandFoundError, match="only a right one"):
+        link_tracks(frames, "left")
+    # A few frames that are sure of one side outweigh more that are not.
+    mixed = [replace(hand(100 + t, "left"), right_side=1.0 if t < 4 else 0.4) for t in range(10)]
+    (track,) = link_tracks([[d] for d in mixed])
+    assert track.side == "left"  # 0.9 (4 + 6 x 0.4) against 0.9 x 6 x 0.6
+
+
+def test_crossing_hands_by_the_networks_word() -> None:
+    """The detector names both alike; only the network tells them apart."""
+    frames = []
+    for t in range(21):
+        left = replace(hand(100 + 20 * t, "right"), right_side=0.1)
+        right = replace(hand(500 - 20 * t, "right", y=340), right_side=0.95)
+        frames.append([left, right] if t % 2 else [right, left])
+    tracks = {t.side: t for t in link_tracks(frames)}
+    assert [x_of(d) for d in tracks["left"].detections] == [100 + 20 * t for t in range(21)]
+    assert [x_of(d) for d in tracks["right"].detections] == [500 - 20 * t for t in range(21)]
+
+
+def test_where_places_are_undecided_the_networks_word_decides() -> None:
+    """Each hand is a little nearer to where the other one was."""
+    before = [replace(hand(100), right_side=0.1), replace(hand(200), right_side=0.9)]
+    after = [replace(hand(152, y=340), right_side=0.1), replace(hand(148, y=260), right_side=0.9)]
+    tracks = {t.side: t for t in link_tracks([before, after])}
+    assert [x_of(d) for d in tracks["left"].detections] == [100, 152]
+    assert [x_of(d) for d in tracks["right"].detections] == [200, 148]
+
+
+def test_tracks_know_the_clips_rate() -> None:
+    assert [t.fps for t in link_tracks([[hand(1)]], fps=12.5)] == [12.5]
+
+
+def test_nothing_found() -> None:
+    with pytest.raises(NoHandFoundError, match="threshold"):
+        link_tracks([[], []])
+    with pytest.raises(NoHandFoundError, match="only a left one"):
+        link_tracks([[hand(1, "left")]], "right")
+    with pytest.raises(OptionError, match="auto, left, right, both"):
+        link_tracks([[hand(1)]], "lefty")  # pyright: ignore[reportArgumentType]

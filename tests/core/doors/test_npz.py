@@ -1,0 +1,186 @@
+"""`.npz` files from anywhere: what NumPy writes is read, what claims to be something else is not."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.doors.npz import NotNpz, NpzArchive
+
+ENOUGH = 1_000_000
+"""bytes that the arrays of these small files may have"""
+
+
+def npz(compressed: bool = True, **arrays: Any) -> bytes:
+    stream = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(stream, **arrays)
+    return stream.getvalue()
+
+
+def described(array: np.ndarray, **changes: Any) -> bytes:
+    """A `.npy` whose description says something else than what follows it."""
+    said = {"descr": array.dtype.str, "fortran_order": False, "shape": array.shape, **changes}
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, said)
+    return stream.getvalue() + array.tobytes()
+
+
+def zipped(*members: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        for name, data in members:
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize(
+    ("array", "kinds"),
+    [
+        (np.arange(6.0).reshape(2, 3), "f"),
+        (np.asfortranarray(np.arange(6, dtype=np.float32).reshape(2, 3)), "f"),
+        (np.arange(6, dtype=">f8"), "f"),
+        (np.arange(6, dtype=">i4"), "iu"),
+        (np.array([True, False]), "b"),
+        (np.zeros((0, 3), dtype=np.uint8), "iu"),
+        (np.array(2.5), "f"),
+    ],
+    ids=str,
+)
+def test_what_numpy_writes_comes_back(array: np.ndarray, kinds: str, compressed: bool) -> None:
+    archive = NpzArchive(npz(compressed, a=array, other=np.array([None])), ENOUGH)
+    found = archive.array("a", kinds)
+    np.testing.assert_array_equal(found, array)
+    assert found.dtype == (np.float64 if kinds == "f" else array.dtype.newbyteorder("="))
+    assert found.flags.writeable
+    assert "a" in archive
+    assert "b" not in archive
+    with pytest.raises(KeyError):
+        archive.array("b", kinds)
+
+
+def test_a_header_is_one_json_object() -> None:
+    assert NpzArchive(npz(header=np.array(json.dumps({"a": [1]}))), ENOUGH).header() == {"a": [1]}
+    for odd in ("[1]", "{", "[" * 100_000, "3", ""):
+        with pytest.raises(NotNpz, match="header"):
+            NpzArchive(npz(header=np.array(odd)), ENOUGH).header()
+    with pytest.raises(NotNpz, match="no single text"):
+        NpzArchive(npz(header=np.array(["{}", "{}"])), ENOUGH).header()
+
+
+NUMBERS = np.arange(4.0)
+
+FALSE_MEMBERS: dict[str, bytes] = {
+    "a shape beyond all memory": described(NUMBERS, shape=(2**40,)),
+    "a shape that overflows": described(NUMBERS, shape=(2**32, 2**32, 4)),
+    "a shape below zero": described(NUMBERS, shape=(-2, -2)),
+    "a shape of texts": described(NUMBERS, shape=("4",)),
+    "less than it says": described(NUMBERS, shape=(5,)),
+    "more than it says": described(NUMBERS, shape=(3,)),
+    "objects": described(NUMBERS, descr="|O"),
+    "records": described(NUMBERS, descr=[("a", "<f8")]),
+    "arrays in arrays": described(NUMBERS, descr=("<f8", (1,))),
+    "texts": described(NUMBERS, descr="<U8"),
+    "nothing at all": described(NUMBERS, descr="|V8"),
+    "complex numbers": described(NUMBERS, descr="<c16", shape=(2,)),
+    "long floats": described(NUMBERS, descr="<f16", shape=(2,)),
+    "a long description": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31) + b"{" * 2000,
+    "no description": b"hello",
+    "code for a description": b"\x93NUMPY\x01\x00"
+    + struct.pack("<H", 30)
+    + b"__import__('os').abort()".ljust(30),
+}
+
+
+@pytest.mark.parametrize("member", FALSE_MEMBERS.values(), ids=FALSE_MEMBERS.keys())
+def test_a_member_that_is_not_what_it_says_is_not_read(member: bytes) -> None:
+    with pytest.raises(NotNpz, match="holds"):
+        NpzArchive(zipped(("a.npy", member)), ENOUGH).array("a", "f")
+
+
+def test_only_what_is_asked_for_is_read_and_only_as_much_as_is_allowed() -> None:
+    """A file of 200 kB that claims 200 MB: neither its other members nor too large ones take memory."""
+    zeros = np.zeros(12_500_000)
+    data = npz(unknown=zeros, known=zeros, small=np.zeros(10))
+    del zeros
+    assert len(data) < 500_000
+    tracemalloc.start()
+    try:
+        archive = NpzArchive(data, ENOUGH)
+        assert archive.array("small", "f").shape == (10,)
+        with pytest.raises(NotNpz, match="more memory than such a file ever needs, with its known"):
+            archive.array("known", "f")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 10_000_000
+
+
+def test_all_arrays_together_are_counted_as_they_will_be() -> None:
+    """Numbers of 16 bits become numbers of 64."""
+    archive = NpzArchive(npz(**{f"a{i}": np.zeros(1000, np.float16) for i in range(4)}), 3 * 8000)
+    for i in range(3):
+        archive.array(f"a{i}", "f")
+    with pytest.raises(NotNpz, match="more memory"):
+        archive.array("a3", "f")
+
+
+def patched(data: bytes, *changes: tuple[int, bytes]) -> bytes:
+    """Bytes changed, counted from the end."""
+    made = bytearray(data)
+    for place, new in changes:
+        made[len(made) - place : len(made) - place + len(new)] = new
+    return bytes(made)
+
+
+def central(data: bytes) -> int:
+    """Where the table of contents begins, counted from the end."""
+    return len(data) - data.index(b"PK\x01\x02")
+
+
+TWO = zipped(("a.npy", described(NUMBERS)), ("b.npy", described(NUMBERS)))
+SECOND = len(TWO) - TWO.rindex(b"PK\x01\x02")
+
+FALSE_ZIPS: dict[str, Callable[[], bytes]] = {
+    "nothing": lambda: b"",
+    "a text": lambda: b"hello" * 10,
+    "cut off": lambda: TWO[:-1],
+    "a comment, which may hold another end": lambda: patched(TWO, (2, b"\x05\x00")) + b"12345",
+    "members that lie in each other": lambda: patched(TWO, (SECOND - 42, b"\0\0\0\0")),
+    "a member that reaches beyond the members": lambda: patched(TWO, (SECOND - 20, b"\xff\xff\xff\x00")),
+    "a member that is encrypted": lambda: patched(TWO, (SECOND - 8, b"\x01\x00")),
+    "a member of another method": lambda: zipped(("a.npy", described(NUMBERS)), method=zipfile.ZIP_LZMA),
+    "two members of one name": lambda: TWO.replace(b"b.npy", b"a.npy"),
+    "too many members": lambda: zipped(*((f"{i}.npy", b"") for i in range(5000))),
+    "members with long names": lambda: zipped(*((f"{i:09000}.npy", b"") for i in range(3))),
+    "the record of very large zips": lambda: TWO[:-22] + b"PK\x06\x07" + bytes(16) + TWO[-22:],
+}
+
+
+@pytest.mark.parametrize("make", FALSE_ZIPS.values(), ids=FALSE_ZIPS.keys())
+def test_a_zip_that_is_not_what_numpy_writes_is_not_opened(make: Callable[[], bytes]) -> None:
+    with np.errstate(all="ignore"), pytest.raises(NotNpz):
+        NpzArchive(make(), ENOUGH)
+
+
+def test_a_size_that_the_zip_lies_about() -> None:
+    data = zipped(("a.npy", described(NUMBERS)))
+    for size in (10, 200, 2**31):
+        false = patched(data, (central(data) - 24, struct.pack("<I", size)))
+        with pytest.raises(NotNpz):
+            NpzArchive(false, ENOUGH).array("a", "f")
+
+
+def test_damaged_numbers_are_noticed() -> None:
+    data = bytearray(npz(False, a=np.zeros(100)))
+    data[data.index(b"PK\x01\x02") - 50] ^= 1
+    with pytest.raises(NotNpz, match="holds a, which is damaged"):
+        NpzArchive(bytes(data), ENOUGH).array("a", "f")

@@ -1,0 +1,103 @@
+"""Rotation conversions against SciPy-free closed forms, each other, and degenerate inputs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from handfit_core.geometry.rotations import (
+    quat_to_rotmat,
+    rotmat_to_quat,
+    rotmat_to_rotvec,
+    rotvec_to_rotmat,
+    skew,
+    unflip_quats,
+)
+
+ANGLES = [0.0, 1e-12, 1e-8, 1e-7, 1e-4, 0.3, math.pi / 2, 2.5, math.pi - 1e-7, math.pi]
+
+
+def rotvecs(angle: float, count: int = 40) -> np.ndarray:
+    """(count, 3) random axes, and the three of the frame, all turned by `angle`."""
+    axes = np.random.default_rng(5).normal(size=(count, 3))
+    axes = np.concatenate([axes, np.eye(3), -np.eye(3)])
+    return angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+def test_a_quarter_turn_about_z_takes_x_to_y() -> None:
+    rotmat = rotvec_to_rotmat(np.array([0.0, 0.0, math.pi / 2]))
+    np.testing.assert_allclose(rotmat @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    half = math.sqrt(0.5)
+    np.testing.assert_allclose(rotmat_to_quat(rotmat), [half, 0, 0, half], atol=1e-15)
+    np.testing.assert_allclose(quat_to_rotmat(np.array([half, 0, 0, half])), rotmat, atol=1e-15)
+
+
+def test_zero_is_exactly_the_identity() -> None:
+    np.testing.assert_array_equal(rotvec_to_rotmat(np.zeros((2, 3))), np.stack([np.eye(3)] * 2))
+    np.testing.assert_array_equal(rotmat_to_rotvec(np.eye(3)), np.zeros(3))
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_rotvec_agrees_with_the_matrix_exponential(angle: float) -> None:
+    for rotvec in rotvecs(angle, 5):
+        # Halved until small, a Taylor series, squared back: no trigonometry in common with ours.
+        term, power = np.eye(3), np.eye(3)
+        for n in range(1, 12):
+            power = power @ skew(rotvec / 256) / n
+            term = term + power
+        np.testing.assert_allclose(
+            rotvec_to_rotmat(rotvec), np.linalg.matrix_power(term, 256), rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_round_trips(angle: float) -> None:
+    rotvec = rotvecs(angle)
+    rotmat = rotvec_to_rotmat(rotvec)
+    np.testing.assert_allclose(rotmat @ np.swapaxes(rotmat, 1, 2), np.tile(np.eye(3), (46, 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(rotmat), 1.0, atol=1e-14)
+    np.testing.assert_allclose(quat_to_rotmat(rotmat_to_quat(rotmat)), rotmat, atol=1e-14)
+    back = rotmat_to_rotvec(rotmat)
+    np.testing.assert_allclose(rotvec_to_rotmat(back), rotmat, atol=1e-14)
+    if angle < math.pi - 1e-3:  # at pi both signs of the axis are right
+        np.testing.assert_allclose(back, rotvec, rtol=0, atol=1e-14)
+    assert np.all(np.linalg.norm(back, axis=1) <= math.pi + 1e-12)
+
+
+def test_quaternions_are_unit_with_positive_w() -> None:
+    quats = rotmat_to_quat(rotvec_to_rotmat(np.random.default_rng(0).normal(size=(500, 3)) * 3))
+    np.testing.assert_allclose(np.linalg.norm(quats, axis=-1), 1.0, atol=1e-15)
+    assert np.all(quats[:, 0] >= 0)
+
+
+def test_quat_to_rotmat_normalises_and_ignores_the_sign() -> None:
+    quat = np.array([0.3, -0.2, 0.7, 0.5])
+    np.testing.assert_allclose(quat_to_rotmat(-4 * quat), quat_to_rotmat(quat), atol=1e-15)
+
+
+def test_batch_shapes() -> None:
+    rotvec = np.random.default_rng(1).normal(size=(4, 5, 3))
+    rotmat = rotvec_to_rotmat(rotvec)
+    assert rotmat.shape == (4, 5, 3, 3)
+    assert rotmat_to_quat(rotmat).shape == (4, 5, 4)
+    np.testing.assert_array_equal(rotmat[2, 3], rotvec_to_rotmat(rotvec[2, 3]))
+    np.testing.assert_array_equal(rotmat_to_rotvec(rotmat)[2, 3], rotmat_to_rotvec(rotmat[2, 3]))
+
+
+def test_skew_is_the_cross_product() -> None:
+    a, b = np.random.default_rng(2).normal(size=(2, 6, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b), atol=1e-15)
+
+
+def test_unflip_makes_neighbours_near_and_keeps_rotations() -> None:
+    rng = np.random.default_rng(3)
+    angles = np.linspace(0, 4 * np.pi, 60)
+    smooth = np.stack([np.cos(angles / 2), *(np.sin(angles / 2) * c for c in (0.6, 0.0, 0.8))], axis=-1)
+    flipped = np.stack([smooth, smooth], axis=1) * rng.choice([-1, 1], size=(60, 2, 1))
+    flipped[0] = smooth[0]
+    before = flipped.copy()
+    np.testing.assert_allclose(unflip_quats(flipped), np.stack([smooth, smooth], axis=1), atol=1e-15)
+    np.testing.assert_array_equal(flipped, before)
+    assert unflip_quats(np.zeros((0, 4))).shape == (0, 4)

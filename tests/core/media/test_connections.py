@@ -1,0 +1,64 @@
+"""No name and no content of a file makes a decoder open something else: an address, or another file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.errors import InputError
+from handfit_core.media.opening import open_media
+from tests.listener import listening
+from tests.playlists import names, playlists
+
+
+def clip(path: Path, value: int = 200) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+    for _ in range(5):
+        writer.write(np.full((48, 64, 3), value, dtype=np.uint8))
+    writer.release()
+    return path
+
+
+def test_a_name_is_no_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    content = clip(tmp_path / "clip.mp4").read_bytes()
+    with listening(tmp_path) as (port, connections):
+        for name in [*names(port), "file:clip.mp4", "concat:clip.mp4", "subfile,,start,0,end,9,,:clip.mp4"]:
+            (tmp_path / name).write_bytes(content)
+            media = open_media(name)
+            assert len(list(media.frames())) == 5, name
+            assert media.source.files == (str(tmp_path / name),)
+        assert connections() == 0
+
+
+@pytest.mark.parametrize("name", ["list.mp4", "list.avi", "list.xyz", "list.gif"])
+def test_a_playlist_is_no_video(tmp_path: Path, name: str) -> None:
+    with listening(tmp_path) as (port, connections):
+        for kind, content in playlists(f"http://127.0.0.1:{port}/clip.mp4").items():
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(InputError, match=r"not a video|neither a picture nor a video"):
+                open_media(tmp_path / name)
+            assert connections() == 0, kind
+
+
+def test_a_playlist_reads_no_other_file(tmp_path: Path) -> None:
+    hidden = clip(tmp_path / "hidden.mp4")
+    for address in (str(hidden), hidden.name, f"file:{hidden}"):
+        for content in playlists(address).values():
+            (tmp_path / "list.mp4").write_bytes(content)
+            with pytest.raises(InputError, match="not a video"):
+                list(open_media(tmp_path / "list.mp4").frames())
+
+
+def test_a_pattern_in_a_videos_name_reads_no_pictures(tmp_path: Path) -> None:
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"secret{number}.png"), np.full((48, 64, 3), 99, dtype=np.uint8))
+    for name in ("secret%d.mp4", "secret%01d.png.xyz", "secret%d.gif"):
+        (tmp_path / name).write_bytes(clip(tmp_path / "clip.mp4").read_bytes())
+        with pytest.raises(InputError, match="rename them"):
+            open_media(tmp_path / name)
+    # Without such a file it is meant as a pattern.
+    assert open_media(tmp_path / "secret%d.png").source.kind == "sequence"

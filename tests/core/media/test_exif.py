@@ -1,0 +1,151 @@
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.media.exif import read_focal_35mm, read_orientation, upright
+
+
+def tiff_block(orientation: int, order: str) -> bytes:
+    mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    # A second tag before it, so that the search is a search.
+    entries = struct.pack(order + "HHIHH", 0x0100, 3, 1, 640, 0)
+    entries += struct.pack(order + "HHIHH", 0x0112, 3, 1, orientation, 0)
+    return mark + struct.pack(order + "IH", 8, 2) + entries + struct.pack(order + "I", 0)
+
+
+def encoded(suffix: str) -> bytes:
+    pixels = np.zeros((4, 6, 3), dtype=np.uint8)
+    return cv2.imencode(suffix, pixels)[1].tobytes()
+
+
+def with_exif(suffix: str, block: bytes) -> bytes:
+    data = encoded(suffix)
+    if suffix == ".jpg":
+        segment = b"Exif\0\0" + block
+        return data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:]
+    if suffix == ".png":
+        chunk = b"eXIf" + block
+        chunk = struct.pack(">I", len(block)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        return data[:33] + chunk + data[33:]  # behind the header chunk
+    chunk = b"EXIF" + struct.pack("<I", len(block)) + block + b"\0" * (len(block) % 2)
+    body = data[8:] + chunk
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_reads_what_is_written(suffix: str, order: str, orientation: int) -> None:
+    assert read_orientation(with_exif(suffix, tiff_block(orientation, order))) == orientation
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp"])
+def test_no_tag_is_upright(suffix: str) -> None:
+    assert read_orientation(encoded(suffix)) == 1
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_damaged_metadata_is_upright(suffix: str) -> None:
+    data = with_exif(suffix, tiff_block(6, "<"))
+    start = data.index(b"II*\0")
+    for end in range(2, start + 40):
+        assert read_orientation(data[:end]) in (1, 6)
+    assert read_orientation(with_exif(suffix, tiff_block(77, "<"))) == 1
+
+
+def test_upright_agrees_with_opencv(tmp_path) -> None:
+    """OpenCV undoes the orientation of JPEGs itself; ours must do the same."""
+    rng = np.random.default_rng(0)
+    coarse = rng.integers(0, 255, (3, 5, 3), dtype=np.uint8)
+    pixels = np.repeat(np.repeat(coarse, 16, axis=0), 16, axis=1)
+    plain = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
+    for orientation in range(1, 9):
+        segment = b"Exif\0\0" + tiff_block(orientation, ">")
+        data = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + plain[2:]
+        buffer = np.frombuffer(data, dtype=np.uint8)
+        stored = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(upright(stored, orientation), cv2.imdecode(buffer, cv2.IMREAD_COLOR))
+
+
+def test_tiff_is_turned_once(tmp_path) -> None:
+    """OpenCV turns TIFFs whatever one asks for."""
+    from handfit_core.media.opening import read_picture
+
+    pixels = np.zeros((12, 20, 3), dtype=np.uint8)
+    pixels[0, 0] = 255  # top left as stored
+    params = [cv2.IMWRITE_TIFF_COMPRESSION, 1]
+    data = bytearray(cv2.imencode(".tif", pixels, params)[1].tobytes())
+    expected = {
+        1: (0, 0),
+        2: (0, 19),
+        3: (11, 19),
+        4: (11, 0),
+        5: (0, 0),
+        6: (0, 11),
+        7: (19, 11),
+        8: (19, 0),
+    }
+    for orientation, corner in expected.items():
+        path = tmp_path / f"{orientation}.tif"
+        path.write_bytes(with_tiff_orientation(bytes(data), orientation))
+        rgb, found = read_picture(path)
+        assert found == orientation
+        assert tuple(int(i) for i in np.argwhere(rgb[..., 0] == 255)[0]) == corner
+
+
+def with_tiff_orientation(data: bytes, orientation: int) -> bytes:
+    """The same TIFF with an orientation tag: its directory copied to the end with one more entry."""
+    (offset,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, offset)
+    entries = [data[offset + 2 + 12 * i : offset + 14 + 12 * i] for i in range(count)]
+    entries = [e for e in entries if struct.unpack_from("<H", e)[0] != 0x0112]
+    entries.append(struct.pack("<HHIHH", 0x0112, 3, 1, orientation, 0))
+    entries.sort(key=lambda e: struct.unpack_from("<H", e)[0])
+    data += b"\0" * (len(data) % 2)
+    directory = struct.pack("<H", len(entries)) + b"".join(entries) + struct.pack("<I", 0)
+    return data[:4] + struct.pack("<I", len(data)) + data[8:] + directory
+
+
+def tiff_with_focal_length(millimetres: int, order: str, kind: int = 3) -> bytes:
+    """A first directory that names EXIF's own one, which names the focal length behind another tag."""
+    mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    first = struct.pack(order + "HHHII", 1, 0x8769, 4, 1, 26) + struct.pack(order + "I", 0)
+    entries = struct.pack(order + "HHIHH", 0xA402, 3, 1, 1, 0)
+    entries += struct.pack(order + "HHIHH", 0xA405, kind, 1, millimetres, 0)
+    return mark + struct.pack(order + "I", 8) + first + struct.pack(order + "H", 2) + entries + bytes(4)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_reads_the_focal_length(suffix: str, order: str) -> None:
+    assert read_focal_35mm(with_exif(suffix, tiff_with_focal_length(26, order))) == 26.0
+    assert read_focal_35mm(tiff_with_focal_length(300, order)) == 300.0
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp"])
+def test_no_focal_length(suffix: str) -> None:
+    assert read_focal_35mm(encoded(suffix)) is None
+    assert read_focal_35mm(b"") is None
+
+
+def test_focal_lengths_that_are_none() -> None:
+    """Zero means unknown (EXIF 2.32); a value of another type is not taken, nor another directory's."""
+    assert read_focal_35mm(with_exif(".jpg", tiff_with_focal_length(0, "<"))) is None
+    assert read_focal_35mm(with_exif(".jpg", tiff_with_focal_length(26, "<", kind=5))) is None
+    assert read_focal_35mm(with_exif(".jpg", tiff_block(6, "<"))) is None
+
+
+def test_damaged_focal_lengths() -> None:
+    data = with_exif(".jpg", tiff_with_focal_length(26, ">"))
+    start = data.index(b"MM\0*")
+    for end in range(2, start + 60):
+        assert read_focal_35mm(data[:end]) in (None, 26.0)
+    for spot in range(start, start + 60):
+        for flip in (0x01, 0x80, 0xFF):
+            damaged = bytearray(data)
+            damaged[spot] ^= flip
+            focal = read_focal_35mm(bytes(damaged))
+            assert focal is None or focal > 0

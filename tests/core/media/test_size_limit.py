@@ -1,0 +1,196 @@
+"""What claims more than may be read is refused in a sentence, before it costs memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.errors import InputError, OptionError
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media, read_picture
+from handfit_core.media.size_limit import (
+    PICTURE,
+    SMALL_FILE,
+    VIDEO,
+    check_for_blender,
+    check_frame_size,
+    check_limit,
+    check_picture,
+)
+from tests.bombs import clip, with_claimed_size, with_frame_count, with_sample_count
+from tests.child import ROOT, peak_megabytes
+
+SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".jp2", ".ppm", ".pgm", ".hdr")
+
+
+def jpeg(path: Path, width: int, height: int, size: int = 0) -> Path:
+    """A file of at least `size` bytes."""
+    data = with_claimed_size(".jpg", width, height)
+    path.write_bytes(data + bytes(max(0, size - len(data))))
+    return path
+
+
+def test_no_small_picture_takes_the_memory_that_it_claims(tmp_path: Path) -> None:
+    files = [tmp_path / f"a{suffix}" for suffix in SUFFIXES]
+    for file in files:
+        file.write_bytes(with_claimed_size(file.suffix, 16000, 15000))
+    peak = peak_megabytes(
+        """
+        import sys
+        from handfit_core.errors import InputError
+        from handfit_core.media.opening import open_media
+        for name in sys.argv[1:]:
+            try:
+                open_media(name)
+            except InputError as error:
+                assert "claims 16000 x 15000 pixels (240 megapixels" in str(error), error
+            else:
+                raise AssertionError(name)
+        """,
+        *files,
+    )
+    assert peak < 200
+
+
+def test_the_largest_small_pictures_stay_below_a_gigabyte(tmp_path: Path) -> None:
+    side = int((PICTURE.small_file * 1e6) ** 0.5)
+    flat, deep = np.zeros((side, side, 4), dtype=np.uint8), np.zeros((side // 3, side, 4), dtype=np.uint16)
+    for name, pixels in (("a.png", flat), ("b.png", deep)):
+        (tmp_path / name).write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+        assert (tmp_path / name).stat().st_size < SMALL_FILE
+    code = """
+        import sys
+        from handfit_core.media.opening import open_media
+        assert len(list(open_media(sys.argv[1]).frames())) == 1
+        """
+    for name in ("a.png", "b.png"):
+        assert peak_megabytes(code, tmp_path / name) < 650
+
+
+def test_limits(tmp_path: Path) -> None:
+    check_picture(jpeg(tmp_path / "a.jpg", 8000, 8000))
+    for path in (jpeg(tmp_path / "b.jpg", 8001, 8000), jpeg(tmp_path / "c.jpg", 25000, 10001, SMALL_FILE)):
+        with pytest.raises(InputError, match="allow more"):
+            check_picture(path)
+        check_picture(path, 251)
+    check_picture(jpeg(tmp_path / "d.jpg", 25000, 10000, SMALL_FILE))  # a medium-format camera's
+    with pytest.raises(InputError, match="no more than 1 are read"):
+        check_picture(jpeg(tmp_path / "e.jpg", 1001, 1000), 1)
+    (tmp_path / "wide.png").write_bytes(with_claimed_size(".png", 100_000, 1))
+    with pytest.raises(InputError, match="100000 x 1 pixels"):
+        check_picture(tmp_path / "wide.png")
+
+
+def test_more_bytes_per_channel_count_more(tmp_path: Path) -> None:
+    (tmp_path / "a.hdr").write_bytes(with_claimed_size(".hdr", 8000, 4000))
+    with pytest.raises(InputError, match=r"32 megapixels, which count as 128\), .* no more than 64 are read"):
+        check_picture(tmp_path / "a.hdr")
+
+
+def test_the_limit_is_an_option(tmp_path: Path) -> None:
+    pixels = np.full((1000, 1200, 3), 90, dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "a1.png"), pixels)
+    cv2.imwrite(str(tmp_path / "a2.png"), pixels)
+    assert open_media(tmp_path, max_megapixels=1.3).width == 1200
+    for source in (tmp_path, tmp_path / "a1.png", str(tmp_path / "a%d.png")):
+        with pytest.raises(InputError, match="1200 x 1000 pixels"):
+            open_media(source, max_megapixels=1.1)
+    assert read_picture(tmp_path / "a1.png")[0].shape == (1000, 1200, 3)
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(OptionError, match="max_megapixels"):
+            check_limit(wrong)
+
+
+def test_the_command_line_has_the_option(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((1000, 1200, 3), 90, dtype=np.uint8))
+    command = [sys.executable, "-m", "handfit_core", "capture", str(tmp_path / "a.png"), "-o", "a.npz"]
+    done = subprocess.run(
+        [*command, "--max-megapixels", "1.1"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "1200 x 1000 pixels (1.2 megapixels)" in done.stderr
+
+
+def test_videos_have_limits_of_their_own(tmp_path: Path) -> None:
+    clip(tmp_path / "a.mp4")
+    check_frame_size(tmp_path / "a.mp4", 4096, 2160)
+    with pytest.raises(InputError, match=f"no more than {VIDEO.small_file:g} are read"):
+        check_frame_size(tmp_path / "a.mp4", 7680, 4320)
+    with pytest.raises(InputError, match="64 x 48 pixels"):
+        open_media(tmp_path / "a.mp4", max_megapixels=0.003)
+
+
+def test_a_stream_that_is_larger_than_its_container_says(tmp_path: Path) -> None:
+    """Its first frame is not decoded: the decoder tells its size before."""
+    path = tmp_path / "large.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (4800, 3200))
+    for _ in range(3):
+        writer.write(np.zeros((3200, 4800, 3), dtype=np.uint8))
+    writer.release()
+    data = path.read_bytes()
+    for wide, high in ((b"\x12\xc0", b"\x0c\x80"), (b"\x12\xc0\0\0", b"\x0c\x80\0\0")):
+        assert wide + high in data
+        data = data.replace(
+            wide + high, b"\0\x40".ljust(len(wide), b"\0") + b"\0\x30".ljust(len(high), b"\0")
+        )
+    path.write_bytes(data)
+    code = """
+        import sys
+        from handfit_core.errors import InputError
+        from handfit_core.media.opening import open_media
+        try:
+            open_media(sys.argv[1])
+        except InputError as error:
+            assert "4800 x 3200 pixels" in str(error), error
+        else:
+            raise AssertionError
+        """
+    assert peak_megabytes(code, path) < 150
+
+
+@pytest.mark.parametrize("count", [1 << 26, (1 << 31) - 1])
+def test_frames_are_counted_and_not_listed(tmp_path: Path, count: int) -> None:
+    (tmp_path / "a.mp4").write_bytes(with_frame_count(clip(tmp_path / "a.mp4"), count))
+    code = """
+        import sys
+        from handfit_core.media.frame_range import FrameRange
+        from handfit_core.media.opening import open_media
+        for text, count in (("1-", 10), ("0-2000000000", 10), ("3-9999999999:2", 4), ("5-", 6)):
+            media = open_media(sys.argv[1], FrameRange.parse(text))
+            assert len(list(media.frames())) == count
+        """
+    assert peak_megabytes(code, tmp_path / "a.mp4", limit=1 << 31) < 200
+    media = open_media(tmp_path / "a.mp4")
+    assert (media.expected_frames, media.first_and_last) == (0, (1, 1))  # as where a header tells nothing
+
+
+def test_a_table_that_no_file_can_hold_is_damage(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(with_sample_count(clip(tmp_path / "a.mp4"), 1 << 27))
+    with pytest.raises(InputError, match="not a video"):
+        open_media(tmp_path / "a.mp4")
+
+
+def test_numbers_far_apart_are_no_frames_to_go_through(tmp_path: Path) -> None:
+    for name in ("shot.0000000001.png", "shot.9999999999.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((12, 20, 3), dtype=np.uint8))
+    for source in (tmp_path, str(tmp_path / "shot.%010d.png"), str(tmp_path / "shot.##########.png")):
+        media = open_media(source, FrameRange.parse("0-2000000000"))
+        assert [frame.number for frame in media.frames()] == [1, 2]
+
+
+def test_what_blender_is_given(tmp_path: Path) -> None:
+    check_for_blender(jpeg(tmp_path / "a.jpg", 800, 600))
+    clip(tmp_path / "a.mp4")
+    check_for_blender(tmp_path / "a.mp4")
+    (tmp_path / "a.mp4").rename(tmp_path / "a.jpg")
+    check_for_blender(tmp_path / "a.jpg")  # its content counts, as it does for Blender
+    (tmp_path / "b.jpg").write_text("#EXTM3U\nhttp://127.0.0.1/a.ts\n")
+    for path in (jpeg(tmp_path / "c.mp4", 32000, 32000), tmp_path / "b.jpg", tmp_path / "gone.jpg", tmp_path):
+        with pytest.raises(InputError):
+            check_for_blender(path)

@@ -1,0 +1,103 @@
+"""What is a video, by its first bytes, and how large its frames claim to be."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.media.video_header import VideoHeader, read_video_header
+from tests.bombs import clip, with_sample_count
+from tests.playlists import playlists
+
+
+def read(data: bytes) -> VideoHeader | None:
+    return read_video_header(io.BytesIO(data))
+
+
+FILES = {
+    "a.mp4": "mp4v",
+    "a.mov": "mp4v",
+    "a.avi": "MJPG",
+    "a.mkv": "mp4v",
+    "a.webm": "VP80",
+    "a.wmv": "WMV2",
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_size(tmp_path: Path, name: str) -> None:
+    assert read(clip(tmp_path / name, FILES[name])) == VideoHeader(64, 48)
+
+
+def test_a_gifs_size() -> None:
+    assert read(b"GIF89a" + struct.pack("<HH", 64, 48) + bytes(20)) == VideoHeader(64, 48)
+    assert read(b"GIF89a" + bytes(20)) is None  # FFmpeg would look for what else it may be
+
+
+def test_streams_without_a_header(tmp_path: Path) -> None:
+    sequence = b"\0\0\1\xb3" + (720 << 12 | 576).to_bytes(3, "big") + bytes(20)
+    assert read(b"\0\0\1\xba" + bytes(40) + sequence) == VideoHeader(720, 576)
+    assert read(sequence) == VideoHeader(720, 576)
+    packet = b"G\x40\0\x10" + bytes(184)
+    assert read(packet * 5) == VideoHeader()
+    assert read((bytes(4) + packet) * 5) == VideoHeader()  # as cameras write it
+    by_chance = b"G\x40\0\x10" + b"<mPd" + bytes(180)
+    assert read(by_chance * 5) == VideoHeader()  # compressed data, in which any four bytes may stand
+    theora = b"\x80theora\3\2\1" + struct.pack(">HH", 20, 15)
+    assert read(b"OggS\0\2" + bytes(22) + theora) == VideoHeader(320, 240)
+
+
+def test_dv_with_its_sound_in_one_stream() -> None:
+    header = b"strh" + struct.pack("<I", 8) + b"iavsdvsd" + b"strf" + struct.pack("<I", 32) + bytes(32)
+    listed = b"LIST" + struct.pack("<I", 4 + len(header)) + b"strl" + header
+    data = b"RIFF" + struct.pack("<I", 4 + len(listed) + 12) + b"AVI " + listed + b"LIST\4\0\0\0movi"
+    assert read(data) == VideoHeader()
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_changed_claim_is_read(tmp_path: Path, name: str) -> None:
+    data = clip(tmp_path / name, FILES[name])
+    rng, found = np.random.default_rng(2), set()
+    for _ in range(600):
+        damaged = bytearray(data)
+        for at in rng.integers(0, len(data), 3):
+            damaged[at] = rng.integers(256)
+        found.add(read(bytes(damaged)))
+    assert VideoHeader(64, 48) in found
+    for end in range(0, len(data), max(1, len(data) // 300)):
+        read(data[:end])
+
+
+def test_playlists_are_none() -> None:
+    for address in ("http://127.0.0.1/a.ts", "/etc/hostname"):
+        for kind, content in playlists(address).items():
+            assert read(content) is None, kind
+    for data in (b"", b"text", b"RIFF____WEBP", b"OggS\nmore", b"\x1a\x45\xdf\xa3" + b"c=IN IP4 1\n" * 9):
+        assert read(data) is None
+
+
+def test_more_frames_than_bytes_is_none(tmp_path: Path) -> None:
+    whole = clip(tmp_path / "a.mp4")
+    assert read(with_sample_count(whole, len(whole) - 1)) == VideoHeader(64, 48)
+    assert read(with_sample_count(whole, len(whole) + 1)) is None
+    fragment = b"trun" + struct.pack(">II", 0, 1 << 20)
+    part = struct.pack(">I", len(fragment) + 4) + fragment
+    for name in (b"traf", b"moof"):
+        part = struct.pack(">I", len(part) + 8) + name + part
+    assert read(whole + part) is None
+
+
+def test_a_packed_header_is_none(tmp_path: Path) -> None:
+    """It would be unpacked to whatever size it claims."""
+    whole = clip(tmp_path / "a.mp4")
+    at = whole.index(b"mvhd")
+    assert read(whole[:at] + b"cmov" + whole[at + 4 :]) is None
+
+
+def test_a_stream_of_tiny_boxes_ends(tmp_path: Path) -> None:
+    assert read(struct.pack(">I4s", 8, b"free") * 200_000) is None
+    assert read(b"RIFF" + bytes(4) + b"AVI " + b"JUNK\0\0\0\0" * 200_000) is None
