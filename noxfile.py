@@ -23,7 +23,7 @@ RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe"]
 """What captures."""
 PAPER = ["torch"]
 """What the paper's experiments, the differentiable layer and training need on top."""
-EVALUATION = ["matplotlib", "jinja2"]
+EVALUATION = ["pandas", "matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
 PYTEST = ["pytest", "pytest-xdist"]
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
@@ -282,7 +282,7 @@ def docs(session: nox.Session) -> None:
 @nox.session(python=PYTHON)
 def lint(session: nox.Session) -> None:
     """ruff (lint and format), pyright, and the forms and workflows of a public host against their schemas."""
-    tools = ["ruff", "pyright[nodejs]", "check-jsonschema", "nox", "pytest"]
+    tools = ["ruff", "pyright[nodejs]", "pandas-stubs", "check-jsonschema", "nox", "pytest"]
     install(session, *tools, CORE_NUMPY, *RUN_TIME, *PAPER, *EVALUATION)
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")

@@ -131,12 +131,12 @@ def _apply_default_preset(*_: object) -> None:
 
 
 def register() -> None:
-    """Follow files that are opened."""
+    """Give the preferred quality to every file that is opened."""
     bpy.app.handlers.load_post.append(_apply_default_preset)
 
 
 def unregister() -> None:
-    """Forget what was chosen without an entry in Blender's preferences."""
+    """Follow no file any more; Blender keeps what was chosen until the add-on is removed."""
     global _without_entry
     bpy.app.handlers.load_post.remove(_apply_default_preset)
     _without_entry = _defaults()

@@ -222,7 +222,7 @@ class _TextOutput:
 
 
 def _mean_error(hand: dict[str, Any]) -> str:
-    """Of one of `hand_summaries`, in words."""
+    """The mean error of a hand, as `hand_summaries` gives it, in words."""
     share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
     if share is None or pixels is None:
         return "no mean error"

@@ -113,7 +113,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # The suffix stays last: some exporters append it themselves when they miss it.
-        # Of the name only a part: with what mkstemp adds it may be too long where the name itself is not.
+        # Only a part of the name: with what mkstemp adds, a long name would be too long.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
         os.close(handle)
     except (OSError, ValueError) as error:

@@ -42,7 +42,7 @@ class Option:
     closed: bool = False
     """Whether only the `choices` may be given"""
     unit: str = ""
-    """Of the command line, where it is not the library's"""
+    """The command line's unit, where it is not the library's"""
     units: float = 1.0
     """How many of the command line's units one of the library's has"""
     by_default: str = ""

@@ -19,6 +19,7 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
 
+from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 
 log = logging.getLogger("handfit")
@@ -66,7 +67,9 @@ class Registry(Generic[Part]):
     def get(self, name: str) -> Part:
         """The part of that name. Raises OptionError where there is none, or where it cannot be loaded."""
         if name not in self._offered:
-            raise OptionError(f"there is no {self._noun} '{name}'; choose one of {', '.join(self.names())}")
+            raise OptionError(
+                f"there is no {self._noun} {shortly(name)}; choose one of {', '.join(self.names())}"
+            )
         part = self._load(name)
         if part is None:
             raise OptionError(

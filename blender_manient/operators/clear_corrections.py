@@ -102,13 +102,3 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
             return {"FINISHED"}
         self.report({"INFO"}, "1 correction cleared" if count == 1 else f"{count} corrections cleared")
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_clear_corrections)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_clear_corrections)

@@ -70,13 +70,3 @@ def _draw_habits(self, layout: bpy.types.UILayout, _context: bpy.types.Context) 
     layout.prop(self, "default_preset")
     layout.prop(self, "drop_captures")
     layout.prop(self, "hand_opacity")
-
-
-def register() -> None:
-    """Add the preferences."""
-    bpy.utils.register_class(ManientPreferences)
-
-
-def unregister() -> None:
-    """Take them away again; Blender keeps what was chosen until the add-on is removed."""
-    bpy.utils.unregister_class(ManientPreferences)

@@ -14,9 +14,9 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
-from .. import axes
 from ..blender_versions import use_nodes
 from .camera import put_before
 from .plate import Plate

@@ -223,7 +223,7 @@ AVERAGED_SPAN = 2.0
 """Side of a crop in units of the hand's size"""
 
 AVERAGED_PASSES = 2
-"""Both count: the first errs less on easy hands, the second on hard ones, where the first is cut out askew"""
+"""Looks at that crop. The first errs less on easy hands, the second on hard ones, which it holds askew"""
 
 
 def averaged(rgb: np.ndarray, hand: HandDetection, second: SecondLook) -> HandDetection:

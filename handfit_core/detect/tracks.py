@@ -172,11 +172,11 @@ def _sureness(track: _OpenTrack) -> float:
 
 def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
     """One detection of each hand in one picture: the surest."""
-    kept: list[HandDetection] = []
+    hands: list[HandDetection] = []
     for candidate in sorted(detections, key=lambda d: d.score, reverse=True):
-        if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in kept):
-            kept.append(candidate)
-    return kept
+        if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in hands):
+            hands.append(candidate)
+    return hands
 
 
 def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:

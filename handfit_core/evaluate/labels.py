@@ -91,3 +91,20 @@ class Dataset:
     """Found while listing: pictures without labels, labels without pictures, ..."""
     notes: tuple[str, ...] = ()
     """What a reader of the results should know about the labels"""
+
+
+@dataclass(frozen=True, eq=False)
+class Reader:
+    """One layout of data sets on disk, and what can be chosen about it."""
+
+    layout: str
+    """For messages, as in `RHD's layout: training/color/00000.png ..., ...`"""
+    recognises: Callable[[Path], bool]
+    """Whether a folder has any part of this layout, so that what it lacks can be named"""
+    read: Callable[..., Dataset]
+    """(root, **what can be chosen) -> everything that is there, with labels that are read when asked for.
+    Raises DatasetError, OptionError"""
+    has_splits: bool = False
+    """Whether `read` takes `split`: a name, or None for the part that is evaluated by default"""
+    has_label_variants: bool = False
+    """Whether `read` takes `labels` and `published_frame` (`open_dataset` says what they mean)"""

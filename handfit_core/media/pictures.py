@@ -53,7 +53,7 @@ def read_picture(
 
 
 _ROWS_AT_ONCE = 256
-"""Of a picture that is brought to 8-bit RGB: what that takes besides the picture is a few rows"""
+"""Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the picture"""
 
 
 def _rgb8(pixels: np.ndarray) -> np.ndarray:

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from handfit_core.errors import InputError
-from handfit_core.media.picture_header import read_picture_header
-from handfit_core.media.video_header import read_video_header
+from handfit_core.media.headers import read_picture_header, read_video_header
 
 SMALL_FILE: Final = 10_000_000
 """Bytes; a smaller input may claim less than a larger one. What it may claim stays below 1 GB in the worker
@@ -29,7 +28,7 @@ class Limit:
     """Megapixels that one picture, or one frame of a video, may have by default."""
 
     small_file: float
-    """With more than 8 bits per channel it counts several times: `PictureHeader.cost`"""
+    """With more than 8 bits per channel it counts several times: `Header.cost`"""
     large_file: float
 
     def __str__(self) -> str:

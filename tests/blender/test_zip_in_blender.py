@@ -296,11 +296,11 @@ def test_a_part_that_cannot_be_registered_leaves_nothing(blender, tmp_path):
     done = blender(f"""
 install({str(path)!r})
 disable()
-module = sys.modules[NAME + ".panels"]
+module = sys.modules[NAME + ".source_info"]
 register = module.register
 def fail():
     register()
-    raise RuntimeError("a panel failed")
+    raise RuntimeError("a part failed")
 module.register = fail
 try:
     enable()
@@ -316,7 +316,7 @@ found([failed, runs, state()])
     assert failed == []
     assert not runs
     assert state["runs"]
-    assert "a panel failed" in done.console
+    assert "a part failed" in done.console
 
 
 def test_a_part_that_cannot_be_unregistered_does_not_keep_the_others(blender, tmp_path):

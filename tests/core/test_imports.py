@@ -121,8 +121,14 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
             assert module.split(".")[0] not in (*HEAVY, *THREADED), name
 
 
-ASSEMBLIES = ("parts", "batch.order", "batch.run", "panels")
-PURE = ("axes", "picture_map", "wording", "installation", "slices", "batch.arguments", "batch.console")
+ASSEMBLIES = ("parts", "batch.order", "batch.run", "exporters", "exporters.take")
+PURE = (
+    "wording",
+    "installation",
+    "batch.arguments",
+    "batch.console",
+    "batch.inputs",
+)
 """Modules of the add-on that work without Blender"""
 
 
@@ -158,6 +164,16 @@ def test_rooms_know_only_what_comes_before_them(room: str) -> None:
         names = (m.split(".") for m in imported_modules(path))
         known |= {name[1] for name in names if name[0] == "handfit_core" and len(name) > 1}
     assert known <= set(ARROWS[room])
+
+
+@pytest.mark.parametrize(
+    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("bpy.ops.export_", "exporters")]
+)
+def test_bones_and_formats_are_known_in_one_place(word: str, room: str) -> None:
+    """Everything else asks a rig, or a format, whatever else is added to the two folders."""
+    addon = ROOT / "blender_manient"
+    knowing = {p.relative_to(addon).parts[0] for p in addon.rglob("*.py") if word in p.read_text("utf-8")}
+    assert knowing == {room}
 
 
 def test_light_half_is_light() -> None:

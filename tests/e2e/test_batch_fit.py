@@ -360,7 +360,11 @@ def test_ctrl_c_ends_the_worker_too(peer, tmp_path):
 
 @pytest.mark.parametrize(
     ("option", "expected"),
-    [("--hand-length=5", "between 50 and 300 mm"), ("--intrinsics=1,2,3", "FX,FY,CX,CY")],
+    [
+        ("--hand-length=5", "between 50 and 300 mm"),
+        ("--intrinsics=1,2,3", "FX,FY,CX,CY"),
+        ("--detector=x", "no detector 'x'"),
+    ],
 )
 def test_wrong_numbers_are_refused_before_any_work(batch, tmp_path, option, expected):
     done = batch("a.jpg", "-o", tmp_path / "out", option)

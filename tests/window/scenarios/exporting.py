@@ -149,8 +149,7 @@ def _browser(stage):
 
 def _export(stage, path: Path, fmt: str):
     """The files that were written; none where this Blender lacks the format."""
-    export = part("scene.export")
-    if fmt in export.FORMATS and not export.available(export.FORMATS[fmt]):
+    if part("exporters").EXPORTERS[fmt].why_not():
         return []
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
     yield from stage.invoke("manient.export_hand", file_format=fmt)

@@ -58,14 +58,15 @@ def preferences(stage):
     yield 0.2
 
 
-def _sections() -> list[type]:
-    return list(part("panels")._CLASSES)
+def sections() -> list[type]:
+    """The panels of the tab that are registered, subsections after theirs."""
+    return [cls for cls in part("section").Section.__subclasses__() if cls.is_registered]
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
     """Open all sections of new files, `but` for some: a section's state comes from its class when it is
     first drawn. Returns what `closed_again` wants."""
-    before = {cls: set(getattr(cls, "bl_options", ())) for cls in _sections()}
+    before = {cls: set(getattr(cls, "bl_options", ())) for cls in sections()}
     opened = {c: o if c.__name__ in but else o - {"DEFAULT_CLOSED"} for c, o in before.items()}
     _register_with(opened)
     return before

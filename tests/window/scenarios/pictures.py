@@ -9,6 +9,7 @@ import bpy
 from stage import ADDON
 
 from scenarios.capturing import begin, done, finish, hands, part
+from scenarios.panels import sections
 
 INDEX_TIP = 8
 
@@ -69,11 +70,10 @@ def _drag_a_fingertip(stage):
 
 def _open_all_sections():
     """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
-    panels = part("panels")
-
-    for cls in reversed(panels._CLASSES):
+    shown = sections()
+    for cls in reversed(shown):
         bpy.utils.unregister_class(cls)
-    for cls in panels._CLASSES:
+    for cls in shown:
         if not hasattr(cls, "bl_parent_id"):
             cls.bl_options = set()
         bpy.utils.register_class(cls)
