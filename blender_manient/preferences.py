@@ -221,14 +221,12 @@ def _apply_default_preset(*_: object) -> None:
 
 
 def register() -> None:
-    """Add the preferences."""
-    bpy.utils.register_class(ManientPreferences)
+    """Give the preferred quality to every file that is opened."""
     bpy.app.handlers.load_post.append(_apply_default_preset)
 
 
 def unregister() -> None:
-    """Take them away again; Blender keeps what was chosen until the add-on is removed."""
+    """Follow no file any more; Blender keeps what was chosen until the add-on is removed."""
     global _without_entry
     bpy.app.handlers.load_post.remove(_apply_default_preset)
-    bpy.utils.unregister_class(ManientPreferences)
     _without_entry = _defaults()

@@ -20,6 +20,8 @@ from bpy.props import (
 from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 
+from .exporters import EXPORTERS
+from .exporters import PRESETS as PROGRAMS
 from .scene.matching import CHOICES
 
 PRESETS = (
@@ -47,19 +49,8 @@ def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
     source_info.source_changed(settings, context)
 
 
-EXPORT_FORMATS = (
-    ("fbx", "FBX", "Autodesk FBX"),
-    ("glb", "glTF", "glTF 2.0 binary"),
-    ("usd", "USD", "Universal Scene Description"),
-    ("bvh", "BVH", "Biovision motion capture, a file per hand"),
-    ("abc", "Alembic", "Baked mesh cache"),
-    ("npz", "Hand Take", "The captured numbers, for other programs and later import"),
-)
-
-EXPORT_PRESETS = (
-    ("PLAIN", "Plain", "Blender's axes and metres"),
-    ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
-    ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
+EXPORT_FORMATS = tuple(
+    (e.name, e.label, e.description) for e in EXPORTERS.values() if e.writes != "collection"
 )
 
 
@@ -230,7 +221,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     export_preset: EnumProperty(  # type: ignore
         name="For",
-        items=EXPORT_PRESETS,
+        items=PROGRAMS,
         default="PLAIN",
     )
 
@@ -327,13 +318,8 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
 
 
-_CLASSES = (ManientSettings, ManientHand, ManientCapture)
-
-
 def register() -> None:
-    """Add the property groups to scenes, objects and collections."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
+    """Add the groups to scenes, objects and collections."""
     bpy.types.Scene.manient = PointerProperty(type=ManientSettings)
     bpy.types.Object.manient = PointerProperty(type=ManientHand)
     bpy.types.Collection.manient = PointerProperty(type=ManientCapture)
@@ -344,5 +330,3 @@ def unregister() -> None:
     del bpy.types.Collection.manient
     del bpy.types.Object.manient
     del bpy.types.Scene.manient
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)

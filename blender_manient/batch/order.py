@@ -11,7 +11,7 @@ from handfit_core.errors import OptionError
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import get_solver
 
-from ..scene.export import FORMATS, available, find_format
+from ..exporters import EXPORTERS, find_exporter
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class Order:
 
 def _checked_formats(text: str) -> tuple[str, ...]:
     formats = tuple(dict.fromkeys(f.strip().lower().lstrip(".") for f in text.split(",") if f.strip()))
+    can = [name for name, e in EXPORTERS.items() if e.writes != "captured" and not e.why_not()]
     for name in formats:
-        if not available(find_format(name)):
-            can = ", ".join(k for k, f in FORMATS.items() if available(f))
-            raise OptionError(f"this Blender cannot write {name}; choose from {can}")
+        if find_exporter(name).name not in can:
+            raise OptionError(f"this Blender cannot write {name}; choose from {', '.join(can)}")
     return formats

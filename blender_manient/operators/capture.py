@@ -256,17 +256,6 @@ def _lens(settings, scene: bpy.types.Scene) -> tuple[float, float, float] | None
     return None
 
 
-_CLASSES = (MANIENT_OT_capture, MANIENT_OT_cancel_capture, MANIENT_OT_clear_captures)
-
-
-def register() -> None:
-    """Add the operators."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
 def unregister() -> None:
-    """Take them away again."""
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+    """Forget that a capture is followed."""
     MANIENT_OT_capture._ticking = False

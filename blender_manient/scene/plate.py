@@ -14,10 +14,10 @@ from handfit_core.files import is_file
 from handfit_core.media.exif import upright
 from handfit_core.media.opening import numbered_like, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
+from handfit_core.slices import result_of
 from handfit_core.take import Take
 
 from .. import preferences
-from ..slices import result_of
 from .timing import Timing
 
 _MOST_TURNED = 16e6

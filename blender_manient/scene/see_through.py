@@ -154,7 +154,6 @@ _HANDLERS = {
 
 def register() -> None:
     """Let cameras remember their copies, and look after them."""
-    bpy.utils.register_class(Copied)
     bpy.types.Camera.manient_see_through = bpy.props.CollectionProperty(
         type=Copied, description="Background images that are copies, with which keypoints are edited"
     )
@@ -171,4 +170,3 @@ def unregister() -> None:
     if _active is not None:
         _active.leave()
     del bpy.types.Camera.manient_see_through
-    bpy.utils.unregister_class(Copied)

@@ -194,7 +194,7 @@ def evaluated_vertices(obj) -> np.ndarray:
 
 def joint_heads(armature, side: Side) -> np.ndarray:
     """(16, 3) world positions of the bones' heads, at the scene's current frame."""
-    from blender_manient.scene.armature import bone_names
+    from blender_manient.rigs.captured_hand import bone_names
 
     armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
     heads = [armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)]

@@ -8,6 +8,7 @@ import pytest
 
 import blender_manient
 from blender_manient import source_info, sources
+from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.matching import Footage, matches, said, why_kept
@@ -104,7 +105,7 @@ def test_what_tells_of_a_shot_keeps_the_scene(clip, tmp_path, sign):
     assert told.startswith(f"Hand comes at frame 41, {scene.render.fps} fps: the scene stays, as ")
     armature = brought_in(clip, tmp_path)
     assert state() == before
-    keyed = read_pose_keys(armature, "right").frames
+    keyed = read_pose_keys(rig_of(armature)).frames
     expected = 41 + (np.delete(FRAMES, UNSEEN) - FRAMES[0]) * scene.render.fps / 30
     np.testing.assert_allclose(keyed, expected, atol=1e-4)
 
@@ -148,7 +149,7 @@ def test_the_same_clip_again_lies_on_the_same_frames(clip, tmp_path):
     first = brought_in(clip, tmp_path)
     bpy.context.scene.frame_set(10)
     second = brought_in(clip, tmp_path)
-    frames = [read_pose_keys(armature, "right").frames.tolist() for armature in (first, second)]
+    frames = [read_pose_keys(rig_of(armature)).frames.tolist() for armature in (first, second)]
     assert frames[0] == frames[1]
     # But not before a camera of the artist's.
     own_camera(bpy.context.scene)
@@ -175,7 +176,7 @@ def test_a_picture_does_not_enter_a_shot_of_its_size(make_take, tmp_path):
         tmp_path,
     )
     assert state() == before
-    assert read_pose_keys(armature, "right").frames.tolist() == [1040]
+    assert read_pose_keys(rig_of(armature)).frames.tolist() == [1040]
 
 
 def test_a_scene_whose_captures_were_deleted_is_nobodys_again(clip, make_take, picture, tmp_path):

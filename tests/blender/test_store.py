@@ -13,9 +13,9 @@ import pytest
 import blender_manient
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
-from blender_manient.scene.models import kept_model
 from blender_manient.scene.timing import Timing
 from handfit_core.errors import HandModelError, TakeError
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.take import Take
 
 from .conftest import FRAMES

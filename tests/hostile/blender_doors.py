@@ -18,7 +18,7 @@ from typing import Any
 import bpy
 
 import blender_manient
-from blender_manient import jobs, panels, source_info
+from blender_manient import jobs, parts, source_info
 from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
@@ -164,8 +164,9 @@ def _work_on() -> None:
 
 
 def _draw() -> None:
-    for cls in panels._CLASSES:
-        drawn(cls)
+    for cls in (c for part in parts.PARTS for c in part.classes):
+        if issubclass(cls, bpy.types.Panel):
+            drawn(cls)
 
 
 def client(peer: str, kind: str) -> None:

@@ -53,17 +53,19 @@ def _zoom_into(view: bpy.types.RegionView3D) -> None:
 
 def _seen(stage) -> dict:
     """Where the picture, its view, and what lies over that are, each as left, bottom, right, top."""
+    from handfit_core.geometry.picture_map import mapped, picture_to_region
+
     area, camera = stage.area(), bpy.context.scene.camera
     hand = part("scene.store").hand_of(hands()[-1])
     space, region = area.spaces[0], [r for r in area.regions if r.type == "WINDOW"][-1]
     assert space.region_3d.view_perspective == "CAMERA"
-    matrix = part("picture_map").picture_to_region(
+    matrix = picture_to_region(
         hand.take.intrinsics,
         np.array(camera.matrix_world),
         np.array(space.region_3d.perspective_matrix),
         (region.width, region.height),
     )
-    corners = part("picture_map").mapped(matrix, np.array([(0, 0), (hand.take.width, hand.take.height)]))
+    corners = mapped(matrix, np.array([(0, 0), (hand.take.width, hand.take.height)]))
     corners += [region.x, region.y]
     over = [r for r in area.regions if r.type in ("HEADER", "TOOL_HEADER", "TOOLS", "UI") and r.width > 1]
     return {

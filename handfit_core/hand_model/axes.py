@@ -1,4 +1,4 @@
-"""From MANO's and OpenCV's axes to Blender's, and the bones' own axes. They stand only here.
+"""From MANO's and OpenCV's axes to Blender's, and the axes of a rig's bones. They stand only here.
 
 Four frames, all right-handed and in metres:
 
@@ -9,17 +9,17 @@ Four frames, all right-handed and in metres:
   the right hand's fingers along -X, back of the hand +Z, thumb -Y.
 
 A **bone** frame has Y along the bone. A positive turn about X bends the bone towards the palm.
-NumPy only, so that it can be tested without Blender.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model.data import HandModel, ShapedHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -30,9 +30,6 @@ REST_FROM_MODEL: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0,
 
 MIRROR_X: Final = np.diag([-1.0, 1.0, 1.0])
 """Left and right exchanged, in rest space as in the camera frame"""
-
-BONE_SUFFIX: Final[dict[Side, str]] = {"right": ".R", "left": ".L"}
-"""What Blender's mirror tools look for at the end of a bone's name."""
 
 _UP_OF_FINGERS: Final = np.array([0.0, 1.0, 0.0])
 """Model frame: out of the back of the hand, for both sides"""
@@ -80,68 +77,76 @@ def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
     return REST_FROM_MODEL @ axes
 
 
-def bone_pose(
-    shaped: ShapedHand,
-    frames: np.ndarray,
-    global_orient: np.ndarray,
-    hand_pose: np.ndarray,
-    transl: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """What to set on the pose bones so that the rig stands where the take has the hand.
+@dataclass(frozen=True, eq=False)
+class RestPose:
+    """Where a rig's 16 bones lie while it rests, in MANO's joint order.
 
-    frames (16, 3, 3) from `bone_frames`; global_orient (T, 3) and hand_pose (T, 45) axis-angle in
-    radians, model frame to camera frame; transl (T, 3) metres, camera frame.
-    Returns quaternions (T, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
-    bone's locations (T, 3) in metres along its own axes.
+    Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
+    bone's locations (N, 3) in metres along its own axes.
     """
-    fingers = rotvec_to_rotmat(np.reshape(hand_pose, (-1, NUM_JOINTS - 1, 3)))
-    rest_rotation = np.empty((len(fingers), NUM_JOINTS, 3, 3))
-    rest_rotation[:, 1:] = REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T
-    rest_rotation[:, 0] = WORLD_FROM_CAMERA @ rotvec_to_rotmat(global_orient) @ REST_FROM_MODEL.T
-    local = np.swapaxes(frames, -1, -2) @ rest_rotation @ frames
 
-    wrist = shaped.joints[0]
-    moved = points_to_world(wrist + transl) - points_to_rest(wrist)
-    return rotmat_to_quat(local), moved @ frames[0]
+    side: Side
+    frames: np.ndarray
+    """(16, 3, 3) each bone's axes in rest space, X, Y and Z in columns"""
+    wrist: np.ndarray
+    """(3,) metres in rest space: where the wrist bone begins"""
+
+    def to_bones(
+        self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The pose of the bones, with which the rig stands where a take has the hand.
+
+        `shaped` is the hand that the rig has; global_orient (N, 3) and hand_pose (N, 45) axis-angle in
+        radians, model frame to camera frame; transl (N, 3) metres, camera frame. Returns quaternions and
+        locations.
+        """
+        fingers = rotvec_to_rotmat(np.reshape(hand_pose, (-1, NUM_JOINTS - 1, 3)))
+        turned = np.empty((len(fingers), NUM_JOINTS, 3, 3))
+        turned[:, 1:] = REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T
+        turned[:, 0] = WORLD_FROM_CAMERA @ rotvec_to_rotmat(global_orient) @ REST_FROM_MODEL.T
+        local = np.swapaxes(self.frames, -1, -2) @ turned @ self.frames
+        wrist = shaped.joints[0]
+        return rotmat_to_quat(local), (points_to_world(wrist + transl) - points_to_rest(wrist)) @ self.frames[
+            0
+        ]
+
+    def from_bones(
+        self, shaped: ShapedHand, quats: np.ndarray, locations: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The inverse of `to_bones`: the take's global_orient (N, 3), hand_pose (N, 45) and transl (N, 3)."""
+        turned = self.frames @ quat_to_rotmat(quats) @ np.swapaxes(self.frames, -1, -2)
+        global_orient = rotmat_to_rotvec(WORLD_FROM_CAMERA.T @ turned[:, 0] @ REST_FROM_MODEL)
+        hand_pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ turned[:, 1:] @ REST_FROM_MODEL)
+        wrist = shaped.joints[0]
+        moved = locations @ self.frames[0].T + points_to_rest(wrist)
+        return global_orient, hand_pose.reshape(-1, 3 * (NUM_JOINTS - 1)), moved @ WORLD_FROM_CAMERA - wrist
+
+    def turned_to(self, other: RestPose, quats: np.ndarray) -> np.ndarray:
+        """Quaternions (..., 16, 4) that do to another rig's bones what `quats` do to this one's; to a hand of
+        the other side, as a mirror at x = 0 of rest space shows it.
+
+        About a bone's axes B a rotation R of rest space is B^T R B, so the quaternion's vector turns by
+        D = B_other^T B. A mirror M turns R into M R M, which is D R_bone D^T with D = B_other^T M B; since
+        det D = -1 then, the vector turns by -D.
+        """
+        mirror = np.eye(3) if other.side == self.side else -MIRROR_X
+        turn = np.swapaxes(other.frames, -1, -2) @ mirror @ self.frames
+        return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
+
+    def moved_to(self, other: RestPose, locations: np.ndarray, plane: float = 0.0) -> np.ndarray:
+        """Locations (..., 3) that put another rig's wrist where `locations` put this one's; a wrist of the
+        other side, where a mirror at x = `plane` metres of rest space shows it."""
+        place = self.wrist + locations @ self.frames[0].T
+        if other.side != self.side:
+            place = place @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
+        return (place - other.wrist) @ other.frames[0]
 
 
-def pose_from_bones(
-    shaped: ShapedHand, frames: np.ndarray, quats: np.ndarray, locations: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The inverse of `bone_pose`: what a take would say of a rig that stands like this.
-
-    frames (16, 3, 3); quats (T, 16, 4) as (w, x, y, z); locations (T, 3) metres. Returns global_orient
-    (T, 3) and hand_pose (T, 45) axis-angle in radians, and transl (T, 3) metres, camera frame.
-    """
-    rest_rotation = frames @ quat_to_rotmat(quats) @ np.swapaxes(frames, -1, -2)
-    global_orient = rotmat_to_rotvec(WORLD_FROM_CAMERA.T @ rest_rotation[:, 0] @ REST_FROM_MODEL)
-    hand_pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ rest_rotation[:, 1:] @ REST_FROM_MODEL)
-
-    wrist = shaped.joints[0]
-    moved = locations @ frames[0].T + points_to_rest(wrist)
-    return global_orient, hand_pose.reshape(-1, 3 * (NUM_JOINTS - 1)), moved @ WORLD_FROM_CAMERA - wrist
-
-
-def mirrored_bones(source: np.ndarray, target: np.ndarray, quats: np.ndarray) -> np.ndarray:
-    """A pose for the hand of the other side, as a mirror at x = 0 of rest space shows it.
-
-    source, target (16, 3, 3): `bone_frames` of the hand that has the pose and of the one that gets it;
-    quats (..., 16, 4) as (w, x, y, z). A mirror M turns a rotation R into M R M, so that about the
-    target's bones it is D R_bone D^T with D = B_target^T M B_source. Since det D = -1 the quaternion's
-    vector turns by -D.
-    """
-    turn = -np.swapaxes(target, -1, -2) @ MIRROR_X @ source
-    return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
-
-
-def turned_bones(source: np.ndarray, target: np.ndarray, quats: np.ndarray) -> np.ndarray:
-    """The same rotations about other bone axes.
-
-    source, target (16, 3, 3): the axes before and after; quats (..., 16, 4) as (w, x, y, z). About a bone's
-    axes B a rotation R of rest space is B^T R B, so the quaternion's vector turns by B_target^T B_source.
-    """
-    turn = np.swapaxes(target, -1, -2) @ source
-    return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
+def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A take's global_orient (N, 3) and hand_pose (N, 45) in a mirror at x = 0, which turns the axis-angle
+    (a, b, c) into (a, -b, -c)."""
+    turn = np.array([1.0, -1.0, -1.0])
+    return global_orient * turn, hand_pose * np.tile(turn, NUM_JOINTS - 1)
 
 
 def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:

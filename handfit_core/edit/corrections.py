@@ -11,7 +11,7 @@ between them: their weights add up to 1.
 
 Keys hold the pose after the field, q = q_base exp(c). A field that changes therefore only multiplies:
 q exp(-c_old) exp(c_new). What an artist did to the key by hand stays on it, and a field that is taken
-away leaves the key as it was. NumPy only, so that it can be tested without Blender.
+away leaves the key as it was.
 
 Frames that are keyed anew hold a pose of their own, whatever corrections there are: the field is zero there
 and corrections around end there. Anchors, corrections without pins, see to that.
@@ -29,6 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.errors import TakeError
+from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS
 from handfit_core.take import LARGEST
 
@@ -360,36 +361,5 @@ def changed_quats(quats: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.nda
 
 def correction_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """The turns (..., 3) in radians that lead from quaternions `before` (..., 4) to `after` (..., 4)."""
-    return quat_to_rotvec(quat_multiply(_conjugate(_unit(before)), _unit(after)))
-
-
-def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions (..., 4) as (w, x, y, z)."""
-    aw, av = a[..., :1], a[..., 1:]
-    bw, bv = b[..., :1], b[..., 1:]
-    scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
-    return np.concatenate([scalar, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
-
-
-def rotvec_to_quat(rotvec: np.ndarray) -> np.ndarray:
-    """(..., 3) axis-angle in radians -> (..., 4) unit quaternions (w, x, y, z); exact at zero."""
-    half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2.0
-    # sin(x) / x, which numpy defines as sinc(x / pi)
-    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotvec], axis=-1)
-
-
-def quat_to_rotvec(quat: np.ndarray) -> np.ndarray:
-    """(..., 4) unit quaternions (w, x, y, z) -> (..., 3) axis-angle in radians, of at most pi."""
-    quat = np.where(quat[..., :1] < 0.0, -quat, quat)
-    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, quat[..., :1])
-    scale = np.where(sine < 1e-12, 2.0, angle / np.where(sine < 1e-12, 1.0, sine))
-    return quat[..., 1:] * scale
-
-
-def _conjugate(quat: np.ndarray) -> np.ndarray:
-    return quat * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def _unit(quat: np.ndarray) -> np.ndarray:
-    return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    before, after = (q / np.linalg.norm(q, axis=-1, keepdims=True) for q in (before, after))
+    return quat_to_rotvec(quat_multiply(before * np.array([1.0, -1.0, -1.0, -1.0]), after))

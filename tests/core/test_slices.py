@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from blender_manient.slices import result_of, retold
+from handfit_core.slices import result_of, retold
 
 
 def counting(count: int, fails: bool = False):

@@ -1,7 +1,7 @@
 """From the captured picture to the 3D viewport that looks through its camera, and back.
 
 A pixel is a ray of the capture camera. Seen in any view, the picture of a plane is a projective map of
-it: one 3 x 3 matrix, exact under zoom, pan, lens shift and non-square pixels. NumPy only.
+it: one 3 x 3 matrix, exact under zoom, pan, lens shift and non-square pixels.
 """
 
 from __future__ import annotations
