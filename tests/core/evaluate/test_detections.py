@@ -10,8 +10,7 @@ import pytest
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import LandmarkModelError
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
-from handfit_core.evaluate.labels import Entry, Labels
-from handfit_core.evaluate.units import Unit
+from handfit_core.evaluate.labels import Entry, Labels, Unit
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
 

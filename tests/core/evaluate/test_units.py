@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.evaluate.labels import Entry, Labels
-from handfit_core.evaluate.units import units_of
+from handfit_core.evaluate.labels import Entry, Labels, units_of
 
 ENTRIES = [
     Entry(name, Path(name), lambda: Labels((), None), clip)

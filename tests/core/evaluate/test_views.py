@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.evaluate.views import view_of
+from handfit_core.evaluate.matching import view_of
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from tests.core.evaluate.hands import joints
 
