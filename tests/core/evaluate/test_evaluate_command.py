@@ -87,16 +87,6 @@ def test_a_report_with_numbers_that_follow_from_the_truth(labelled: Path, tmp_pa
     assert (report / "index.html").is_file()
 
 
-def test_a_second_run_fits_nothing_again_and_prints_the_same(labelled: Path, tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    first = run(labelled, "--solvers", "paper-b", "-o", report, cwd=tmp_path)
-    fits = {p: p.stat().st_mtime_ns for p in (report / "fits").rglob("*.npz")}
-    assert len(fits) == 3  # two stills and a clip
-    second = run(labelled, "--solvers", "paper-b", "-o", report, cwd=tmp_path)
-    assert first.stdout == second.stdout
-    assert {p: p.stat().st_mtime_ns for p in (report / "fits").rglob("*.npz")} == fits
-
-
 def test_the_papers_protocol_as_json(labelled: Path, tmp_path: Path) -> None:
     result = run(labelled, "--solvers", "raw", "--protocol", "paper", "--progress", "json", cwd=tmp_path)
     events = [json.loads(line) for line in result.stdout.splitlines()]
