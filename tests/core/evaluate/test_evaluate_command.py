@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from handfit_core import Take
+from handfit_core.__main__ import main
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import LandmarkModelError
 from tests.conftest import ROOT
@@ -127,3 +128,14 @@ def test_errors_are_one_sentence(labelled: Path, tmp_path: Path, arguments: list
     assert result.returncode == 1
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_what_reports_lack_is_said_before_anything_is_fitted(
+    labelled: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)  # as where it is not installed
+    monkeypatch.chdir(labelled)
+    assert main(["evaluate", str(labelled)]) == 1
+    error = capsys.readouterr().err
+    assert "report needs pandas, which this Python lacks" in error
+    assert not (labelled / "out").exists()
