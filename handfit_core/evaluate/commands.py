@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 from pathlib import Path
 from typing import get_args
 
@@ -10,6 +11,7 @@ from handfit_core.errors import OptionError
 from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
 from handfit_core.options import CaptureOptions, add_options
 
+REPORTS_NEED = ("pandas", "matplotlib", "jinja2")
 DEFAULT_METHODS = ("raw", "fused", CaptureOptions.solver)
 
 
@@ -78,9 +80,15 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
+    missing = [name for name in REPORTS_NEED if importlib.util.find_spec(name) is None]
+    if missing:  # said now, not after an hour of fitting
+        raise OptionError(
+            f"evaluate's report needs {' and '.join(missing)}, which this Python lacks; "
+            f"run `python -m pip install {' '.join(REPORTS_NEED)}`"
+        )
     from handfit_core.evaluate.datasets import open_dataset
     from handfit_core.evaluate.report import write_report
-    from handfit_core.evaluate.report.tables import markdown_table
+    from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
     from handfit_core.files import check_writable
     from handfit_core.pipeline import Progress
@@ -124,6 +132,6 @@ def _evaluate(args: argparse.Namespace) -> int:
             "problems": {kind: len(where) for kind, where in evaluation.problems.items()},
             "summaries": evaluation.summaries,
         },
-        markdown_table(evaluation),
+        main_table(evaluation).markdown(),
     )
     return 0

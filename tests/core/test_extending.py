@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -66,3 +68,23 @@ def test_a_detector(tmp_path: Path) -> None:
     )
     assert "no hand was found" in again.stderr
     assert "bright-spot" in run(tmp_path, "capture", "--help").stdout
+
+
+def test_a_reader_of_labelled_pictures(tmp_path: Path) -> None:
+    install("A reader of labelled pictures", tmp_path)
+    sample = ROOT / "samples" / "rendered_hand"
+    (hand,) = Take.load(sample / "truth.take.npz").hands
+    folder = tmp_path / "labelled"
+    folder.mkdir()
+    with open(folder / "points.csv", "w", newline="", encoding="utf-8") as stream:
+        for i in (0, 5):
+            name = f"hand.{i + 1:04d}.jpg"
+            shutil.copy(sample / name, folder)
+            csv.writer(stream).writerow([name, *hand.keypoints_2d[i].ravel()])
+    done = run(tmp_path, "evaluate", folder, "--solvers", "raw", "-o", tmp_path / "report")
+    assert done.returncode == 0, done.stderr
+    with open(tmp_path / "report" / "table.csv", newline="", encoding="utf-8") as stream:
+        rows = {row["method"]: row for row in csv.DictReader(stream)}
+    assert rows["raw-image"]["kind"] == "points"
+    assert float(rows["raw-image"]["detection_rate"]) == 100.0
+    assert 0.0 < float(rows["raw-image"]["error_2d"]) < 10.0

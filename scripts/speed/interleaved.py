@@ -20,15 +20,10 @@ class Spread:
     """third quartile; of ratios, the highest"""
 
     @classmethod
-    def of(cls, values: Sequence[float] | np.ndarray) -> Spread:
-        """Median and quartiles."""
-        low, median, high = np.percentile(values, [25, 50, 75])
+    def of(cls, values: Sequence[float] | np.ndarray, *, extremes: bool = False) -> Spread:
+        """Median and quartiles, or median and extremes."""
+        low, median, high = np.percentile(values, [0, 50, 100] if extremes else [25, 50, 75])
         return cls(float(median), float(low), float(high))
-
-    @classmethod
-    def with_extremes(cls, values: Sequence[float] | np.ndarray) -> Spread:
-        """Median, lowest and highest."""
-        return cls(float(np.median(values)), float(np.min(values)), float(np.max(values)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +60,7 @@ class Timing:
             (np.median(theirs) / other.frames) / (np.median(ours) / self.frames)
             for ours, theirs in zip(self.rounds, other.rounds, strict=True)
         ]
-        return Spread.with_extremes(ratios)
+        return Spread.of(ratios, extremes=True)
 
 
 def interleaved(
