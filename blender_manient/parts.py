@@ -36,13 +36,13 @@ class Part:
     """A module's own classes, in the order of their definition, and then what its `register` adds beside."""
 
     def __init__(self, module: ModuleType) -> None:
-        own = [
+        self.classes = [
             value
             for value in vars(module).values()
             if isinstance(value, type) and issubclass(value, _KINDS) and value.__module__ == module.__name__
         ]
         self._module = module
-        self._add, self._remove = bpy.utils.register_classes_factory(own)
+        self._add, self._remove = bpy.utils.register_classes_factory(self.classes)
 
     def register(self) -> None:
         """Add it."""

@@ -9,7 +9,7 @@ from handfit_core.errors import HandfitError, TakeError
 
 from ..scene import corrections
 from ..scene.editable import why_not_editable
-from ..scene.frame_span import span_of
+from ..scene.timing import span_of
 from ..selection import active_hand
 
 

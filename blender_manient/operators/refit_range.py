@@ -17,11 +17,10 @@ from .. import details, screen, shared_worker
 from ..keypoint_mode.abandoned import abandon
 from ..refiner import Refiner, why_not
 from ..scene.corrections import corrections_of
-from ..scene.frame_span import span_of
 from ..scene.markers import doubtful_ranges
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import scene_frames, timing_of
-from ..scene.timing import frame_rate
+from ..scene.timing import frame_rate, span_of
 from ..section import sentence
 from ..selection import active_hand
 from ..wording import counted

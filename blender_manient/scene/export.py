@@ -36,8 +36,7 @@ from ..exporters.exporter import Exporter, HandObjects, Preset, open_scene
 from .build import BuiltTake
 from .camera import frame_scene
 from .clean_rig import clean_rig
-from .object_mode import object_mode
-from .own_scene import own_scene, shown_in_pose
+from .own_scene import object_mode, own_scene, shown_in_pose
 from .proof import prove_whole
 from .timing import set_timing
 

@@ -16,6 +16,7 @@ import bpy
 from handfit_core.take import Take
 
 from ..blender_versions import has_strips
+from .start_up import is_untouched
 from .store import kept_here
 from .timing import frame_rate, nearest_rate
 
@@ -35,8 +36,6 @@ CHOICES = (
 
 _TIME = ("fps", "fps_base", "frame_start", "frame_end")
 _SIZE = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y")
-_START_UP_CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0)
-"""Place, rotation and lens of the camera in Blender's start-up file"""
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
     A scene that has the footage's rate, range and size already loses nothing by it.
     """
     camera = scene.camera
-    if camera is not None and not _is_start_up_camera(camera) and not _is_of_a_capture(camera):
+    if camera is not None and not is_untouched(camera) and not _is_of_a_capture(camera):
         return f"its camera is {camera.name}"
     if footage is not None and footage.is_that_of(scene):
         return ""
@@ -152,14 +151,6 @@ def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
         value = getattr(owner, name) if owner else cls.bl_rna.properties[name].default
         found.append(f"{value:.6g}")
     return " ".join(found)
-
-
-def _is_start_up_camera(camera: bpy.types.Object) -> bool:
-    """Whether it is the camera of Blender's start-up file, and nobody has touched it."""
-    if camera.type != "CAMERA" or camera.name != "Camera" or camera.parent or len(camera.constraints):
-        return False
-    found = (*camera.location, *camera.rotation_euler, camera.data.lens)
-    return all(abs(a - b) < 1e-4 for a, b in zip(found, _START_UP_CAMERA, strict=True))
 
 
 def _is_of_a_capture(camera: bpy.types.Object) -> bool:

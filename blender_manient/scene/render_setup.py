@@ -20,6 +20,7 @@ from handfit_core.take import Take
 from ..blender_versions import use_nodes
 from .camera import put_before
 from .plate import Plate
+from .start_up import is_untouched
 from .store import kept_here
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
@@ -30,7 +31,6 @@ _CARD_PLACE = 0.9
 """of the camera's far clip distance"""
 _BEYOND = 0.05
 """of the picture's width and height"""
-_START_UP_LIGHT = (4.07625, 1.00545, 5.90386)
 
 
 def set_up(
@@ -135,7 +135,7 @@ def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object
 def _is_lit(scene: bpy.types.Scene) -> bool:
     """Whether the artist has seen to light: with a lamp that renders show, or a sky or a picture as world."""
     lamps = (o for layer in scene.view_layers for o in _rendered(layer.layer_collection) if o.type == "LIGHT")
-    if any(not (_OURS in o or _is_start_up_light(o)) for o in lamps):
+    if any(not (_OURS in o or is_untouched(o)) for o in lamps):
         return True
     tree = scene.world.node_tree if scene.world is not None else None
     return tree is not None and any(n.type in ("TEX_ENVIRONMENT", "TEX_SKY") for n in tree.nodes)
@@ -150,15 +150,6 @@ def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
         yield from (o for o in part.collection.objects if not o.hide_render)
     for child in part.children:
         yield from _rendered(child)
-
-
-def _is_start_up_light(thing: bpy.types.Object) -> bool:
-    """Whether nobody has done anything to it yet; it stands too far off to light a hand."""
-    light = thing.data
-    moved = (thing.matrix_world.translation - Vector(_START_UP_LIGHT)).length > 1e-3
-    if moved or thing.animation_data is not None:
-        return False
-    return thing.name == "Light" and light.type == "POINT" and light.energy == 1000.0
 
 
 _seen: dict[int, tuple[str, str, int]] = {}

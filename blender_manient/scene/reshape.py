@@ -38,7 +38,7 @@ from . import correctives
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
-from .object_mode import object_mode
+from .own_scene import object_mode
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"

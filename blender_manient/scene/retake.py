@@ -19,8 +19,7 @@ from handfit_core.take import HandTrack, Take
 
 from .corrections import corrections_of
 from .keys import read_pose_keys
-from .object_mode import object_mode
-from .own_scene import own_scene, shown_in_pose
+from .own_scene import object_mode, own_scene, shown_in_pose
 from .sampling import rotations_of, sample
 from .store import CapturedHand, rows_at, scene_frames
 

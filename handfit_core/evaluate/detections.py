@@ -23,7 +23,7 @@ from handfit_core.detect.finder import open_finder, settings_of
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
-from handfit_core.evaluate.units import Unit
+from handfit_core.evaluate.labels import Unit
 from handfit_core.files import cache_dir
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,27 @@ class Entry:
     tags: Mapping[str, str] = field(default_factory=dict)
     """What the set tells about the picture, as in {"pose": "fist", "occluder": "none"}; results are
     grouped by it"""
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """What is fitted in one go: a still, or a clip's pictures in the order of time."""
+
+    entries: tuple[Entry, ...]
+    is_clip: bool
+
+
+def units_of(entries: Sequence[Entry], *, clips: bool = True, every: int = 1) -> list[Unit]:
+    """Group entries into units and keep every n-th still and every n-th clip, each counted by itself.
+
+    With `clips=False` every picture is a still of its own, as in the paper, and every n-th is kept.
+    """
+    if not clips:
+        return [Unit((entry,), is_clip=False) for entry in entries[::every]]
+    stills = [Unit((entry,), is_clip=False) for entry in entries if entry.clip is None]
+    of_clips = [entry for entry in entries if entry.clip is not None]
+    tracks = [Unit(tuple(group), is_clip=True) for _, group in groupby(of_clips, key=lambda e: e.clip)]
+    return stills[::every] + tracks[::every]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.compare import compare
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import Fits, FitTask
-from handfit_core.evaluate.labels import Dataset, Problem
+from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
 from handfit_core.evaluate.methods import method_names, method_title
 from handfit_core.evaluate.rows import Row, Rows, rows_of
 from handfit_core.evaluate.scores import (
@@ -27,7 +27,6 @@ from handfit_core.evaluate.scores import (
 )
 from handfit_core.evaluate.scoring import RowResult, baselines, score
 from handfit_core.evaluate.summary import summarise
-from handfit_core.evaluate.units import Unit, units_of
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import CaptureOptions
 from handfit_core.version import __version__

@@ -16,7 +16,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from handfit_core import errors
 from handfit_core.errors import Cancelled, HandfitError
@@ -63,7 +63,7 @@ class Runner(ABC):
         """Number -> kind of the requests that have had no last event"""
         self._events: deque[Event] = deque()
 
-    def __enter__(self) -> Runner:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -18,11 +18,10 @@ from typing import Any
 import bpy
 
 import blender_manient
-from blender_manient import jobs, shared_worker, source_info
+from blender_manient import jobs, parts, shared_worker, source_info
 from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
-from blender_manient.section import Section
 from handfit_core.errors import HandfitError
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
@@ -165,8 +164,9 @@ def _work_on() -> None:
 
 
 def _draw() -> None:
-    for cls in [cls for cls in Section.__subclasses__() if cls.is_registered]:
-        drawn(cls)
+    for cls in (c for part in parts.PARTS for c in part.classes):
+        if issubclass(cls, bpy.types.Panel):
+            drawn(cls)
 
 
 def client(peer: str, kind: str) -> None:

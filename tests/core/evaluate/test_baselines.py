@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from handfit_core.evaluate.baselines import collapsed_to_centroid, mean_pose_at_truth
+from handfit_core.evaluate.scoring import collapsed_to_centroid, mean_pose_at_truth
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model

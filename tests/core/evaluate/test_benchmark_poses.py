@@ -25,7 +25,6 @@ from scripts.benchmark.views import (
     hidden_by,
     outside,
     random_view,
-    view_name,
 )
 
 SIZE = 256
@@ -212,14 +211,6 @@ def test_facing_turns_the_view_against_the_ray() -> None:
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
         np.testing.assert_allclose(np.linalg.det(rotation), 1.0)
         np.testing.assert_allclose(rotation @ view, -ray, atol=1e-12)
-
-
-def test_views_are_named_after_the_face_that_is_seen() -> None:
-    assert view_name(np.array([0.1, -1.0, 0.2]), "right") == "palm"
-    assert view_name(np.array([0.1, 1.0, 0.2]), "left") == "back"
-    assert view_name(np.array([-1.0, 0.1, 0.2]), "right") == "tips"
-    assert view_name(np.array([-1.0, 0.1, 0.2]), "left") == "wrist"
-    assert view_name(np.array([0.1, 0.1, -1.0]), "right") == "edge"
 
 
 def test_what_stands_before_a_point_hides_it() -> None:

@@ -10,8 +10,7 @@ import pytest
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import LandmarkModelError
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
-from handfit_core.evaluate.labels import Entry, Labels
-from handfit_core.evaluate.units import Unit
+from handfit_core.evaluate.labels import Entry, Labels, Unit
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
 
@@ -128,12 +127,3 @@ def test_pictures_are_taken_as_stored_like_their_labels(tmp_path: Path) -> None:
     assert read_picture(turned)[1] == 6  # a viewer turns it
     found, _ = detect(still(turned), tmp_path / "cache")
     assert found.sizes.tolist() == [[640, 480]]
-
-
-def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
-    picture = still(SAMPLE / "hand.0001.jpg")
-    found, _ = detect(picture, tmp_path)
-    (file,) = kept(tmp_path)
-    file.write_bytes(file.read_bytes()[:100])
-    again, _ = detect(picture, tmp_path)
-    np.testing.assert_array_equal(again.frames[0][0].keypoints, found.frames[0][0].keypoints)

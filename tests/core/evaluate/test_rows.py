@@ -6,11 +6,10 @@ import numpy as np
 
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry, Labels
+from handfit_core.evaluate.labels import Entry, Labels, units_of
 from handfit_core.evaluate.rows import rows_of
 from handfit_core.evaluate.scoring import RowResult, score
 from handfit_core.evaluate.summary import summarise
-from handfit_core.evaluate.units import units_of
 from handfit_core.geometry.camera import Intrinsics
 from tests.core.evaluate.hands import CAMERA, HEIGHT, WIDTH, entry, found, joints, label, seen
 

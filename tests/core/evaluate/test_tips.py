@@ -221,13 +221,6 @@ def test_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
     ]
 
 
-def test_unnumbered_pictures_of_another_count_say_that_they_are_paired_in_order(tmp_path: Path) -> None:
-    write_ego(tmp_path, frames(2))
-    touch(tmp_path / "data" / "Desk" / "color" / "copy of a picture.png")
-    kinds = [p.kind for p in open_dataset(tmp_path).problems]
-    assert kinds == ["pictures and labels differ in number, paired in order", "picture without a label"]
-
-
 @pytest.mark.parametrize(
     ("line", "says"),
     [

@@ -66,8 +66,9 @@ def _listed() -> types.ModuleType:
 
 
 def sections() -> list[type]:
-    """The panels of the tab that are registered, subsections after theirs."""
-    return [cls for cls in part("section").Section.__subclasses__() if cls.is_registered]
+    """All sections of the sidebar, parents before children."""
+    registered = part("parts").PARTS
+    return [c for one in registered for c in one.classes if issubclass(c, bpy.types.Panel)]
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
