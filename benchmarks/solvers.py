@@ -44,7 +44,7 @@ def time_solvers(
     clip. Batches are of independent frames, each with its own shape. Raises OptionError for a solver that
     does not exist.
     """
-    from handfit_core.solvers.fast.fit import fit_frames
+    from handfit_core.fit.fast import fit_frames
 
     frames = np.linspace(0, len(hand.detections) - 1, rounds).round().astype(int)
 

@@ -19,6 +19,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
+from handfit_core.solvers import DEFAULT_SOLVER, solvers
 from handfit_core.take import Source, Take
 
 from . import details
@@ -275,8 +276,9 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
     part = done / total if total else 0.0
-    # Detection takes nearly all of a capture's time, except with the paper's solvers.
-    share = 0.1 if (job.options.solver or "").startswith("paper") else 0.85
+    # Detection takes nearly all of a capture's time, except with slow solvers.
+    solver = solvers().get(job.options.solver or DEFAULT_SOLVER)
+    share = 0.1 if solver is not None and solver.slow else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 
 

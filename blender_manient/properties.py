@@ -15,7 +15,7 @@ from bpy.props import (
 )
 
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
-from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
+from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING, solvers
 
 from .scene.matching import CHOICES
 
@@ -25,17 +25,7 @@ PRESETS = (
     ("PAPER", "Paper", "The published method's experiments, slow"),
 )
 
-EXPERIMENTS = (
-    ("paper-a", "A: L-BFGS, Mean Squares", "Mean squared error, fingertips counted again"),
-    ("paper-b", "B: Without Fingertips", "Mean squared error of the 21 keypoints"),
-    ("paper-c", "C: Geman-McClure", "Geman-McClure error, fingertips counted again"),
-    ("paper-d", "D: Geman-McClure, Plain", "Geman-McClure error of the 21 keypoints"),
-    ("paper-e", "E: Huber", "Huber error, fingertips counted again"),
-    ("paper-f", "F: Huber, Plain", "Huber error of the 21 keypoints"),
-    ("paper-g", "G: BFGS", "Mean squared error with the BFGS optimizer"),
-    ("paper-h", "H: Anatomical Stage", "A second stage that keeps joints within their range"),
-    ("paper-a-plus", "A+: With Pose Prior", "Experiment A, held by a relaxed pose, with a camera stage"),
-)
+EXPERIMENTS = tuple((s.name, s.title, s.description) for s in solvers().values() if s.slow)
 
 
 def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:

@@ -19,13 +19,21 @@ from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFou
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
+from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.lens import known_intrinsics
 from handfit_core.media.opening import Media, MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, FAST_SOLVERS, TrackFit, get_solver
-from handfit_core.solvers.result import ShouldStop, never
+from handfit_core.solvers import (
+    DEFAULT_SMOOTHING,
+    DEFAULT_SOLVER,
+    ShouldStop,
+    TrackFit,
+    get_solver,
+    never,
+    solver_of,
+)
 from handfit_core.take import HandTrack, Source, Take
 
 Stage = Literal["detect", "fit", "score"]
@@ -53,8 +61,8 @@ FARTHEST_FOCAL = 1000.0
 telescope's picture may have"""
 
 LAST_FITS_SECONDS = 0.3
-"""What solvers that fit frame by frame get for what was found when detection was stopped. The fast solver
-gets the time that it needs, since that is a small part of what detecting took."""
+"""What slow solvers get for what was found when detection was stopped. Others get the time that they need,
+since that is a small part of what detecting took."""
 
 
 def capture(
@@ -103,7 +111,7 @@ def capture(
     hand_length
         Metres from the wrist joint to the tip of the middle finger of the flat hand, 0.05 to 0.3; None for
         an average adult's. Pictures do not show how large a hand is: its size decides its distance. For
-        the fast solvers.
+        the solvers that take notice of it.
     lens
         Instead of `intrinsics`, where the picture's size is not known: focal length in widths of the picture,
         and the principal point in widths and heights of it, y downwards.
@@ -124,8 +132,9 @@ def capture(
         raise OptionError(f"max_hands must be at least 1, not {max_hands}")
     if lens is not None and intrinsics is not None:
         raise OptionError("give the camera either as intrinsics or as a lens, not both")
+    can = solver_of(solver, smoothing, hand_length)
     solve = get_solver(solver, smoothing, hand_length)
-    if hand_length is not None and solver not in FAST_SOLVERS:
+    if hand_length is not None and not can.takes_hand_length:
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
     report = progress or (lambda _: None)
@@ -157,7 +166,7 @@ def capture(
         raise NoHandFoundError(f"{media.source.name}: {error}") from None
     _tell_of_others(hands, len(tracks), seen if hands in SIDES else max(seen, at_once))
     if stop():
-        stop = never if solver in FAST_SOLVERS else _after(LAST_FITS_SECONDS)
+        stop = _after(LAST_FITS_SECONDS) if can.slow else never
 
     total = sum(int(track.detected.sum()) for track in tracks)
     done = 0
@@ -168,10 +177,8 @@ def capture(
         report(Progress("fit", done, total))
 
     models = {track.side: load_model(model, track.side) for track in tracks}
-    if hand_length is not None and solver in FAST_SOLVERS:
-        # Torch loads here and not with the pipeline. Both hands' models have one length.
-        from handfit_core.solvers.fast.fit import tell_of_odd_shapes
-
+    if hand_length is not None and can.takes_hand_length:
+        # Both hands' models have one length.
         tell_of_odd_shapes(next(iter(models.values())), hand_length)
     fitted: list[HandTrack] = []
     for track in tracks:

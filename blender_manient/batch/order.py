@@ -10,7 +10,7 @@ from handfit_core.__main__ import parse_intrinsics
 from handfit_core.errors import OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import check_limit
-from handfit_core.solvers import DEFAULT_SOLVER, get_solver
+from handfit_core.solvers import DEFAULT_SOLVER, solver_of
 
 from ..scene.export import FORMATS, available, find_format
 from ..worker.client import CaptureOptions
@@ -40,7 +40,7 @@ class Order:
         if args.frames:
             FrameRange.parse(args.frames)
         options = _capture_options(args)
-        get_solver(options.solver or DEFAULT_SOLVER, hand_length=options.hand_length)
+        solver_of(options.solver or DEFAULT_SOLVER, hand_length=options.hand_length)
         return cls(
             output=args.output,
             formats=formats,

@@ -111,15 +111,16 @@ def _content(model: HandModel) -> str:
 
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    from handfit_core import geometry, residuals, skeleton, solvers
+    from handfit_core import fit, geometry, paper, skeleton, solvers
     from handfit_core.detect import correction
     from handfit_core.detect.correction import network
     from handfit_core.evaluate import methods, raw_landmarks
-    from handfit_core.hand_model import anatomy, data, landmarks, layer
+    from handfit_core.hand_model import anatomy, chain, data, landmarks
 
-    of_models = (anatomy, data, landmarks, layer)
+    of_models = (anatomy, chain, data, landmarks)
     learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
-    code = code_digest(solvers, residuals, correction, geometry, skeleton, methods, raw_landmarks, *of_models)
+    of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
+    code = code_digest(*of_solvers, methods, raw_landmarks, *of_models)
     return "|".join([code, *learnt])
 
 

@@ -160,7 +160,7 @@ def _solver() -> str:
 
 
 def _refitting() -> str:
-    from handfit_core.refine import warm_up
+    from handfit_core.edit import warm_up
 
     warm_up()
     started = time.perf_counter()

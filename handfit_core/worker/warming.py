@@ -30,7 +30,7 @@ def answer(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[
     if not isinstance(model, str):
         raise OptionError(f"a warm request's model must be a path or '{OPEN_HAND}', not {model!r}")
 
-    from handfit_core.refine import warm_up
+    from handfit_core.edit import warm_up
     from handfit_core.worker.trial import blank_picture_hands, synthetic_fit_error_mm
 
     started = time.perf_counter()

@@ -27,7 +27,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.worker import shared
 from blender_manient.worker.client import CaptureOptions, Worker, WorkerError, as_error
 from handfit_core.errors import HandfitError
-from handfit_core.refine import result_from_message
+from handfit_core.edit import result_from_message
 from handfit_core.take import Source
 from scripts import batch_fit
 from tests.hostile.core_doors import check_ending, check_take

@@ -26,7 +26,7 @@ def checkout(tmp_path):
         "hand_model/data/right.npz",
         "detect/data/notes.txt",
         "detect/data/second.task",
-        "hand_model/layer.py.orig",
+        "hand_model/chain.py.orig",
     ],
 )
 def test_what_is_not_the_cores_does_not_go_into_the_zip(checkout, tmp_path, name):
@@ -42,7 +42,7 @@ def test_what_python_and_the_desktop_leave_behind_is_passed_over(checkout):
     (checkout / "handfit_core" / "__pycache__").mkdir(exist_ok=True)
     (checkout / "handfit_core" / "__pycache__" / "x.cpython-311.pyc").touch()
     assert source_files(checkout) == before
-    assert "handfit_core/hand_model/layer.py" in before
+    assert "handfit_core/hand_model/chain.py" in before
     assert "handfit_core/hand_model/data/open_hand_right.npz" in before
 
 
