@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
 RUN_TIME = ["torch", "scipy", "opencv-python-headless", "mediapipe"]
-EVALUATION = ["matplotlib", "jinja2"]
+EVALUATION = ["pandas", "matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
@@ -269,7 +269,7 @@ def docs(session: nox.Session) -> None:
 @nox.session(python=PYTHON)
 def lint(session: nox.Session) -> None:
     """ruff (lint and format), pyright, and the forms and workflows of a public host against their schemas."""
-    tools = ["ruff", "pyright[nodejs]", "check-jsonschema", "nox", "pytest"]
+    tools = ["ruff", "pyright[nodejs]", "pandas-stubs", "check-jsonschema", "nox", "pytest"]
     install(session, *tools, CORE_NUMPY, *RUN_TIME, *EVALUATION)
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")

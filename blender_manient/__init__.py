@@ -12,6 +12,7 @@ import sys
 import traceback
 from collections.abc import Iterable, Iterator
 from types import ModuleType
+from typing import Any
 
 import bpy
 
@@ -37,7 +38,7 @@ from . import command, installation, unusable, verification  # noqa: E402
 
 _WITHOUT_CORE = frozenset(_own())
 """Modules that can be imported where handfit_core cannot"""
-_registered: list[ModuleType] = []
+_registered: list[Any] = []
 """In the order of registration"""
 _core: ModuleType | None = None
 """The handfit_core with which the parts were imported"""
@@ -117,7 +118,7 @@ def _running_copy() -> str:
     return ""
 
 
-def _parts() -> tuple[ModuleType, ...]:
+def _parts() -> tuple[Any, ...]:
     """All parts, or the one that says why they cannot be imported."""
     global _core
     installed = installation.is_installed()

@@ -14,7 +14,8 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import OutputError
-from handfit_core.paths import cache_dir
+from handfit_core.files import cache_dir
+from handfit_core.slices import slice_clock
 
 from . import preferences
 
@@ -130,10 +131,10 @@ def measure_on() -> float | None:
     global _measured, _measured_at, _measuring, _measured_so_far
     if _measuring is None:
         return None
-    until = time.perf_counter() + _SLICE
+    is_over = slice_clock(_SLICE)
     for size in _measuring:
         _measured_so_far += size
-        if time.perf_counter() > until:
+        if is_over():
             return 0.02
     _measured, _measured_at, _measuring = _measured_so_far, time.monotonic(), None
     preferences.redraw()
@@ -177,10 +178,6 @@ def _unusable(path: Path, error: OSError) -> OutputError:
         f"{path}: cannot write here ({error.strerror or error}); choose another cache folder in the add-on's "
         "preferences"
     )
-
-
-def register() -> None:
-    """Nothing to add; the folder is made when it is needed."""
 
 
 def unregister() -> None:

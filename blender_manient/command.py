@@ -14,7 +14,6 @@ from typing import Any
 import bpy
 
 from . import installation, verification
-from .batch.arguments import add_arguments
 from .batch.console import print_error, show_all_names, stopped_by_signals
 from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 
@@ -27,22 +26,24 @@ _handle: Any = None
 
 def main(argv: Sequence[str]) -> int:
     """Run `manient ARGV`; returns the exit code, raises nothing."""
-    parser = _parser()
+    show_all_names()
+    debug = "--debug" in argv
+    if "capture" in argv[:1] and _refused():  # its very options are the core's
+        return EXIT_SOME_FAILED
     try:
-        args = parser.parse_args(argv)
+        args = _parser(argv).parse_args(argv)
+        return args.run(args)
     except SystemExit as ended:  # --help, or wrong options; both have printed what there is to say
         return ended.code if isinstance(ended.code, int) else EXIT_USAGE
-    show_all_names()
-    try:
-        return args.run(args)
     except (ImportError, SyntaxError) as error:  # files that are needed first here are gone or damaged
-        print_error(installation.import_problem(error).sentence, args.debug)
+        print_error(installation.import_problem(error).sentence, debug)
     except Exception as error:  # a defect of ours: still one line
-        print_error(f"unexpected {type(error).__name__}: {error}", args.debug)
+        print_error(f"unexpected {type(error).__name__}: {error}", debug)
     return EXIT_SOME_FAILED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """The command line; a capture's options, which the core has, only where a capture is asked for."""
     parser = argparse.ArgumentParser(
         prog=f"blender --command {NAME}", description="Manient Hand Capture without a window."
     )
@@ -52,7 +53,10 @@ def _parser() -> argparse.ArgumentParser:
         help="fit hands to photos, sequences, videos and folders of them",
         description="Fit hands to photos, sequences, videos and folders of them.",
     )
-    add_arguments(capture, default_python=_DEFAULT_PYTHON)
+    if "capture" in argv[:1]:
+        from .batch.arguments import add_arguments
+
+        add_arguments(capture, default_python=_DEFAULT_PYTHON)
     capture.set_defaults(run=_capture)
     check = commands.add_parser(
         "check",
@@ -66,8 +70,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _capture(args: argparse.Namespace) -> int:
-    if _refused():
-        return EXIT_SOME_FAILED
     from . import preferences
     from .batch.run import Host, run
     from .worker.client import PYTHON_VARIABLE

@@ -79,8 +79,9 @@ def shown_hands(scene: bpy.types.Scene) -> list[CapturedHand]:
     return [hand for hand in found if hand is not None and hand.track.detected.any()]
 
 
-def redraw(context: bpy.types.Context) -> None:
-    """Draw the time editors again."""
+def shown_changed(context: bpy.types.Context) -> None:
+    """Draw the time editors again, with graphs or without."""
+    _follow()
     manager = context.window_manager
     for window in manager.windows if manager else ():
         for area in window.screen.areas:
@@ -150,14 +151,40 @@ def _rectangle(corners: tuple[float, float, float, float], color: tuple[float, .
     batch_for_shader(shader, "TRI_STRIP", {"pos": points}).draw(shader)
 
 
+def _draw_in_editors(wanted: bool) -> None:
+    """Draw in all time editors, or in none: every redraw of theirs looks for hands in the whole scene."""
+    if wanted and not _handles:
+        for name in _SPACES.values():
+            _handles[name] = getattr(bpy.types, name).draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+    elif not wanted:
+        for name, handle in _handles.items():
+            getattr(bpy.types, name).draw_handler_remove(handle, "WINDOW")
+        _handles.clear()
+
+
+@bpy.app.handlers.persistent
+def _follow(*_args) -> None:
+    """Draw as long as some hand shows its graph, and no longer."""
+    _draw_in_editors(any(o.manient.is_hand and o.manient.show_error for o in bpy.data.objects))
+
+
+_EVENTS: Final = ("load_post", "undo_post", "redo_post", "blend_import_post")
+"""What may bring a hand that shows its graph; Blender 4.2 does not tell of imports"""
+
+
 def register() -> None:
-    """Draw in all time editors."""
-    for name in _SPACES.values():
-        _handles[name] = getattr(bpy.types, name).draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+    """Watch for hands that show their graph."""
+    for name in _EVENTS:
+        getattr(bpy.app.handlers, name, []).append(_follow)
+    # The add-on may be switched on again in a file that shows some; at start-up there is no file yet.
+    if hasattr(bpy.data, "objects"):
+        _follow()
 
 
 def unregister() -> None:
-    """Draw no more."""
-    for name, handle in _handles.items():
-        getattr(bpy.types, name).draw_handler_remove(handle, "WINDOW")
-    _handles.clear()
+    """Watch and draw no more."""
+    for name in _EVENTS:
+        handlers = getattr(bpy.app.handlers, name, [])
+        if _follow in handlers:
+            handlers.remove(_follow)
+    _draw_in_editors(False)

@@ -19,26 +19,25 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
-from handfit_core.solvers import DEFAULT_SOLVER, solvers
-from handfit_core.take import Source, Take
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
+from handfit_core.slices import retold, slice_clock
+from handfit_core.solvers import SOLVERS
+from handfit_core.take import Take
 
 from . import details
 from .cache import folder_path, temporary_take
 from .remembered import Remembered
 from .scene.apply import apply_track, track_for
-from .scene.build import building
+from .scene.build import BuildOptions, building
 from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
-from .slices import retold
 from .wording import capitalised, without_name
 from .worker import shared
-from .worker.client import CaptureOptions
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
-_SLICE = 0.008
-"""seconds after which a tick begins no other step of building"""
 _KEPT = 6
 """finished jobs that the panel still shows"""
 
@@ -277,18 +276,18 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
     job.done, job.total = done, total
     part = done / total if total else 0.0
     # Detection takes nearly all of a capture's time, except with slow solvers.
-    solver = solvers().get(job.options.solver or DEFAULT_SOLVER)
+    solver = SOLVERS.all().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 
 
 def _build(job: Job) -> bool:
     """One slice of building."""
-    ended = time.perf_counter() + _SLICE
+    is_over = slice_clock()
     try:
         if job._builder is None:
             job._builder = _builder(job)
-        while time.perf_counter() < ended:
+        while not is_over():
             job.fraction = 0.9 + 0.1 * next(job._builder)
     except StopIteration as stop:
         job._builder = None
@@ -332,8 +331,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     footage = Footage.of_take(take, own_camera=plan.camera is not None)
     frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
     job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
-    built = yield from building(
-        take,
+    how = BuildOptions(
         data=data,
         pose_correctives=plan.pose_correctives,
         match_scene=job.matched,
@@ -341,6 +339,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         render_setup=plan.render_setup,
         camera=plan.camera.find() if plan.camera else None,
     )
+    built = yield from building(take, how)
     _pack_cached_pictures(take)
     warnings += built.warnings
     job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)

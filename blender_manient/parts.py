@@ -1,72 +1,81 @@
-"""All parts of the add-on, in the order of their registration."""
+"""All parts of the add-on: modules whose classes and handlers are registered with Blender."""
 
 from __future__ import annotations
 
-from . import cache, error_graph, jobs, panels, preferences, properties, source_info
-from .operators import (
-    apply_take,
-    capture,
-    check_installation,
-    check_mano,
-    clear_cache,
-    clear_corrections,
-    copy_details,
-    drop_media,
-    edit_keypoints,
-    export_hand,
-    import_take,
-    jump_doubtful,
-    jump_worst,
-    lock_joints,
-    mark_doubtful,
-    mirror_hand,
-    move_keypoint,
-    pose_asset,
-    refit_range,
-    relax_pose,
-    reset_shape,
-    select_hand,
-    show_details,
-    use_source,
-)
-from .scene import confidence, reshape, see_through
+import importlib
+import pkgutil
+from types import ModuleType
+
+import bpy
+
+from . import cache, error_graph, jobs, operators, panels, preferences, properties, source_info
+from .scene import confidence, render_setup, reshape, see_through
 from .worker import shared
 
-PARTS = (
-    preferences,
-    properties,
-    cache,
-    reshape,
-    confidence,
-    error_graph,
-    see_through,
-    import_take,
-    export_hand,
-    reset_shape,
-    relax_pose,
-    pose_asset,
-    mirror_hand,
-    apply_take,
-    check_installation,
-    check_mano,
-    clear_cache,
-    copy_details,
-    show_details,
-    shared,
-    jobs,
-    source_info,
-    capture,
-    use_source,
-    drop_media,
-    select_hand,
-    mark_doubtful,
-    jump_doubtful,
-    jump_worst,
-    clear_corrections,
-    edit_keypoints,
-    lock_joints,
-    move_keypoint,
-    refit_range,
-    panels,
+_KINDS = (
+    bpy.types.AddonPreferences,
+    bpy.types.PropertyGroup,
+    bpy.types.Operator,
+    bpy.types.Panel,
+    bpy.types.Menu,
+    bpy.types.FileHandler,
 )
-"""One line per part, so that changes stay small."""
+
+
+class Part:
+    """A module's own classes, in the order of their definition, and then what its `register` adds beside."""
+
+    def __init__(self, module: ModuleType) -> None:
+        self.classes = [
+            value
+            for value in vars(module).values()
+            if isinstance(value, type) and issubclass(value, _KINDS) and value.__module__ == module.__name__
+        ]
+        self._module = module
+        self._add, self._remove = bpy.utils.register_classes_factory(self.classes)
+
+    def register(self) -> None:
+        """Add it."""
+        self._add()
+        getattr(self._module, "register", _nothing)()
+
+    def unregister(self) -> None:
+        """Take it away again."""
+        try:
+            getattr(self._module, "unregister", _nothing)()
+        finally:
+            self._remove()
+
+
+def _nothing() -> None:
+    pass
+
+
+def _files_of(package: ModuleType) -> list[ModuleType]:
+    return [
+        importlib.import_module(f"{package.__name__}.{found.name}")
+        for found in pkgutil.iter_modules(package.__path__)
+    ]
+
+
+PARTS = tuple(
+    map(
+        Part,
+        (
+            preferences,
+            properties,
+            cache,
+            reshape,
+            confidence,
+            error_graph,
+            see_through,
+            render_setup,
+            shared,
+            jobs,
+            source_info,
+            *_files_of(operators),
+            *_files_of(panels),
+        ),
+    )
+)
+"""In the order of their registration"""

@@ -8,6 +8,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from handfit_core.options import OPTIONS
+
 from .properties import PRESETS
 
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
@@ -49,9 +51,8 @@ class ManientPreferences(bpy.types.AddonPreferences):
     )
     max_megapixels: IntProperty(  # type: ignore
         name="Largest Picture",
-        description="Megapixels that a picture or a frame of a video may have; larger ones are refused "
-        "before they fill the memory. 0: 250, in files under 10 MB 64; for videos 80 and 12. "
-        "Any other number takes the place of all four: choose it for your largest pictures",
+        description="Megapixels that any picture, and any frame of a video, may have; larger ones are "
+        f"refused before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}",
         default=0,
         min=0,
         soft_max=500,
@@ -220,14 +221,12 @@ def _apply_default_preset(*_: object) -> None:
 
 
 def register() -> None:
-    """Add the preferences."""
-    bpy.utils.register_class(ManientPreferences)
+    """Give the preferred quality to every file that is opened."""
     bpy.app.handlers.load_post.append(_apply_default_preset)
 
 
 def unregister() -> None:
-    """Take them away again; Blender keeps what was chosen until the add-on is removed."""
+    """Follow no file any more; Blender keeps what was chosen until the add-on is removed."""
     global _without_entry
     bpy.app.handlers.load_post.remove(_apply_default_preset)
-    bpy.utils.unregister_class(ManientPreferences)
     _without_entry = _defaults()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -14,9 +17,12 @@ from bpy.props import (
     StringProperty,
 )
 
+from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
-from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING, solvers
+from handfit_core.solvers import SOLVERS
 
+from .exporters import EXPORTERS
+from .exporters import PRESETS as PROGRAMS
 from .scene.matching import CHOICES
 
 PRESETS = (
@@ -25,7 +31,7 @@ PRESETS = (
     ("PAPER", "Paper", "The published method's experiments, slow"),
 )
 
-EXPERIMENTS = tuple((s.name, s.title, s.description) for s in solvers().values() if s.slow)
+EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.all().items() if s.slow)
 
 
 def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
@@ -34,20 +40,21 @@ def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
     source_info.source_changed(settings, context)
 
 
-EXPORT_FORMATS = (
-    ("fbx", "FBX", "Autodesk FBX"),
-    ("glb", "glTF", "glTF 2.0 binary"),
-    ("usd", "USD", "Universal Scene Description"),
-    ("bvh", "BVH", "Biovision motion capture, a file per hand"),
-    ("abc", "Alembic", "Baked mesh cache"),
-    ("npz", "Hand Take", "The captured numbers, for other programs and later import"),
+EXPORT_FORMATS = tuple(
+    (e.name, e.label, e.description) for e in EXPORTERS.values() if e.writes != "collection"
 )
 
-EXPORT_PRESETS = (
-    ("PLAIN", "Plain", "Blender's axes and metres"),
-    ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
-    ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
-)
+
+def of_option(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
+    """A property's description, default and range, as the capture's option of that name has them; `units`:
+    how many of the panel's units one of the option's has."""
+    option = OPTIONS[name]
+    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + said}
+    if option.default is not None:
+        shown["default"] = option.default
+    if math.isfinite(option.most):
+        shown |= {"min": option.least * units, "max": option.most * units}
+    return shown
 
 
 class ManientSettings(bpy.types.PropertyGroup):
@@ -92,25 +99,19 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     hands: EnumProperty(  # type: ignore
         name="Hands",
-        description="Which hands to keep",
         items=(
             ("auto", "Auto", "All hands that are found, up to two"),
             ("left", "Left", "The person's left hand only"),
             ("right", "Right", "The person's right hand only"),
             ("both", "Both", "One left and one right hand"),
         ),
-        default="auto",
+        **of_option("hands"),
     )
     use_hand_length: BoolProperty(  # type: ignore
         name="Expected Size", description="Tell how large the hand is, for its distance and shape"
     )
     hand_length: FloatProperty(  # type: ignore
-        name="Length",
-        description="From the wrist to the tip of the middle finger, in centimeters",
-        default=18.5,
-        min=5.0,
-        max=30.0,
-        precision=1,
+        name="Length", default=18.5, precision=1, **of_option("hand_length", 100.0, ", in centimeters")
     )
 
     # Capture
@@ -122,20 +123,14 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
     smoothing: FloatProperty(  # type: ignore
-        name="Smoothing",
-        description="How smooth motion is: 0 takes every frame by itself",
-        default=DEFAULT_SMOOTHING,
-        min=0.0,
-        max=MOST_SMOOTHING,
-        soft_max=4.0,
+        name="Smoothing", soft_max=4.0, **of_option("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
         name="Detection Threshold",
-        description="Lower finds more hands, and more that are none",
-        default=0.5,
-        min=0.05,
-        max=0.95,
         subtype="FACTOR",
+        soft_min=0.05,
+        soft_max=0.95,
+        **of_option("threshold"),
     )
     camera: EnumProperty(  # type: ignore
         name="Camera",
@@ -157,18 +152,26 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     matching: EnumProperty(  # type: ignore
         name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size and camera",
+        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
         items=CHOICES,
         default="AUTO",
     )
-    matched: StringProperty(  # type: ignore
-        description="The settings that the scene was given by footage (scene/matching.py)"
+    matched_time: StringProperty(  # type: ignore
+        description="The rate and range that the scene was given by footage (scene/matching.py)"
+    )
+    matched_size: StringProperty(  # type: ignore
+        description="The picture size that the scene was given by footage"
     )
     render_setup: BoolProperty(  # type: ignore
         name="Ready to Render",
         description="Where the scene is matched, add lights if it has none and show the picture behind the "
-        "hands in renders. Your own lights and world stay as they are",
+        "hands in renders, its colors as they are (the view transform Standard for Blender's AgX). Your own "
+        "lights and world stay as they are",
         default=True,
+    )
+    rendered_camera: StringProperty(  # type: ignore
+        description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
+        options={"HIDDEN"},
     )
     pose_correctives: BoolProperty(  # type: ignore
         name="Pose Correctives",
@@ -209,7 +212,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     export_preset: EnumProperty(  # type: ignore
         name="For",
-        items=EXPORT_PRESETS,
+        items=PROGRAMS,
         default="PLAIN",
     )
 
@@ -229,7 +232,7 @@ def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
 def _error_shown_changed(_hand: bpy.types.PropertyGroup, context) -> None:
     from . import error_graph
 
-    error_graph.redraw(context)
+    error_graph.shown_changed(context)
 
 
 class ManientHand(bpy.types.PropertyGroup):
@@ -306,13 +309,8 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
 
 
-_CLASSES = (ManientSettings, ManientHand, ManientCapture)
-
-
 def register() -> None:
-    """Add the property groups to scenes, objects and collections."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
+    """Add the groups to scenes, objects and collections."""
     bpy.types.Scene.manient = PointerProperty(type=ManientSettings)
     bpy.types.Object.manient = PointerProperty(type=ManientHand)
     bpy.types.Collection.manient = PointerProperty(type=ManientCapture)
@@ -323,5 +321,3 @@ def unregister() -> None:
     del bpy.types.Collection.manient
     del bpy.types.Object.manient
     del bpy.types.Scene.manient
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -13,21 +13,19 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
+from handfit_core.edit import RefineHand, landmark_points, result_from_message, to_message
+from handfit_core.edit.corrections import Pins, changed_quats
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
-from handfit_core.edit import RefineHand, landmark_points, result_from_message, to_message
-from handfit_core.edit.models import hand_model
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.take import HandTrack
 
-from . import axes
-from .correction_field import Pins, changed_quats
 from .remembered import Remembered
 from .scene import corrections
-from .scene.armature import bone_names, rest_frames
 from .scene.editable import why_not_keyable
-from .scene.keys import pose_at
+from .scene.keys import displayed_pose, pose_at
 from .scene.own_keys import note_fitted
 from .scene.store import CapturedHand, hand_of
 from .wording import capitalised
@@ -73,7 +71,7 @@ class Refiner:
         self.name = armature.name
         self.take, self.track = hand.take, hand.track
         self.side: Side = hand.side
-        self.model: HandModel = hand_model(hand.take.model, hand.side)
+        self.model: HandModel = kept_model(hand.take.model, hand.side)
         self._shaped: tuple[tuple[float, ...], ShapedHand] | None = None
 
     @property
@@ -97,7 +95,7 @@ class Refiner:
 
     def betas(self) -> np.ndarray:
         """(10,) the shape that the rig has."""
-        return np.array(self.armature.manient.betas, dtype=np.float64)
+        return self.hand.betas
 
     def shaped(self) -> ShapedHand:
         """The model in that shape; computed when it changes."""
@@ -130,7 +128,7 @@ class Refiner:
 
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
         """What the keys say on these rows, corrections included."""
-        quats, locations = pose_at(self.armature, self.side, self.scene_frames()[list(rows)])
+        quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])
         return BonePoses(quats, locations, self.landmarks(quats, locations))
 
     def start_poses(self, rows: Sequence[int]) -> BonePoses:
@@ -140,7 +138,7 @@ class Refiner:
         frames did here stays in.
         """
         rows = list(rows)
-        quats, locations = pose_at(self.armature, self.side, self.scene_frames()[rows])
+        quats, locations = pose_at(self.hand.rig, self.scene_frames()[rows])
         field = corrections.corrections_of(self.armature)
         for at, row in enumerate(rows):
             own = field.corrections.get(self.source_frame(row))
@@ -151,7 +149,7 @@ class Refiner:
 
     def landmarks(self, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
         """(N, 21, 2) pixels: where the points of bones (N, 16, 4), (N, 3) lie; NaN behind the camera."""
-        pose = axes.pose_from_bones(self.shaped(), self._frames(), quats, locations)
+        pose = self.hand.rig.from_bones(self.shaped(), quats, locations)
         # Wherever armature and camera have been moved: the take's own frame is the picture's.
         points = landmark_points(self.model, self.betas(), *pose)
         behind = points[..., 2] < _NEAREST
@@ -160,10 +158,9 @@ class Refiner:
 
     def shown_landmarks(self) -> np.ndarray:
         """(21, 2) pixels: where the points of the bones lie as they stand now, keyed or not."""
-        bones = [self.armature.pose.bones[name] for name in bone_names(self.side)]
-        quats = np.array([bone.matrix_basis.to_quaternion() for bone in bones], dtype=np.float64)
-        location = np.array(bones[0].location, dtype=np.float64)
-        return self.landmarks(quats[None], location[None])[0]
+        rig = self.hand.rig
+        location = np.array(rig.armature.pose.bones[rig.bones[0]].location, dtype=np.float64)
+        return self.landmarks(displayed_pose(rig)[None], location[None])[0]
 
     def request(
         self,
@@ -177,7 +174,7 @@ class Refiner:
 
         The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
         """
-        shaped, frames, betas = self.shaped(), self._frames(), self.betas()
+        shaped, rest, betas = self.shaped(), self.hand.rig.rest, self.betas()
         locked = np.array(self.armature.manient.locked, dtype=bool)
         rows = list(rows)
 
@@ -186,7 +183,7 @@ class Refiner:
             for at, pinned in enumerate(pins):
                 for keypoint, place in pinned.items():
                     places[at, keypoint] = place
-            start = axes.pose_from_bones(shaped, frames, poses.quats, poses.locations)
+            start = rest.from_bones(shaped, poses.quats, poses.locations)
             step, holes = _steps(np.asarray(self.take.frame_numbers), rows)
             hand = RefineHand(
                 side=self.side,
@@ -214,8 +211,8 @@ class Refiner:
         quats = np.full((count, NUM_JOINTS, 4), np.nan)
         locations = np.full((count, 3), np.nan)
         at = result.present
-        quats[at], locations[at] = axes.bone_pose(
-            self.shaped(), self._frames(), result.global_orient[at], result.hand_pose[at], result.transl[at]
+        quats[at], locations[at] = self.hand.rig.to_bones(
+            self.shaped(), result.global_orient[at], result.hand_pose[at], result.transl[at]
         )
         return BonePoses(quats, locations, result.landmarks_2d)
 
@@ -244,9 +241,6 @@ class Refiner:
         quats, locations = poses.quats[there], poses.locations[there]
         yield from corrections.replacing_poses(self.armature, chosen, quats, locations)
         note_fitted(self.armature, chosen, quats, locations)
-
-    def _frames(self) -> np.ndarray:
-        return rest_frames(self.armature, self.side)
 
 
 def _steps(frame_numbers: np.ndarray, rows: Sequence[int]) -> tuple[int, tuple[int, ...]]:

@@ -71,13 +71,16 @@ def _is_known(settings) -> bool:
     return _known is not None and (_known.path, _known.as_sequence) == wanted
 
 
-def footage(settings, info: SourceInfo) -> Footage | None:
-    """What a scene would be matched to by capturing the panel's source; None while nobody knows."""
+def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage | None:
+    """What a scene would be matched to by capturing the panel's source, or `only` one frame of it; None while
+    nobody knows."""
     if info.files is None or not info.width:
         return None
     first, last = info.first, info.last
     if info.files.kind != "photo" and settings.use_frames:
         first, last = settings.first_frame, settings.last_frame
+    if only is not None:
+        first = last = max(only, 0)
     size = (0, 0) if settings.camera == "ACTIVE" else (info.width, info.height)
     return Footage(info.fps, first, last, *size)
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from handfit_core.errors import HandfitError
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.media.source import Source
+from handfit_core.take import HandTrack, Take
 from handfit_core.version import __version__
 
 if TYPE_CHECKING:

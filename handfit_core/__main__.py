@@ -21,17 +21,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from handfit_core.detect.tracks import HAND_CHOICES
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.errors import HandfitError
 from handfit_core.evaluate.commands import add_evaluate_command
-from handfit_core.files import check_writable
 from handfit_core.fit_quality import quality
-from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.commands import add_model_commands
-from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.size_limit import PICTURE, VIDEO
-from handfit_core.pipeline import Progress, ProgressCallback, capture, hand_summaries
-from handfit_core.solvers import DEFAULT_SMOOTHING, DEFAULT_SOLVER, MOST_SMOOTHING, solver_names
+from handfit_core.options import CaptureOptions, add_options
+from handfit_core.pipeline import Progress, capture_to_file
 from handfit_core.version import __version__
 
 EXIT_FAILED = 1
@@ -84,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "-o", "--output", required=True, type=Path, metavar="OUT.npz", help="the take to write"
     )
-    add_capture_options(command)
+    add_options(command)
     command.add_argument(
         "--progress",
         choices=("bar", "json", "none"),
@@ -119,55 +114,6 @@ def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:
             yield sub
 
 
-def add_capture_options(parser: argparse.ArgumentParser) -> None:
-    """The options that every way of capturing shares."""
-    parser.add_argument("--frames", metavar="A-B:S", help="source frames, as in 10-200:2 (default: all)")
-    parser.add_argument(
-        "--hands", choices=HAND_CHOICES, default="auto", help="which hands to keep (default: auto)"
-    )
-    parser.add_argument(
-        "--solver",
-        default=DEFAULT_SOLVER,
-        metavar="NAME",
-        help=f"one of {', '.join(solver_names())} (default: {DEFAULT_SOLVER})",
-    )
-    parser.add_argument(
-        "--model", metavar="PATH", help="a MANO file, or a folder with both sides (default: the open hand)"
-    )
-    parser.add_argument(
-        "--intrinsics",
-        metavar="FX,FY,CX,CY",
-        help="the camera in pixels (default: by the photo's EXIF, or one with a 53 degree view)",
-    )
-    parser.add_argument("--threshold", type=float, default=0.5, help="detection threshold 0-1 (default: 0.5)")
-    parser.add_argument(
-        "--plain-detection",
-        action="store_true",
-        help="take the detector at its first word: faster for photos, misses more hands",
-    )
-    parser.add_argument(
-        "--smoothing",
-        type=float,
-        default=DEFAULT_SMOOTHING,
-        metavar="S",
-        help="how smooth motion is, for the solver fast: 0 takes every frame by itself, "
-        f"at most {MOST_SMOOTHING:g} (default: {DEFAULT_SMOOTHING:g})",
-    )
-    parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
-    parser.add_argument(
-        "--hand-length",
-        type=float,
-        metavar="MM",
-        help="wrist joint to the tip of the middle finger, in millimetres (default: an average adult's)",
-    )
-    parser.add_argument(
-        "--max-megapixels",
-        type=float,
-        metavar="M",
-        help=f"largest picture or frame that is read (default: {PICTURE}; for videos {VIDEO})",
-    )
-
-
 def _worker(args: argparse.Namespace) -> int:
     from handfit_core.worker.server import serve
 
@@ -176,67 +122,13 @@ def _worker(args: argparse.Namespace) -> int:
 
 
 def _capture(args: argparse.Namespace) -> int:
-    output: _Output = args.reporter
-    check_writable(args.output)  # now, not after an hour of capturing
     source = args.input[0] if len(args.input) == 1 else args.input
-    started = time.perf_counter()
-    take = capture(
-        source,
-        hands=args.hands,
-        model=args.model,
-        solver=args.solver,
-        progress=None if args.progress == "none" else output.progress,
-        frames=FrameRange.parse(args.frames) if args.frames else None,
-        intrinsics=parse_intrinsics(args.intrinsics) if args.intrinsics else None,
-        threshold=args.threshold,
-        landmark_model=args.landmark_model,
-        smoothing=args.smoothing,
-        persistent=not args.plain_detection,
-        hand_length=None if args.hand_length is None else args.hand_length / 1000.0,
-        max_megapixels=args.max_megapixels,
-    )
-    path = take.save(args.output)
-    output.done(
-        {
-            "output": str(path),
-            "frames": len(take.frame_numbers),
-            "seconds": round(time.perf_counter() - started, 3),
-            "hands": hand_summaries(take),
-        }
-    )
+    progress = None if args.progress == "none" else args.reporter.progress
+    args.reporter.done(capture_to_file(source, args.output, CaptureOptions.of_arguments(args), progress))
     return 0
 
 
-def parse_intrinsics(text: str) -> Intrinsics:
-    """`FX,FY,CX,CY` in pixels. Raises OptionError."""
-    try:
-        fx, fy, cx, cy = (float(part) for part in text.split(","))
-    except ValueError:
-        raise OptionError(
-            f"'{text}' is not a camera; write FX,FY,CX,CY in pixels, as in 1200,1200,960,540"
-        ) from None
-    return Intrinsics(fx, fy, cx, cy)
-
-
-class _Output:
-    """Where progress, results, warnings and errors go."""
-
-    progress: ProgressCallback
-
-    def done(self, summary: dict[str, Any]) -> None:
-        raise NotImplementedError
-
-    def evaluated(self, summary: dict[str, Any], table: str) -> None:
-        raise NotImplementedError
-
-    def warning(self, message: str) -> None:
-        raise NotImplementedError
-
-    def error(self, kind: str, message: str) -> None:
-        raise NotImplementedError
-
-
-class _JsonOutput(_Output):
+class _JsonOutput:
     """One JSON object a line on stdout; docs/batch.md lists the events."""
 
     def _write(self, **event: Any) -> None:
@@ -265,7 +157,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-class _TextOutput(_Output):
+class _TextOutput:
     """A progress bar and sentences for people, on whatever sys.stderr is at the time."""
 
     _WIDTH = 30
@@ -327,7 +219,7 @@ class _TextOutput(_Output):
 
 
 def _mean_error(hand: dict[str, Any]) -> str:
-    """Of one of `hand_summaries`, in words."""
+    """The mean error of a hand, as `hand_summaries` gives it, in words."""
     share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
     if share is None or pixels is None:
         return "no mean error"
@@ -337,7 +229,7 @@ def _mean_error(hand: dict[str, Any]) -> str:
 class _LogHandler(logging.Handler):
     """Sends the core's warnings to the output."""
 
-    def __init__(self, output: _Output) -> None:
+    def __init__(self, output: _JsonOutput | _TextOutput) -> None:
         super().__init__(logging.WARNING)
         self._output = output
 

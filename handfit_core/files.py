@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Files of the user: written whole or not at all, read with a limit, named in messages; and the cache."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from io import FileIO
@@ -112,7 +113,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # The suffix stays last: some exporters append it themselves when they miss it.
-        # Of the name only a part: with what mkstemp adds it may be too long where the name itself is not.
+        # Only a part of the name: with what mkstemp adds, a long name would be too long.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
         os.close(handle)
     except (OSError, ValueError) as error:
@@ -172,3 +173,16 @@ def _take_room(stream: FileIO, size: int) -> None:
     block = bytes(1 << 20)
     while (left := size - stream.tell()) > 0:
         stream.write(block[:left])
+
+
+def cache_dir() -> Path:
+    """Where files are kept between runs: `$HANDFIT_CACHE`, or the platform's cache folder."""
+    if override := os.environ.get("HANDFIT_CACHE"):
+        return Path(override).expanduser()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "handfit"

@@ -31,13 +31,17 @@ def relative_errors(track: HandTrack, intrinsics: Intrinsics) -> np.ndarray:
     hand is. NaN in frames without a detection."""
     errors = np.full(len(track.detected), np.nan)
     rows = track.detected
-    joints = track.joints_3d[rows]  # (N, 21, 3) metres, camera frame
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors[rows] = track.reprojection_error[rows] / length_in_picture(track.joints_3d[rows], intrinsics)
+    return errors
+
+
+def length_in_picture(joints: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(N, 21, 3) keypoints, metres in the camera frame -> (N,) pixels from the wrist to the tip of the
+    stretched middle finger, seen from the front where the hand is."""
     bones = joints[:, _MIDDLE] - joints[:, [KEYPOINT_PARENTS[point] for point in _MIDDLE]]
     length = np.linalg.norm(bones, axis=-1).sum(axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixels = intrinsics.fx * length / joints[..., 2].mean(axis=-1)
-        errors[rows] = track.reprojection_error[rows] / pixels
-    return errors
+    return intrinsics.fx * length / joints[..., 2].mean(axis=-1)
 
 
 def mean_relative_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:

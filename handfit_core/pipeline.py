@@ -6,35 +6,32 @@ import contextlib
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.finder import HandCounter, open_finder
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.tracks import HAND_CHOICES, HandChoice, link_and_count
+from handfit_core.detect.tracks import link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
+from handfit_core.files import check_writable
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
+from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.lens import known_intrinsics
-from handfit_core.media.opening import Media, MediaInput, open_media
+from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
+from handfit_core.media.source import Media, Source
+from handfit_core.options import OPTIONS, CaptureOptions, HandChoice
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-from handfit_core.solvers import (
-    DEFAULT_SMOOTHING,
-    DEFAULT_SOLVER,
-    ShouldStop,
-    TrackFit,
-    get_solver,
-    never,
-    solver_of,
-)
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
+from handfit_core.take import HandTrack, Take
 
 Stage = Literal["detect", "fit", "score"]
 """`score` is of evaluations only"""
@@ -69,22 +66,25 @@ def capture(
     source: MediaInput,
     hands: HandChoice = "auto",
     model: str | os.PathLike[str] | None = None,
-    solver: str = DEFAULT_SOLVER,
+    solver: str = "fast",
     progress: ProgressCallback | None = None,
     *,
-    frames: FrameRange | None = None,
-    intrinsics: Intrinsics | None = None,
+    frames: FrameRange | str | None = None,
     max_hands: int = 2,
+    detector: str = "mediapipe",
     threshold: float = 0.5,
+    plain_detection: bool = False,
     landmark_model: str | os.PathLike[str] | None = None,
-    smoothing: float = DEFAULT_SMOOTHING,
-    persistent: bool = True,
+    smoothing: float = 1.0,
     hand_length: float | None = None,
-    lens: tuple[float, float, float] | None = None,
+    intrinsics: Intrinsics | Sequence[float] | None = None,
+    lens: Sequence[float] | None = None,
     max_megapixels: float | None = None,
     should_stop: ShouldStop | None = None,
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
+
+    `handfit_core.options` has the range of every option, and says the same to all who ask.
 
     source
         A photo; a folder or list of photos; a `name.%04d.png`, `name.####.png` or glob pattern; a video.
@@ -97,27 +97,32 @@ def capture(
     progress
         Called with a `Progress` after every frame; an exception raised there ends the capture.
     frames
-        Which source frames to use; all by default.
-    intrinsics
-        The camera in pixels of the upright picture; by default what the file tells about its lens, or else
-        one with a 53 degree view.
+        Which source frames to use, as in "10-200:2"; all by default.
+    max_hands
+        How many hands to keep at most, the surest first.
+    detector
+        What finds hands: one of `handfit_core.detect.detector.DETECTORS.names()`.
     threshold
-        The detector's confidence threshold, 0..1.
+        How sure the detector must be of a hand, 0..1.
+    plain_detection
+        Take the detector at its first word, instead of looking again where it finds too little.
+    landmark_model
+        MediaPipe's `hand_landmarker.task`; None for the one that is bundled or was fetched.
     smoothing
-        How smooth motion is, for the solvers that smooth: 0 takes every frame by itself, 1 is the
-        default, up to `solvers.MOST_SMOOTHING`.
-    persistent
-        Look again where the detector finds too little.
+        How smooth motion is, for the solvers that smooth: 0 takes every frame by itself.
     hand_length
-        Metres from the wrist joint to the tip of the middle finger of the flat hand, 0.05 to 0.3; None for
-        an average adult's. Pictures do not show how large a hand is: its size decides its distance. For
-        the solvers that take notice of it.
+        Metres from the wrist joint to the tip of the middle finger of the flat hand; None for an average
+        adult's. Pictures do not show how large a hand is: its size decides its distance. For
+        solvers that take notice of it.
+    intrinsics
+        The camera in pixels of the upright picture, or its fx, fy, cx and cy; by default what the file tells
+        about its lens, or else one with a 53 degree view.
     lens
         Instead of `intrinsics`, where the picture's size is not known: focal length in widths of the picture,
         and the principal point in widths and heights of it, y downwards.
     max_megapixels
-        How large pictures and the frames of videos may be; None for the limits of
-        `handfit_core.media.size_limit`. What claims more is refused before it is decoded.
+        How large pictures and the frames of videos may be; None for the limits of `media.size_limit`. What
+        claims more is refused before it is decoded.
     should_stop
         Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
         frames seen so far, or all frames with those hands that were fitted; the others count as not detected.
@@ -126,40 +131,41 @@ def capture(
     NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a hand was
     found.
     """
-    if hands not in HAND_CHOICES:
-        raise OptionError(f"hands must be one of {', '.join(HAND_CHOICES)}; got {hands!r}")
-    if max_hands < 1:
-        raise OptionError(f"max_hands must be at least 1, not {max_hands}")
-    if lens is not None and intrinsics is not None:
-        raise OptionError("give the camera either as intrinsics or as a lens, not both")
-    can = solver_of(solver, smoothing, hand_length)
-    solve = get_solver(solver, smoothing, hand_length)
+    given = {name: value for name, value in locals().items() if name in OPTIONS}
+    return capture_with(source, CaptureOptions(**given), progress, should_stop)
+
+
+def capture_with(
+    source: MediaInput,
+    options: CaptureOptions,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+) -> Take:
+    """`capture`, with options that somebody has put together elsewhere."""
+    solver, hand_length = options.solver, options.hand_length
+    solve = get_solver(solver, options.smoothing, hand_length)
+    can = SOLVERS.get(solver)
+    DETECTORS.get(options.detector)  # before any picture is read, as with the solver
     if hand_length is not None and not can.takes_hand_length:
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
     report = progress or (lambda _: None)
-    media = open_media(source, frames, max_megapixels=max_megapixels)
-    if lens is not None:
-        focal = lens[0] * media.width
-        intrinsics = Intrinsics(focal, focal, lens[1] * media.width, lens[2] * media.height)
+    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    intrinsics = options.intrinsics
+    if options.lens is not None:
+        focal, x, y = options.lens
+        intrinsics = Intrinsics(focal * media.width, focal * media.width, x * media.width, y * media.height)
     if intrinsics is not None:
         _check_camera(intrinsics, media)
+    model, hands = options.model, options.hands
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
-    numbers, found, at_once = detect_frames(
-        media,
-        report,
-        max_hands=max(max_hands, 2),
-        threshold=threshold,
-        landmark_model=landmark_model,
-        persistent=persistent,
-        should_stop=stop,
-    )
+    numbers, found, at_once = detect_frames(media, options, report, stop)
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
-        tracks, seen = link_and_count(found, hands, max_hands, _rate(media, numbers), _holes(numbers))
+        tracks, seen = link_and_count(found, hands, options.max_hands, _rate(media, numbers), _holes(numbers))
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
@@ -200,42 +206,53 @@ def capture(
     )
 
 
+def capture_to_file(
+    source: MediaInput,
+    output: str | os.PathLike[str],
+    options: CaptureOptions,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    compact: bool = False,
+) -> dict[str, Any]:
+    """Capture and write the take (`compact` as in `Take.save`); what is to be told of it, fit for JSON.
+
+    Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
+    """
+    check_writable(output)
+    started = time.perf_counter()
+    take = capture_with(source, options, progress, should_stop)
+    path = take.save(output, compact=compact)
+    return {
+        "output": str(path),
+        "frames": len(take.frame_numbers),
+        "seconds": round(time.perf_counter() - started, 3),
+        "hands": hand_summaries(take),
+    }
+
+
 def detect_frames(
     media: Media,
-    report: ProgressCallback,
-    *,
-    max_hands: int,
-    threshold: float,
-    landmark_model: str | os.PathLike[str] | None,
-    persistent: bool = True,
-    should_stop: ShouldStop | None = None,
+    options: CaptureOptions,
+    report: ProgressCallback = lambda _: None,
+    should_stop: ShouldStop = never,
 ) -> tuple[list[int], list[tuple[HandDetection, ...]], int]:
     """Frame numbers, the hands found in each frame, and how many were seen at once where there were more than
     are looked for, else 0; an unreadable frame has none.
 
-    `persistent`: look again where the plain detector finds too little (see `HandFinder`). `should_stop` is
-    asked before every frame; the frames before that are returned.
+    `should_stop` is asked before every frame; the frames before that are returned.
 
     Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
     """
-    from handfit_core.detect.crowd import HandCounter
-    from handfit_core.detect.finder import HandFinder
-
+    # Two hands are looked for even where one is wanted, so that the surest can be chosen.
+    options = replace(options, max_hands=max(options.max_hands, 2))
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
-    with (
-        HandFinder(
-            max_hands=max_hands,
-            video=media.source.kind != "photo",
-            threshold=threshold,
-            landmark_model=landmark_model,
-            persistent=persistent,
-        ) as finder,
-        HandCounter(max_hands=max_hands, threshold=threshold, landmark_model=landmark_model) as counter,
-    ):
+    video = media.source.kind != "photo"
+    with open_finder(options, video=video) as finder, HandCounter(options) as counter:
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
-                if should_stop is not None and should_stop():
+                if should_stop():
                     if not numbers:
                         raise Cancelled(f"{media.source.name}: stopped before a hand was found")
                     break

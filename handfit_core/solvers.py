@@ -1,17 +1,14 @@
 """Solvers: what they take and give, what they can do, and where they are found.
 
-A solver fits one hand model to one detected track. Those of other packages are found by their entry points in
-the group `handfit.solvers`, each of which loads a `Solver`. Light to import: what a solver needs loads with
-it.
+A solver fits one hand model to one detected track. Those of other packages are found by their entry points of
+the group `handfit.solvers` (see `registry`). Light to import: what a solver needs loads with it.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
-from importlib.metadata import entry_points
+from functools import partial
 from importlib.util import find_spec
 from typing import Final, Protocol
 
@@ -21,6 +18,7 @@ from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.data import HandModel
+from handfit_core.registry import Registry
 
 DEFAULT_SOLVER: Final = "fast"
 DEFAULT_SMOOTHING: Final = 1.0
@@ -30,10 +28,6 @@ MOST_SMOOTHING: Final = 10.0
 SHORTEST_HAND: Final = 0.05
 LONGEST_HAND: Final = 0.30
 """metres, wrist joint to the tip of the middle finger"""
-
-ENTRY_POINTS: Final = "handfit.solvers"
-
-log = logging.getLogger("handfit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +85,8 @@ class TrackSolver(Protocol):
 
 @dataclass(frozen=True)
 class Solver:
-    """A solver by name, and what it can do."""
+    """What a solver can do, and how it is made."""
 
-    name: str
     make: Callable[[float, float | None], TrackSolver]
     """From smoothing and a hand's length in metres or None; what it takes no notice of may be ignored"""
     title: str
@@ -110,11 +103,6 @@ class Solver:
     needs: tuple[str, ...] = ()
     """Packages that it imports beside those that every capture needs"""
 
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Those that this Python lacks."""
-        return tuple(package for package in self.needs if find_spec(package) is None)
-
 
 def _fast(smoothing: float, hand_length: float | None) -> TrackSolver:
     from handfit_core.fit.fast import fit_track
@@ -122,68 +110,40 @@ def _fast(smoothing: float, hand_length: float | None) -> TrackSolver:
     return partial(fit_track, smoothing, hand_length=hand_length)
 
 
-def _fast_per_frame(smoothing: float, hand_length: float | None) -> TrackSolver:  # noqa: ARG001
-    return _fast(0.0, hand_length)
+FAST: Final = Solver(_fast, "Fast", "Smooth over time", smooths=True, takes_hand_length=True)
+FAST_PER_FRAME: Final = Solver(
+    lambda _smoothing, hand_length: _fast(0.0, hand_length),
+    "Fast, Per Frame",
+    "Other frames tell the hand's shape only",
+    takes_hand_length=True,
+)
 
-
-def _paper(name: str, smoothing: float, hand_length: float | None) -> TrackSolver:  # noqa: ARG001
-    from handfit_core.paper.fitter import EXPERIMENTS, fit_track
-
-    return partial(fit_track, EXPERIMENTS[name])
-
-
-_PAPER: Final = {
-    "paper-a": ("A: L-BFGS, Mean Squares", "Mean squared error, fingertips counted again"),
-    "paper-b": ("B: Without Fingertips", "Mean squared error of the 21 keypoints"),
-    "paper-c": ("C: Geman-McClure", "Geman-McClure error, fingertips counted again"),
-    "paper-d": ("D: Geman-McClure, Plain", "Geman-McClure error of the 21 keypoints"),
-    "paper-e": ("E: Huber", "Huber error, fingertips counted again"),
-    "paper-f": ("F: Huber, Plain", "Huber error of the 21 keypoints"),
-    "paper-g": ("G: BFGS", "Mean squared error with the BFGS optimizer"),
-    "paper-h": ("H: Anatomical Stage", "A second stage that keeps joints within their range"),
-    "paper-a-plus": ("A+: With Pose Prior", "Experiment A, held by a relaxed pose, with a camera stage"),
-}
-
-_OWN: Final = (
-    Solver("fast", _fast, "Fast", "Smooth over time", smooths=True, takes_hand_length=True),
-    Solver("fast-per-frame", _fast_per_frame, "Fast, Per Frame", "Other frames tell the shape only",
-           takes_hand_length=True),
-    *(
-        Solver(name, partial(_paper, name), title, description, slow=True, needs=("torch",))
-        for name, (title, description) in _PAPER.items()
-    ),
-)  # fmt: skip
-
-
-@cache
-def solvers() -> dict[str, Solver]:
-    """All solvers by name: our own, then those of other packages. One that fails to load is told and left
-    out."""
-    found = {solver.name: solver for solver in _OWN}
-    for entry in entry_points(group=ENTRY_POINTS):
-        try:
-            solver = entry.load()
-            if not isinstance(solver, Solver):
-                raise TypeError(f"{entry.value} is no handfit_core.solvers.Solver")
-            if solver.name in found:
-                raise ValueError(f"there is a solver {solver.name} already")
-        except Exception as error:  # whatever another package does wrong
-            log.warning("the solver '%s' is left out: it cannot be loaded (%s)", entry.name, error)
-        else:
-            found[solver.name] = solver
-    return found
+SOLVERS: Final[Registry[Solver]] = Registry(
+    "handfit.solvers",
+    "solver",
+    Solver,
+    {
+        "fast": f"{__name__}:FAST",
+        "fast-per-frame": f"{__name__}:FAST_PER_FRAME",
+        **{f"paper-{letter}": f"handfit_core.paper:{letter.upper()}" for letter in "abcdefgh"},
+        "paper-a-plus": "handfit_core.paper:A_PLUS",
+    },
+)
+"""All there are, by name"""
 
 
 def solver_names() -> tuple[str, ...]:
-    """All solvers there are."""
-    return tuple(solvers())
+    """The names of all solvers."""
+    return SOLVERS.names()
 
 
-def solver_of(name: str, smoothing: float = DEFAULT_SMOOTHING, hand_length: float | None = None) -> Solver:
-    """The solver of that name, which another Python may have to run. Raises OptionError where there is none,
-    or for options that no solver can take."""
-    if name not in solvers():
-        raise OptionError(f"there is no solver '{name}'; choose one of {', '.join(solver_names())}")
+def get_solver(
+    name: str, smoothing: float = DEFAULT_SMOOTHING, hand_length: float | None = None
+) -> TrackSolver:
+    """The solver of that name, ready to fit; `hand_length` in metres, wrist joint to the tip of the middle
+    finger. Raises OptionError where there is no such solver, where a package that it needs is not installed,
+    and for numbers that no solver can take."""
+    solver = SOLVERS.get(name)
     if not 0.0 <= smoothing <= MOST_SMOOTHING:
         raise OptionError(f"smoothing must lie between 0 and {MOST_SMOOTHING:g}, not {smoothing:g}")
     if hand_length is not None and not SHORTEST_HAND <= hand_length <= LONGEST_HAND:
@@ -191,21 +151,10 @@ def solver_of(name: str, smoothing: float = DEFAULT_SMOOTHING, hand_length: floa
             f"a hand's length must lie between {SHORTEST_HAND * 1e3:g} and {LONGEST_HAND * 1e3:g} mm, not "
             f"{hand_length * 1e3:g} mm; measure from the wrist to the tip of the middle finger"
         )
-    return solvers()[name]
-
-
-def get_solver(
-    name: str, smoothing: float = DEFAULT_SMOOTHING, hand_length: float | None = None
-) -> TrackSolver:
-    """The solver of that name, ready to fit; `hand_length` in metres, wrist joint to the tip of the middle
-    finger.
-
-    Raises OptionError as `solver_of` does, and where a package that the solver needs is not installed.
-    """
-    solver = solver_of(name, smoothing, hand_length)
-    if solver.missing:
+    missing = [package for package in solver.needs if find_spec(package) is None]
+    if missing:
         raise OptionError(
-            f"the solver {name} needs {' and '.join(solver.missing)}, which is not installed: install it, or "
-            f"choose another solver, such as {DEFAULT_SOLVER}"
+            f"the solver {name} needs {' and '.join(missing)}, which is not installed: install it, or choose "
+            f"another solver, such as {DEFAULT_SOLVER}"
         )
     return solver.make(smoothing, hand_length)

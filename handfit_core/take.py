@@ -19,16 +19,14 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
-from handfit_core.errors import OptionError, OutputError, TakeError
-from handfit_core.files import read_file, shown, storable, why, written_whole
+from handfit_core.errors import OptionError, TakeError
+from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.source import SOURCE_KINDS, Source
 from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
-
-SourceKind = Literal["photo", "sequence", "video"]
-_KINDS: tuple[SourceKind, ...] = ("photo", "sequence", "video")
 
 MAX_FILE_BYTES: Final = 1 << 31
 """of a take; 10 000 frames of two hands have 20 MB"""
@@ -49,49 +47,39 @@ _LARGEST_SIDE: Final = 1 << 24
 """pixels of a picture"""
 _MOST_HANDS: Final = 200
 
-_TRACK_ARRAYS: dict[str, tuple[int, ...]] = {
-    "global_orient": (3,),
-    "hand_pose": (45,),
-    "transl": (3,),
-    "joints_3d": (21, 3),
-    "keypoints_2d": (21, 2),
-    "reprojection_error": (),
-    "score": (),
-}
-"""Per-frame float arrays of a track and their shapes behind T."""
-
-_OF_MODEL = ("global_orient", "hand_pose", "transl", "joints_3d")
-"""Those that filled frames have too"""
-
-_TRACK_FLAGS = ("filled", "doubtful", "other_side")
-"""Per-frame bool arrays that a take may lack"""
-
-_OF_DETECTOR: dict[str, tuple[int, ...]] = {
-    "keypoints_depth": (21,),
-    "world_landmarks": (21, 3),
-    "right_side": (),
-}
-"""Per-frame float arrays that a take may lack: what is needed to fit again without the pictures"""
-
 
 @dataclass(frozen=True)
-class Source:
-    """Where the pictures came from."""
+class _Array:
+    """What one of a hand's arrays must be."""
 
-    kind: SourceKind
-    files: tuple[str, ...]
-    """Absolute paths: the photo, the video, or every picture of the sequence that was read"""
-    orientation: int = 1
-    """EXIF orientation (1-8) that was undone on reading; pixels in a take are of the upright picture"""
+    shape: tuple[int, ...] = ()
+    """Behind T, but for the betas, which have no T"""
+    kind: Literal["f", "b"] = "f"
+    """Floats or bools, as NumPy calls them"""
+    finite: Literal["present", "detected", "all", "none"] = "detected"
+    """The frames in which floats must be finite"""
+    largest: float = LARGEST
+    optional: bool = False
 
-    @property
-    def name(self) -> str:
-        """A short name for people: the file's stem, or for a sequence the part before the number. In it, what
-        is no UTF-8 in the file's name is a question mark."""
-        stem = storable(Path(self.files[0]).stem)
-        if self.kind != "sequence":
-            return stem
-        return stem.rstrip("0123456789").rstrip("._- ") or storable(Path(self.files[0]).parent.name)
+
+_ARRAYS: Final[dict[str, _Array]] = {
+    "betas": _Array((NUM_BETAS,), finite="all", largest=_LARGEST_BETA),
+    "global_orient": _Array((3,), finite="present"),
+    "hand_pose": _Array((45,), finite="present"),
+    "transl": _Array((3,), finite="present"),
+    "joints_3d": _Array((21, 3), finite="present"),
+    "keypoints_2d": _Array((21, 2)),
+    "reprojection_error": _Array(largest=_LARGEST_ERROR),
+    "detected": _Array(kind="b"),
+    "score": _Array(),
+    "filled": _Array(kind="b", optional=True),
+    "doubtful": _Array(kind="b", optional=True),
+    "keypoints_depth": _Array((21,), optional=True),
+    "world_landmarks": _Array((21, 3), optional=True),
+    "right_side": _Array(finite="none", optional=True),
+    "other_side": _Array(kind="b", optional=True),
+}
+"""A hand's arrays in a take's file, by the names of HandTrack's fields"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,41 +132,31 @@ class HandTrack:
         finite where there is a hand."""
         if self.side not in SIDES:
             raise TakeError(f"a hand's side must be left or right, not {shortly(self.side)}")
-        for name in ("detected", *_TRACK_FLAGS):
-            flags = getattr(self, name)
-            if flags is None and name in _TRACK_FLAGS:
-                continue
-            flags = np.asarray(flags)
-            if flags.shape != (count,) or flags.dtype != bool:
-                raise TakeError(f"the {self.side} hand's {name} has the wrong shape or type")
-        self._check_numbers("betas", (NUM_BETAS,), np.ones(NUM_BETAS, dtype=bool), _LARGEST_BETA)
-        detected = np.asarray(self.detected)
-        for name, shape in (_TRACK_ARRAYS | _OF_DETECTOR).items():
-            if getattr(self, name) is None and name in _OF_DETECTOR:
-                continue
-            if name == "right_side":  # NaN where nobody judged
-                self._check_numbers(name, (count, *shape), np.zeros(count, dtype=bool))
-            else:
-                frames = self.present if name in _OF_MODEL else detected
-                largest = _LARGEST_ERROR if name == "reprojection_error" else LARGEST
-                self._check_numbers(name, (count, *shape), frames, largest)
+        # Flags first, as they say where floats must be finite.
+        for name, expected in sorted(_ARRAYS.items(), key=lambda item: item[1].kind):
+            if getattr(self, name) is not None or not expected.optional:
+                self._check_array(name, expected, count)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
 
-    def _check_numbers(
-        self, name: str, shape: tuple[int, ...], frames: np.ndarray, largest: float = LARGEST
-    ) -> None:
-        """That an array has this shape, no infinity or absurd number anywhere, and no NaN in these rows."""
+    def _check_array(self, name: str, expected: _Array, count: int) -> None:
         array = np.asarray(getattr(self, name))
+        shape = expected.shape if name == "betas" else (count, *expected.shape)
         if array.shape != shape:
             raise TakeError(f"the {self.side} hand's {name} has shape {array.shape}, expected {shape}")
-        if array.dtype.kind != "f":
-            raise TakeError(f"the {self.side} hand's {name} holds {array.dtype}, expected floats")
-        if not np.isfinite(array[frames]).all():
+        if array.dtype.kind != expected.kind:
+            kind = {"f": "floats", "b": "bools"}[expected.kind]
+            raise TakeError(f"the {self.side} hand's {name} holds {array.dtype}, expected {kind}")
+        if expected.kind == "b":
+            return
+        rows = {"all": slice(None), "none": slice(0)}.get(expected.finite)
+        if not np.isfinite(array[getattr(self, expected.finite) if rows is None else rows]).all():
             raise TakeError(f"the {self.side} hand's {name} is not finite in a frame with a hand")
-        if np.any(np.abs(array) > largest):  # NaN is not, and is how frames without a hand are marked
-            raise TakeError(f"the {self.side} hand's {name} holds numbers beyond {largest:g}")
+        if np.any(
+            np.abs(array) > expected.largest
+        ):  # NaN is not, and is how frames without a hand are marked
+            raise TakeError(f"the {self.side} hand's {name} holds numbers beyond {expected.largest:g}")
 
     @property
     def refinable(self) -> bool:
@@ -290,16 +268,10 @@ class Take:
             "frame_numbers": np.asarray(self.frame_numbers, dtype=np.int64),
         }
         for i, track in enumerate(self.hands):
-            arrays[f"hand{i}_betas"] = np.asarray(track.betas, dtype=number)
-            arrays[f"hand{i}_detected"] = np.asarray(track.detected, dtype=bool)
-            for name in _TRACK_FLAGS:
-                flags = getattr(track, name)
-                if flags is not None:
-                    arrays[f"hand{i}_{name}"] = np.asarray(flags, dtype=bool)
-            for name in _TRACK_ARRAYS | _OF_DETECTOR:
-                array = getattr(track, name)
-                if array is not None:
-                    arrays[f"hand{i}_{name}"] = np.asarray(array, dtype=number)
+            for name, held in _ARRAYS.items():
+                if (array := getattr(track, name)) is not None:
+                    dtype = bool if held.kind == "b" else number
+                    arrays[f"hand{i}_{name}"] = np.asarray(array, dtype=dtype)
         stream = io.BytesIO()
         np.savez_compressed(stream, **arrays)
         return stream.getvalue()
@@ -353,10 +325,10 @@ class Take:
             hands = []
             for i, side in enumerate(fields.pop("sides")):
                 arrays: dict[str, Any] = {}
-                for name, kinds in _HAND_ARRAYS.items():
-                    if name in _OPTIONAL and f"hand{i}_{name}" not in archive:
+                for name, held in _ARRAYS.items():
+                    if held.optional and f"hand{i}_{name}" not in archive:
                         continue
-                    arrays[name] = archive.array(f"hand{i}_{name}", kinds)
+                    arrays[name] = archive.array(f"hand{i}_{name}", held.kind)
                     yield
                 hands.append(HandTrack(side=side, **arrays))
             return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
@@ -369,23 +341,12 @@ class Take:
             raise TakeError(f"{where}: the take file is damaged ({reason}); capture it again") from error
 
 
-_OPTIONAL = (*_TRACK_FLAGS, *_OF_DETECTOR)
-_HAND_ARRAYS: dict[str, str] = {
-    "betas": "f",
-    "detected": "b",
-    **dict.fromkeys(_TRACK_ARRAYS, "f"),
-    **dict.fromkeys(_TRACK_FLAGS, "b"),
-    **dict.fromkeys(_OF_DETECTOR, "f"),
-}
-"""A hand's arrays by the names of HandTrack's fields, and the kinds of numbers that they hold"""
-
-
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
     source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
     files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
-    if source.get("kind") not in _KINDS:
-        raise ValueError(f"kind must be one of {', '.join(_KINDS)}, not {shortly(source.get('kind'))}")
+    if source.get("kind") not in SOURCE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
     if len(sides) > _MOST_HANDS or not all(side in SIDES for side in sides):
         raise ValueError(f"sides must be at most {_MOST_HANDS}, each left or right")
     if set(camera) != {"fx", "fy", "cx", "cy"}:
@@ -420,6 +381,3 @@ def _list(name: str, value: Any) -> list[Any]:
     if not isinstance(value, list):
         raise ValueError(f"{name} must be a list, not {shortly(value)}")
     return value
-
-
-__all__ = ["FORMAT_VERSION", "HandTrack", "OutputError", "Source", "SourceKind", "Take"]

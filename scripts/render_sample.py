@@ -27,8 +27,9 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes
+from handfit_core.media.source import Source
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.take import HandTrack, Take
 
 WIDTH, HEIGHT = 640, 480
 CAMERA = Intrinsics(700.0, 700.0, WIDTH / 2, HEIGHT / 2)

@@ -75,11 +75,12 @@ def _asked(text: str) -> list[tuple[int, int]]:
 
 def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
     """Stacked rows of all stills; made where they are not kept."""
-    from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+    from handfit_core.detect.finder import open_finder
+    from handfit_core.options import CaptureOptions
     from scripts.training.samples import samples_of
 
     kept = []
-    with MediaPipeHands(max_hands=2) as detector:
+    with open_finder(CaptureOptions(plain_detection=True)) as detector:
         for first in range(0, stills, CHUNK):
             path = folder / f"samples-{seed}-{first:06d}-{min(first + CHUNK, stills):06d}.npz"
             if not path.is_file():

@@ -1,10 +1,12 @@
-"""The options of a batch. Standard library only: `--help` also works in a damaged installation."""
+"""The options of a batch: those of a capture, and what is made of the takes."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+
+from handfit_core.options import add_options
 
 
 def add_arguments(
@@ -26,7 +28,9 @@ def add_arguments(
     parser.add_argument(
         "--format", default="blend,glb", help="of blend,glb,fbx,usd,bvh,abc (default: blend,glb)"
     )
-    _add_capture_arguments(parser, default_python)
+    add_options(parser)
+    parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
+    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")
     _add_grouping_arguments(parser)
     parser.add_argument("--preview", action="store_true", help="render a preview picture of each input")
     parser.add_argument("--no-picture", action="store_true", help="no picture behind the hands in the .blend")
@@ -36,32 +40,6 @@ def add_arguments(
         "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
     )
     parser.add_argument("--debug", action="store_true", help="show tracebacks and Blender's own messages")
-
-
-def _add_capture_arguments(parser: argparse.ArgumentParser, default_python: str) -> None:
-    parser.add_argument("--frames", metavar="A-B:S", help="source frames, as in 10-200:2 (default: all)")
-    parser.add_argument("--hands", choices=("auto", "left", "right", "both"), help="default: auto")
-    parser.add_argument("--solver", metavar="NAME", help="solver (default: the core's)")
-    parser.add_argument("--model", metavar="PATH", help="MANO file or folder (default: the open hand)")
-    parser.add_argument("--threshold", type=float, help="detection threshold 0-1 (default: 0.5)")
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="the camera in pixels (default: assumed)")
-    parser.add_argument(
-        "--hand-length",
-        type=float,
-        metavar="MM",
-        help="wrist joint to the tip of the middle finger, in millimetres (default: an average adult's)",
-    )
-    parser.add_argument("--landmark-model", metavar="PATH", help="MediaPipe's hand_landmarker.task")
-    parser.add_argument("--smoothing", type=float, metavar="S", help="0: every frame by itself (default: 1)")
-    parser.add_argument("--plain-detection", action="store_true", help="no second looks for missed hands")
-    parser.add_argument(
-        "--max-megapixels",
-        type=float,
-        metavar="M",
-        help="largest picture or frame that is read (default: as docs/batch.md says)",
-    )
-    parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")
 
 
 def _add_grouping_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,14 +6,12 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from handfit_core.__main__ import parse_intrinsics
+from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import OptionError
-from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.size_limit import check_limit
-from handfit_core.solvers import DEFAULT_SOLVER, solver_of
+from handfit_core.options import CaptureOptions
+from handfit_core.solvers import get_solver
 
-from ..scene.export import FORMATS, available, find_format
-from ..worker.client import CaptureOptions
+from ..exporters import EXPORTERS, find_exporter
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,16 @@ class Order:
     def of_arguments(cls, args: argparse.Namespace) -> Order:
         """From parsed arguments (batch/arguments.py). Raises OptionError for values that cannot be meant."""
         formats = _checked_formats(args.format)
-        if args.frames:
-            FrameRange.parse(args.frames)
-        options = _capture_options(args)
-        solver_of(options.solver or DEFAULT_SOLVER, hand_length=options.hand_length)
+        options = CaptureOptions.of_arguments(args)
+        if args.python is None:  # a Python that is named may have solvers and detectors of its own
+            get_solver(options.solver)
+            DETECTORS.get(options.detector)
         return cls(
             output=args.output,
             formats=formats,
             options=options,
             timeout=args.timeout,
-            model=args.model,
+            model=options.model,
             flat=args.flat,
             preview=args.preview,
             picture=not args.no_picture,
@@ -61,25 +59,8 @@ class Order:
 
 def _checked_formats(text: str) -> tuple[str, ...]:
     formats = tuple(dict.fromkeys(f.strip().lower().lstrip(".") for f in text.split(",") if f.strip()))
+    can = [name for name, e in EXPORTERS.items() if e.writes != "captured" and not e.why_not()]
     for name in formats:
-        if not available(find_format(name)):
-            can = ", ".join(k for k, f in FORMATS.items() if available(f))
-            raise OptionError(f"this Blender cannot write {name}; choose from {can}")
+        if find_exporter(name).name not in can:
+            raise OptionError(f"this Blender cannot write {name}; choose from {', '.join(can)}")
     return formats
-
-
-def _capture_options(args: argparse.Namespace) -> CaptureOptions:
-    camera = parse_intrinsics(args.intrinsics) if args.intrinsics else None
-    return CaptureOptions(
-        frames=args.frames,
-        hands=args.hands,
-        solver=args.solver,
-        model=args.model,
-        threshold=args.threshold,
-        intrinsics=None if camera is None else (camera.fx, camera.fy, camera.cx, camera.cy),
-        landmark_model=args.landmark_model,
-        smoothing=args.smoothing,
-        plain_detection=args.plain_detection or None,
-        hand_length=None if args.hand_length is None else args.hand_length / 1000.0,
-        max_megapixels=check_limit(args.max_megapixels),
-    )

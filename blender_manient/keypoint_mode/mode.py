@@ -15,13 +15,14 @@ from typing import Final
 import bpy
 import numpy as np
 
+from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 from .. import details, jobs, preferences, screen
-from ..correction_field import Pins
-from ..picture_map import mapped
 from ..refiner import BonePoses, Refiner
+from ..rigs import rig_of
 from ..scene.keys import set_pose
 from ..scene.see_through import SeeThrough
 from ..wording import capitalised
@@ -290,7 +291,7 @@ class KeypointMode:
             abandon(drag.request)
         armature = self.refiner.found
         if armature is not None and armature.manient.is_hand:
-            set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
+            set_pose(rig_of(armature), drag.shown.quats[0], drag.shown.locations[0])
             if context.scene.frame_current_final != drag.frame:
                 refresh(context.scene)  # that was another frame's pose
         screen.redraw_viewports(context)
@@ -370,8 +371,7 @@ class KeypointMode:
             self.message = "No hand can be fitted to these points"
             return
         drag.answer, drag.answered = poses, drag.asked
-        armature = self.refiner.armature
-        set_pose(armature, self.refiner.side, poses.quats[0], poses.locations[0])
+        set_pose(self.refiner.hand.rig, poses.quats[0], poses.locations[0])
         context.view_layer.update()
         latencies.append(time.perf_counter() - drag.sent_at)
         drag.drawn = drag.sent is drag.place
@@ -380,11 +380,10 @@ class KeypointMode:
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
         """Write the keys, and make an undo step of it."""
         self.drag = None
-        armature = self.refiner.armature
         if not drag.pins:
             self.refiner.unpin(drag.row)
         elif drag.answer is None:
-            set_pose(armature, self.refiner.side, drag.shown.quats[0], drag.shown.locations[0])
+            set_pose(self.refiner.hand.rig, drag.shown.quats[0], drag.shown.locations[0])
             return
         else:
             self.refiner.correct(drag.row, drag.answered, drag.answer, context.scene.manient.spread)

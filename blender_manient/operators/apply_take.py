@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.errors import HandfitError
 from handfit_core.take import Take
 
 from ..scene.apply import apply_hand, apply_track, track_for
 from ..scene.store import captured_hands
-from .needs_hand import hand_in, hand_is_there
+from .needs_hand import errors_reported, hand_in, hand_is_there
 
 
 class MANIENT_OT_apply_take(bpy.types.Operator):
@@ -73,40 +72,27 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
             layout.prop(self, "source_frame")
         layout.prop(self, "wrist")
 
+    @errors_reported
     def execute(self, context):
         """Key the active hand."""
         hand = hand_in(context)
         frame = context.scene.frame_current_final
-        try:
-            if self.source:
-                source = context.scene.objects.get(self.source)
-                if source is None:
-                    self.report({"ERROR"}, f"The hand {self.source} is not in this scene any more")
-                    return {"CANCELLED"}
-                count = apply_hand(hand.armature, source, self.mode, frame, wrist=self.wrist)
-            else:
-                take = Take.load(bpy.path.abspath(self.filepath))
-                count = apply_track(
-                    hand.armature,
-                    take,
-                    track_for(take, hand.side),
-                    self.mode,
-                    frame,
-                    source_frame=self.source_frame or None,
-                    wrist=self.wrist,
-                )
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if self.source:
+            source = context.scene.objects.get(self.source)
+            if source is None:
+                self.report({"ERROR"}, f"The hand {self.source} is not in this scene any more")
+                return {"CANCELLED"}
+            count = apply_hand(hand.armature, source, self.mode, frame, wrist=self.wrist)
+        else:
+            take = Take.load(bpy.path.abspath(self.filepath))
+            count = apply_track(
+                hand.armature,
+                take,
+                track_for(take, hand.side),
+                self.mode,
+                frame,
+                source_frame=self.source_frame or None,
+                wrist=self.wrist,
+            )
         self.report({"INFO"}, f"Keyed {count} frame{'s' if count != 1 else ''} on {hand.armature.name}")
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_apply_take)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_apply_take)

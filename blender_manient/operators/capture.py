@@ -8,13 +8,15 @@ import bpy
 
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.hand_model import OPEN_HAND
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.options import CaptureOptions
 
 from .. import jobs, preferences, screen, sources
 from ..remembered import Remembered
 from ..scene.lens import lens_of_camera
 from ..selection import active_hand
 from ..worker import shared
-from ..worker.client import CaptureOptions, WorkerError
+from ..worker.client import WorkerError
 
 _TICK = 0.02
 """seconds between two looks at the worker"""
@@ -203,7 +205,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
         options=CaptureOptions(
             frames=_frames(settings, source, scene.frame_current if only_frame else None),
             hands=settings.hands,
-            solver=settings.experiment if settings.preset == "PAPER" else None,
+            solver=settings.experiment if settings.preset == "PAPER" else CaptureOptions.solver,
             model=_model(settings),
             threshold=settings.threshold,
             smoothing=settings.smoothing,
@@ -225,16 +227,16 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
     )
 
 
-def _frames(settings, source: sources.SourceFiles, only: int | None) -> str | None:
+def _frames(settings, source: sources.SourceFiles, only: int | None) -> FrameRange | None:
     if source.kind == "photo":
         return None
     if only is not None:
-        return f"{max(only, 0)}-{max(only, 0)}"
+        return FrameRange(max(only, 0), max(only, 0))
     if not settings.use_frames:
-        return f":{settings.frame_step}" if settings.frame_step > 1 else None
+        return FrameRange(step=settings.frame_step) if settings.frame_step > 1 else None
     if settings.last_frame < settings.first_frame:
         raise OptionError("the last frame lies before the first: mend the frame range")
-    return f"{settings.first_frame}-{settings.last_frame}:{settings.frame_step}"
+    return FrameRange(settings.first_frame, settings.last_frame, settings.frame_step)
 
 
 def _model(settings) -> str | None:
@@ -254,17 +256,6 @@ def _lens(settings, scene: bpy.types.Scene) -> tuple[float, float, float] | None
     return None
 
 
-_CLASSES = (MANIENT_OT_capture, MANIENT_OT_cancel_capture, MANIENT_OT_clear_captures)
-
-
-def register() -> None:
-    """Add the operators."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
 def unregister() -> None:
-    """Take them away again."""
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+    """Forget that a capture is followed."""
     MANIENT_OT_capture._ticking = False

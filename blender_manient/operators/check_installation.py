@@ -210,15 +210,9 @@ def _without_home(text: str) -> str:
     return text.replace(home, "~") if len(home) > 1 else text
 
 
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_check_installation)
-
-
 def unregister() -> None:
-    """Take it away again, end its process and forget the last check."""
+    """End the check's process and forget the last check."""
     global _last, _checking
-    bpy.utils.unregister_class(MANIENT_OT_check_installation)
     if _checking is not None:
         _checking.stop()
     _last = _checking = None

@@ -69,12 +69,6 @@ class MANIENT_OT_check_mano(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_check_mano)
-
-
 def unregister() -> None:
-    """Take it away again and forget what was found."""
-    bpy.utils.unregister_class(MANIENT_OT_check_mano)
+    """Forget what was found."""
     _results.clear()

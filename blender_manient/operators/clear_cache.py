@@ -32,13 +32,3 @@ class MANIENT_OT_clear_cache(bpy.types.Operator):
         self.report({"INFO"}, f"{freed / 1e6:.1f} MB were freed{kept}")
         preferences.redraw()
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_clear_cache)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_clear_cache)

@@ -9,7 +9,7 @@ from handfit_core.errors import HandfitError, TakeError
 
 from ..scene import corrections
 from ..scene.editable import why_not_editable
-from ..scene.frame_span import span_of
+from ..scene.timing import span_of
 from ..selection import active_hand
 
 
@@ -102,13 +102,3 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
             return {"FINISHED"}
         self.report({"INFO"}, "1 correction cleared" if count == 1 else f"{count} corrections cleared")
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_clear_corrections)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_clear_corrections)

@@ -60,7 +60,8 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
         layout.prop(settings, "hands")
         if settings.target == "NEW":
             layout.prop(settings, "matching")
-            text = said(scene, settings.matching, self._footage, scene.frame_current)
+            ready = settings.render_setup and settings.camera != "ACTIVE"
+            text = said(scene, settings.matching, self._footage, scene.frame_current, render_setup=ready)
             sentence(layout, context, text, "SCENE_DATA", width=_WIDTH)
 
     def execute(self, context):
@@ -122,18 +123,3 @@ class MANIENT_FH_take(bpy.types.FileHandler):
 
 def _is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEO_SUFFIXES
-
-
-_CLASSES = (MANIENT_OT_drop_media, MANIENT_FH_media, MANIENT_FH_take)
-
-
-def register() -> None:
-    """Add the operator and the file handlers."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them away again."""
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)

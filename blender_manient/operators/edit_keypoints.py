@@ -205,13 +205,7 @@ def _stop() -> None:
         _mode.ended = ""
 
 
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_edit_keypoints)
-
-
 def unregister() -> None:
-    """End the mode and take the operator away again."""
+    """End the mode."""
     _stop()
     abandoned.forget()
-    bpy.utils.unregister_class(MANIENT_OT_edit_keypoints)

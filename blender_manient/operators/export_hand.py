@@ -7,19 +7,16 @@ from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.errors import OptionError
 
-from ..properties import EXPORT_FORMATS, EXPORT_PRESETS
-from ..scene.clean_rig import Rig
-from ..scene.export import FORMATS, Stage, export_hands, why_not
+from ..exporters import EXPORTERS, PRESETS
+from ..exporters.exporter import Exporter
+from ..properties import EXPORT_FORMATS
+from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
-from ..scene.retake import retaken
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence
-from .needs_hand import hand_in, hand_is_there
-
-_TAKE = "npz"
-_TAKE_SUFFIX = ".take.npz"
+from .needs_hand import errors_reported, hand_in, hand_is_there
 
 
 def format_buttons(
@@ -32,7 +29,7 @@ def format_buttons(
     for start in range(0, len(EXPORT_FORMATS), 3):
         row = column.row(align=True)
         for key, label, _ in EXPORT_FORMATS[start : start + 3]:
-            reason = why_not(FORMATS[key]) if key in FORMATS else ""
+            reason = EXPORTERS[key].why_not()
             cell = row.row(align=True)
             cell.enabled = not reason
             cell.prop_enum(data, name, key)
@@ -40,8 +37,7 @@ def format_buttons(
                 reasons.setdefault(reason, []).append(label)
     for reason, labels in reasons.items():
         sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
-    chosen = getattr(data, name)
-    return chosen not in FORMATS or not why_not(FORMATS[chosen])
+    return not EXPORTERS[getattr(data, name)].why_not()
 
 
 class MANIENT_OT_export_hand(bpy.types.Operator):
@@ -54,7 +50,7 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
     filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})  # type: ignore
     file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)  # type: ignore
-    preset: bpy.props.EnumProperty(name="For", items=EXPORT_PRESETS)  # type: ignore
+    preset: bpy.props.EnumProperty(name="For", items=PRESETS)  # type: ignore
     active_only: bpy.props.BoolProperty(  # type: ignore
         name="Active Hand Only", description="Leave out the other hands of the capture", default=False
     )
@@ -84,7 +80,7 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
 
     def check(self, _context):
         """Keep the extension that of the format."""
-        self.filter_glob = f"*{FORMATS[self.file_format].suffix if self.file_format != _TAKE else '.npz'}"
+        self.filter_glob = f"*{Path('name' + self._exporter.suffix).suffix}"
         path = self._path()
         if str(path) == self.filepath:
             return False
@@ -96,36 +92,30 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         format_buttons(layout, context, self, "file_format")
         layout.use_property_split = True
         layout.use_property_decorate = False
-        if self.file_format in {"fbx", "glb"}:
+        if self._exporter.presets:
             layout.prop(self, "preset")
-        if self.file_format != _TAKE:
+        if self._exporter.writes == "hands":
             layout.prop(self, "frame_range")
         layout.prop(self, "active_only")
 
+    @errors_reported
     def execute(self, context):
         """Write the file or files."""
         self._fill_in(context)
-        try:
-            if not self.filepath:
-                raise OptionError("choose a file to export to")
-            hands = self._hands(context)
-            path = self._path()
-            if self.file_format == _TAKE:
-                files = [retaken(hands).save(path)]
-            else:
-                files = export_hands(
-                    tuple(Rig(h.side, h.armature, h.mesh) for h in hands),
-                    self._stage(context.scene, hands),
-                    path.parent,
-                    path.name.removesuffix(FORMATS[self.file_format].suffix),
-                    self.file_format,
-                    preset=self.preset if self.file_format in {"fbx", "glb"} else "PLAIN",
-                )
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if not self.filepath:
+            raise OptionError("choose a file to export to")
+        hands = self._hands(context)
+        path = self._path()
+        files = export_hands(
+            hands,
+            self._stage(context.scene, hands),
+            path.parent,
+            path.name.removesuffix(self._exporter.suffix),
+            self.file_format,
+            preset=self.preset if self._exporter.presets else "PLAIN",
+        )
         wrote = f"Wrote {', '.join(f.name for f in files)} to {path.parent}"
-        others = [o.name for hand in hands for o in hung_on(hand)] if self.file_format != _TAKE else []
+        others = [o.name for hand in hands for o in hung_on(hand)] if self._exporter.writes == "hands" else []
         if others:
             wrote += f" without {', '.join(others)}: only hands are exported, not what hangs on them"
         self.report({"INFO"}, wrote)
@@ -139,16 +129,21 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         if not self.properties.is_property_set("preset"):
             self.preset = settings.export_preset
 
+    @property
+    def _exporter(self) -> Exporter:
+        return EXPORTERS[self.file_format]
+
     def _path(self) -> Path:
         """The file with the right extension instead of another format's."""
         path = Path(bpy.path.abspath(self.filepath))
-        wanted = _TAKE_SUFFIX if self.file_format == _TAKE else FORMATS[self.file_format].suffix
-        name = path.name
-        for suffix in (_TAKE_SUFFIX, ".npz", ".usd", *(f.suffix for f in FORMATS.values())):
-            if name.lower().endswith(suffix):
-                kept = suffix == ".npz" and self.file_format == _TAKE
-                return path if kept else path.with_name(name[: -len(suffix)] + wanted)
-        return path.with_name(name + wanted)
+        wanted, name = self._exporter, path.name
+        for e in EXPORTERS.values():
+            for ending in (e.suffix, *e.kept_endings, *e.other_endings):
+                if name.lower().endswith(ending):
+                    if ending in wanted.kept_endings:
+                        return path
+                    return path.with_name(name[: -len(ending)] + wanted.suffix)
+        return path.with_name(name + wanted.suffix)
 
     def _hands(self, context) -> list[CapturedHand]:
         active = hand_in(context)
@@ -162,19 +157,9 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         return [own[index] for index in sorted(own)]
 
     def _stage(self, scene, hands: list[CapturedHand]) -> Stage:
-        if self.frame_range == "SCENE":
+        if self.frame_range == "SCENE" or self._exporter.writes != "hands":
             return Stage.of_scene(scene)
-        frames = [f for hand in hands for f in read_pose_keys(hand.armature, hand.side).frames.tolist()]
+        frames = [f for hand in hands for f in read_pose_keys(hand.rig).frames.tolist()]
         if not frames:
             raise OptionError("the hands have no keys; export the scene's frame range instead")
         return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_export_hand)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_export_hand)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from handfit_core.errors import HandfitError
 from handfit_core.take import Take
 
 from .. import screen
@@ -13,7 +12,7 @@ from ..scene.build import build_take
 from ..scene.matching import CHOICES, Footage, matches, said
 from ..scene.surroundings import clear_view
 from ..section import sentence
-from .needs_hand import scene_is_editable
+from .needs_hand import errors_reported, scene_is_editable
 
 
 class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
@@ -36,7 +35,7 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
     )
     matching: bpy.props.EnumProperty(  # type: ignore
         name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size and camera",
+        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
         items=CHOICES,
         default="AUTO",
         options={"SKIP_SAVE"},
@@ -69,25 +68,22 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
         layout.prop(self, "matching")
         # After the import the scene is another one, which the choice is not about.
         if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
-            text = said(scene, self.matching, None, scene.frame_current)
+            text = said(scene, self.matching, None, scene.frame_current, render_setup=self.render_setup)
             sentence(layout, context, text, "SCENE_DATA")
 
+    @errors_reported
     def execute(self, context):
-        try:
-            take = Take.load(self.filepath)
-            footage, frame = Footage.of_take(take), context.scene.frame_current
-            matched = matches(context.scene, self.matching, footage)
-            built = build_take(
-                take,
-                scene=context.scene,
-                pose_correctives=self.pose_correctives,
-                picture=self.picture,
-                match_scene=matched,
-                render_setup=self.render_setup,
-            )
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        take = Take.load(self.filepath)
+        footage, frame = Footage.of_take(take), context.scene.frame_current
+        matched = matches(context.scene, self.matching, footage)
+        built = build_take(
+            take,
+            scene=context.scene,
+            pose_correctives=self.pose_correctives,
+            picture=self.picture,
+            match_scene=matched,
+            render_setup=self.render_setup,
+        )
         warnings = list(built.warnings)
         if matched:
             warnings += clear_view(built.camera, built.collection, context.view_layer)
@@ -103,12 +99,10 @@ def _menu_entry(self, _context):
 
 
 def register() -> None:
-    """Add the operator and its menu entry."""
-    bpy.utils.register_class(MANIENT_OT_import_take)
+    """Add the menu entry."""
     bpy.types.TOPBAR_MT_file_import.append(_menu_entry)
 
 
 def unregister() -> None:
-    """Take both away again."""
+    """Take it away again."""
     bpy.types.TOPBAR_MT_file_import.remove(_menu_entry)
-    bpy.utils.unregister_class(MANIENT_OT_import_take)

@@ -6,7 +6,6 @@ import bpy
 
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
-from ..scene.armature import bone_names
 from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand
 from ..selection import active_hand
@@ -77,14 +76,4 @@ class MANIENT_OT_lock_joints(bpy.types.Operator):
         if self.joints == "ALL" or context.mode != "POSE":
             return list(range(NUM_JOINTS))
         selected = {bone.name for bone in context.selected_pose_bones or () if bone.id_data == hand.armature}
-        return [joint for joint, name in enumerate(bone_names(hand.side)) if name in selected]
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_lock_joints)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_lock_joints)
+        return [joint for joint, name in enumerate(hand.rig.bones) if name in selected]

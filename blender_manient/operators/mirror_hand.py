@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.errors import HandfitError
-
 from ..scene.mirror import mirror_hand
-from .needs_hand import hand_in, hand_is_there
+from .needs_hand import errors_reported, hand_in, hand_is_there
 
 
 class MANIENT_OT_mirror_hand(bpy.types.Operator):
@@ -23,26 +21,13 @@ class MANIENT_OT_mirror_hand(bpy.types.Operator):
     def poll(cls, context):
         return hand_is_there(cls, context)
 
+    @errors_reported
     def execute(self, context):
         """Build it and make it the active object."""
-        try:
-            armature = mirror_hand(hand_in(context))
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        armature = mirror_hand(hand_in(context))
         if context.mode == "OBJECT" and armature.name in context.view_layer.objects:
             for other in context.selected_objects:
                 other.select_set(False)
             armature.select_set(True)
             context.view_layer.objects.active = armature
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_mirror_hand)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_mirror_hand)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.edit.corrections import Pins
+from handfit_core.errors import OptionError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-from ..correction_field import Pins
 from ..refiner import Refiner, why_not
 from ..scene.store import hand_of
 from ..selection import active_hand
 from ..worker import shared
+from .needs_hand import errors_reported
 
 _PATIENCE = 120.0
 """seconds; the first answer may wait for the worker to start"""
@@ -47,27 +48,24 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
             cls.poll_message_set(why)
         return why is None
 
+    @errors_reported
     def execute(self, context):
         """Fit and wait for it."""
-        try:
-            refiner = Refiner(self._armature(context))
-            frame = self.frame if self.properties.is_property_set("frame") else context.scene.frame_current
-            row = refiner.row_at(frame)
-            if row is None:
-                raise OptionError(f"frame {frame} was not captured: give a frame of the source")
-            pins = self._pins(refiner.pins(row))
-            if pins:
-                fields = refiner.request([row], [pins], refiner.start_poses([row]))()
-                worker = shared.worker()
-                poses = refiner.poses(worker.wait(worker.request("refit", **fields), timeout=_PATIENCE))
-                if not poses.present[0]:
-                    raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
-                refiner.correct(row, pins, poses, context.scene.manient.spread)
-            else:
-                refiner.unpin(row)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        refiner = Refiner(self._armature(context))
+        frame = self.frame if self.properties.is_property_set("frame") else context.scene.frame_current
+        row = refiner.row_at(frame)
+        if row is None:
+            raise OptionError(f"frame {frame} was not captured: give a frame of the source")
+        pins = self._pins(refiner.pins(row))
+        if pins:
+            fields = refiner.request([row], [pins], refiner.start_poses([row]))()
+            worker = shared.worker()
+            poses = refiner.poses(worker.wait(worker.request("refit", **fields), timeout=_PATIENCE))
+            if not poses.present[0]:
+                raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
+            refiner.correct(row, pins, poses, context.scene.manient.spread)
+        else:
+            refiner.unpin(row)
         context.scene.frame_set(context.scene.frame_current, subframe=context.scene.frame_subframe)
         return {"FINISHED"}
 
@@ -93,13 +91,3 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
         if self.keypoint not in pins:
             raise OptionError(f"keypoint {self.keypoint} has no pin in this frame")
         return others
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_move_keypoint)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_move_keypoint)

@@ -1,10 +1,14 @@
-"""What operators that work on a captured hand share: their polls, and which hand it is."""
+"""What operators share: their polls, which captured hand they work on, and how they fail."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import bpy
+
+from handfit_core.errors import HandfitError
 
 from ..scene.editable import why_not_editable, why_not_keyable, why_not_readable
 from ..scene.store import CapturedHand, hand_of
@@ -52,3 +56,17 @@ def hand_in(context: bpy.types.Context) -> CapturedHand:
     hand = active_hand(context)
     assert hand is not None
     return hand
+
+
+def errors_reported(execute: Callable[[Any, bpy.types.Context], set[str]]) -> Any:
+    """An operator's `execute` in which a HandfitError becomes a report, and the operator is cancelled."""
+
+    @functools.wraps(execute)
+    def reported(self, context):
+        try:
+            return execute(self, context)
+        except HandfitError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    return reported

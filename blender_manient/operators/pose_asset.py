@@ -6,7 +6,6 @@ import bpy
 import numpy as np
 
 from ..blender_versions import channels, new_slot
-from ..scene.armature import bone_names
 from ..scene.keys import PoseKeys, displayed_pose, write_pose_keys
 from .needs_hand import hand_in, hand_is_there
 
@@ -39,34 +38,24 @@ class MANIENT_OT_save_pose_asset(bpy.types.Operator):
     def execute(self, context):
         """Make an action with one key per bone, and mark it as an asset."""
         hand = hand_in(context)
-        armature, side = hand.armature, hand.side
+        armature, side, rig = hand.armature, hand.side, hand.rig
         action = bpy.data.actions.new(self.asset_name.strip() or "Hand Pose")
         slot = new_slot(action, armature.name)
         chosen = np.ones((1, 16), dtype=bool)
         chosen[0, 0] = self.wrist
         keys = PoseKeys(
             np.array([1.0]),
-            displayed_pose(armature, side)[None],
+            displayed_pose(rig)[None],
             np.zeros((1, 3)),
             chosen,
             np.zeros(1, dtype=bool),
         )
-        write_pose_keys(armature, side, keys, holder=channels(action, slot, make=True))
+        write_pose_keys(rig, keys, holder=channels(action, slot, make=True))
         action.asset_mark()
         action.asset_data.description = f"Captured pose of a {side} hand"
         for tag in ("hand", side):
             action.asset_data.tags.new(tag, skip_if_exists=True)
         if not bpy.app.background:  # rendered by the graphics card
             action.asset_generate_preview()
-        self.report({"INFO"}, f"Saved {action.name} with {len(bone_names(side)) - (not self.wrist)} bones")
+        self.report({"INFO"}, f"Saved {action.name} with {len(rig.bones) - (not self.wrist)} bones")
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_save_pose_asset)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_save_pose_asset)

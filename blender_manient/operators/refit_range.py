@@ -10,16 +10,16 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
+from handfit_core.slices import slice_clock
 
 from .. import details, screen
 from ..keypoint_mode.abandoned import abandon
 from ..refiner import Refiner, why_not
 from ..scene.corrections import corrections_of
-from ..scene.frame_span import span_of
 from ..scene.markers import doubtful_ranges
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import scene_frames, timing_of
-from ..scene.timing import frame_rate
+from ..scene.timing import frame_rate, span_of
 from ..section import sentence
 from ..selection import active_hand
 from ..wording import counted
@@ -180,10 +180,10 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     def _step(self, context) -> bool:
         """Go on; whether all is done."""
         if self._writing is not None:
-            until = time.perf_counter() + _SLICE
+            is_over = slice_clock(_SLICE)
             for part in self._writing:
                 self._tell(context, f"Writing keys  {part:.0%}")
-                if time.perf_counter() > until:
+                if is_over():
                     return False
             return True
         if not self._request:
@@ -341,13 +341,3 @@ class _Work:
     def writing(self) -> Iterator[float]:
         """Write the keys; yields how much is done."""
         return self.refiner.replacing(self._asked.tolist(), self._poses)
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_refit_range)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_refit_range)

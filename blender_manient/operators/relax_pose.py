@@ -5,16 +5,13 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError
 from handfit_core.hand_model.anatomy import relaxed_pose
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
-from .. import axes
-from ..scene.armature import rest_frames
-from ..scene.corrections import correct_frame, source_frames, timing_of
+from ..scene.corrections import correct_frame, timing_of
 from ..scene.keys import keyed_bones, set_pose
-from ..scene.models import kept_model
-from .needs_hand import hand_in, hand_is_there
+from .needs_hand import errors_reported, hand_in, hand_is_there
 
 
 class MANIENT_OT_relax_pose(bpy.types.Operator):
@@ -30,41 +27,23 @@ class MANIENT_OT_relax_pose(bpy.types.Operator):
     def poll(cls, context):
         return hand_is_there(cls, context, keys=True)
 
+    @errors_reported
     def execute(self, context):
         """Set or correct the fifteen finger bones."""
         hand = hand_in(context)
-        armature, side = hand.armature, hand.side
-        try:
-            model = kept_model(hand.take.model, side)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        armature, rig = hand.armature, hand.rig
+        model = kept_model(hand.take.model, hand.side)
         still = np.zeros((1, 3))
-        try:
-            frames = rest_frames(armature, side)
-            quats, _ = axes.bone_pose(model.shaped(), frames, still, relaxed_pose(model)[None], still)
-            quats[:, 0] = np.nan  # not the wrist
-            chosen = keyed_bones(armature, side)
-            if context.scene.tool_settings.use_keyframe_insert_auto:
-                chosen = np.ones(NUM_JOINTS, dtype=bool)
-            chosen[0] = False
-            if chosen.any():
-                (frame,) = source_frames(timing_of(armature), np.array([context.scene.frame_current_final]))
-                wanted = np.where(chosen[:, None], quats[0], np.nan)
-                spread = context.scene.manient.spread
-                correct_frame(armature, frame, {}, wanted, np.full(3, np.nan), spread, posed=True)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        set_pose(armature, side, quats[0])
+        quats, _ = rig.to_bones(model.shaped(), still, relaxed_pose(model)[None], still)
+        quats[:, 0] = np.nan  # not the wrist
+        chosen = keyed_bones(rig)
+        if context.scene.tool_settings.use_keyframe_insert_auto:
+            chosen = np.ones(NUM_JOINTS, dtype=bool)
+        chosen[0] = False
+        if chosen.any():
+            (frame,) = timing_of(armature).source_frames(np.array([context.scene.frame_current_final]))
+            wanted = np.where(chosen[:, None], quats[0], np.nan)
+            spread = context.scene.manient.spread
+            correct_frame(armature, frame, {}, wanted, np.full(3, np.nan), spread, posed=True)
+        set_pose(rig, quats[0])
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_relax_pose)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_relax_pose)

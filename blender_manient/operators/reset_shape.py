@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.errors import HandfitError
-
 from ..scene.reshape import reset
-from .needs_hand import hand_in, hand_is_there
+from .needs_hand import errors_reported, hand_in, hand_is_there
 
 
 class MANIENT_OT_reset_shape(bpy.types.Operator):
@@ -20,21 +18,8 @@ class MANIENT_OT_reset_shape(bpy.types.Operator):
     def poll(cls, context):
         return hand_is_there(cls, context)
 
+    @errors_reported
     def execute(self, context):
         """Set the sliders, and reshape within the same undo step."""
-        try:
-            reset(hand_in(context))
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        reset(hand_in(context))
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_reset_shape)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_reset_shape)

@@ -31,13 +31,3 @@ class MANIENT_OT_select_hand(bpy.types.Operator):
         armature.select_set(True)
         context.view_layer.objects.active = armature
         return {"FINISHED"}
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_select_hand)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_select_hand)

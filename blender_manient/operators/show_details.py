@@ -1,30 +1,60 @@
-"""Show Details: the text block with what went wrong, in a Text Editor."""
+"""A text block of ours, with what went wrong: onto the clipboard for a bug report, or in a Text Editor."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import bpy
 
 from .. import details
 
 
-class MANIENT_OT_show_details(bpy.types.Operator):
-    bl_idname = "manient.show_details"
-    bl_label = "Show Details"
-    bl_description = "Open the text with the details in a Text Editor"
+class _OfText:
+    """What works on one of the file's text blocks."""
+
     bl_options = {"INTERNAL"}  # noqa: RUF012
 
     text: bpy.props.StringProperty(  # type: ignore
         name="Text", default=details.TEXT_NAME, options={"HIDDEN", "SKIP_SAVE"}
     )
 
-    def execute(self, context):
+    def execute(self: Any, context):
+        """Hand the text over where the file has it."""
         text = details.local_text(self.text)
         if text is None:
             self.report({"ERROR"}, f"This file has no text '{self.text}': nothing was written yet")
             return {"CANCELLED"}
+        self._show(context, text)
+        return {"FINISHED"}
+
+
+class MANIENT_OT_copy_details(_OfText, bpy.types.Operator):
+    bl_idname = "manient.copy_details"
+    bl_label = "Copy Details"
+    bl_description = "Copy the text with the details to the clipboard, for a bug report"
+
+    @classmethod
+    def poll(cls, _context):
+        """Without a window there is no clipboard."""
+        if bpy.app.background:
+            cls.poll_message_set("There is no clipboard without a window")
+            return False
+        return True
+
+    def _show(self, context: bpy.types.Context, text: bpy.types.Text) -> None:
+        context.window_manager.clipboard = text.as_string()
+        self.report({"INFO"}, "Copied to the clipboard")
+
+
+class MANIENT_OT_show_details(_OfText, bpy.types.Operator):
+    bl_idname = "manient.show_details"
+    bl_label = "Show Details"
+    bl_description = "Open the text with the details in a Text Editor"
+
+    def _show(self, context: bpy.types.Context, text: bpy.types.Text) -> None:
         if bpy.app.background:
             self.report({"INFO"}, text.as_string())
-            return {"FINISHED"}
+            return
         area = _text_editor(context) or _new_window(context)
         space = area.spaces.active
         assert isinstance(space, bpy.types.SpaceTextEditor)
@@ -32,15 +62,11 @@ class MANIENT_OT_show_details(bpy.types.Operator):
         space.show_word_wrap = True
         space.top = 0
         area.tag_redraw()
-        return {"FINISHED"}
 
 
 def _text_editor(context: bpy.types.Context) -> bpy.types.Area | None:
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "TEXT_EDITOR":
-                return area
-    return None
+    areas = (area for window in context.window_manager.windows for area in window.screen.areas)
+    return next((area for area in areas if area.type == "TEXT_EDITOR"), None)
 
 
 def _new_window(context: bpy.types.Context) -> bpy.types.Area:
@@ -48,13 +74,3 @@ def _new_window(context: bpy.types.Context) -> bpy.types.Area:
     area = context.window_manager.windows[-1].screen.areas[0]
     area.type = "TEXT_EDITOR"
     return area
-
-
-def register() -> None:
-    """Add the operator."""
-    bpy.utils.register_class(MANIENT_OT_show_details)
-
-
-def unregister() -> None:
-    """Take it away again."""
-    bpy.utils.unregister_class(MANIENT_OT_show_details)

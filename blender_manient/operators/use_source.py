@@ -9,11 +9,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, InputError, OutputError
+from handfit_core.errors import InputError, OutputError
 from handfit_core.files import written_whole
 
 from ..cache import cache_folder
-from ..scene.proof import prove_whole
+from ..scene.proof import is_whole_png, prove_whole
+from .needs_hand import errors_reported
 
 
 @dataclass(frozen=True)
@@ -63,17 +64,14 @@ class MANIENT_OT_use_source(bpy.types.Operator):
     )
     name: bpy.props.StringProperty(name="Name", options={"SKIP_SAVE"})  # type: ignore
 
+    @errors_reported
     def execute(self, context):
         """Put its file into the panel."""
         settings = context.scene.manient
-        try:
-            if self.kind == "IMAGE":
-                path, sequence = _image_path(self.name)
-            else:
-                path, sequence = _clip_path(self.name)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if self.kind == "IMAGE":
+            path, sequence = _image_path(self.name)
+        else:
+            path, sequence = _clip_path(self.name)
         settings.source = path
         settings.as_sequence = sequence
         return {"FINISHED"}
@@ -110,7 +108,7 @@ def _write_png(image: bpy.types.Image, path: Path) -> None:
         with written_whole(path) as beside:
             twin.filepath_raw = str(beside)
             twin.save()
-            prove_whole(path, beside)
+            prove_whole(path, beside, is_whole_png)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise OutputError(f"{path}: Blender could not write the picture ({reason})") from error
@@ -148,15 +146,3 @@ class MANIENT_MT_sources(bpy.types.Menu):
             entry.kind, entry.name = offer.kind, offer.name
         if not found:
             layout.label(text="No Images or Movie Clips in This File", icon="INFO")
-
-
-def register() -> None:
-    """Add the operator and its menu."""
-    bpy.utils.register_class(MANIENT_OT_use_source)
-    bpy.utils.register_class(MANIENT_MT_sources)
-
-
-def unregister() -> None:
-    """Take both away again."""
-    bpy.utils.unregister_class(MANIENT_MT_sources)
-    bpy.utils.unregister_class(MANIENT_OT_use_source)

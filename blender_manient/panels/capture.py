@@ -33,10 +33,10 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
 
         info = source_info.of(settings)
+        text = ""
         if settings.target == "NEW":
             column.prop(settings, "matching")
-            scene = context.scene
-            text = said(scene, settings.matching, source_info.footage(settings, info), scene.frame_current)
+            text = _becomes(context.scene, info)
             sentence(layout, context, text, "SCENE_DATA")
         buttons = layout.column(align=True)
         buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
@@ -44,6 +44,9 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         row.scale_y = 1.5
         row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
         if info.files is not None and info.files.kind != "photo":
+            # Only what is not said above.
+            if text and not text.startswith(own := _becomes(context.scene, info, only_frame=True)):
+                sentence(buttons, context, own, "SCENE_DATA")
             frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
             frame.only_frame = True
         self._queue(context)
@@ -78,6 +81,14 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                     box.operator("manient.show_details", text="Details", icon="TEXT")
         if queue and not jobs.busy():
             layout.operator("manient.clear_captures", text="Clear List")
+
+
+def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only_frame: bool = False) -> str:
+    """What becomes of the scene when the source, or only the current frame of it, is captured."""
+    settings = scene.manient
+    footage = source_info.footage(settings, info, only=scene.frame_current if only_frame else None)
+    ready = settings.render_setup and settings.camera != "ACTIVE" and not only_frame
+    return said(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
 
 
 class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):

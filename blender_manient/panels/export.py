@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..exporters import EXPORTERS
 from ..operators.export_hand import format_buttons
 from ..section import Section, sentence
 from ..selection import active_hand
@@ -26,7 +27,7 @@ class MANIENT_PT_export(Section, bpy.types.Panel):
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
-        if settings.export_format in {"fbx", "glb"}:
+        if EXPORTERS[settings.export_format].presets:
             column.prop(settings, "export_preset")
         row = layout.row()
         row.enabled = can

@@ -11,13 +11,12 @@ import numpy as np
 from handfit_core.files import storable
 from handfit_core.geometry.rotations import unflip_quats
 from handfit_core.hand_model import ShapedHand
+from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
-from .. import axes
 from ..blender_versions import assign_action, channels, first_slot
-from ..slices import result_of
-from .armature import bone_names, rest_frames
+from ..rigs.rig import Rig
 from .timing import Timing
 
 CURVES = NUM_JOINTS * 4 + 3
@@ -40,11 +39,11 @@ class HandKeys:
 
 
 def computing_keys(
-    take: Take, track: HandTrack, shaped: ShapedHand, frames: np.ndarray, timing: Timing
+    take: Take, track: HandTrack, shaped: ShapedHand, rest: RestPose, timing: Timing
 ) -> Generator[int, None, HandKeys]:
     """Compute a hand's keys, some frames at a time: yields how many, returns the keys.
 
-    `frames` (16, 3, 3) are the bones' axes at rest (`armature.rest_frames`). Frames without a hand get no
+    `rest` is how the rig's bones lie at rest. Frames without a hand get no
     keys; filled ones do.
     """
     scene_frames = timing.scene_frames(take.frame_numbers)
@@ -55,8 +54,8 @@ def computing_keys(
     before = np.empty((0, NUM_JOINTS, 4))
     for start in range(0, len(rows), _CHUNK):
         some = rows[start : start + _CHUNK]
-        turned, moved = axes.bone_pose(
-            shaped, frames, track.global_orient[some], track.hand_pose[some], track.transl[some]
+        turned, moved = rest.to_bones(
+            shaped, track.global_orient[some], track.hand_pose[some], track.transl[some]
         )
         # The sign goes on from that of the frames before.
         turned = unflip_quats(np.concatenate([before, turned]))[len(before) :]
@@ -67,23 +66,16 @@ def computing_keys(
     return HandKeys(scene_frames[seen], quats, locations)
 
 
-def hand_keys(
-    take: Take, track: HandTrack, shaped: ShapedHand, frames: np.ndarray, timing: Timing
-) -> HandKeys:
-    """`computing_keys` at once."""
-    return result_of(computing_keys(take, track, shaped, frames, timing))
-
-
-def animating(armature: bpy.types.Object, track: HandTrack, keys: HandKeys) -> Iterator[bpy.types.Action]:
+def animating(rig: Rig, keys: HandKeys) -> Iterator[bpy.types.Action]:
     """Key a new action on the armature, a curve at a time. Yields the action each time.
 
     Straight lines join the keys: measured frames stay exactly as measured, and nothing overshoots in
     the gaps, as Bezier curves through noisy per-frame data would.
     """
-    action = bpy.data.actions.new(armature.name)
-    assign_action(armature, action)
+    action = bpy.data.actions.new(rig.armature.name)
+    assign_action(rig.armature, action)
     yield action
-    names = bone_names(track.side)
+    names = rig.bones
     for joint, name in enumerate(names):
         path = f'pose.bones["{name}"].rotation_quaternion'
         for component in range(4):
@@ -93,20 +85,6 @@ def animating(armature: bpy.types.Object, track: HandTrack, keys: HandKeys) -> I
     for component in range(3):
         new_curve(action, path, component, keys.frames, keys.locations[component], names[0])
         yield action
-
-
-def animate(
-    armature: bpy.types.Object,
-    take: Take,
-    track: HandTrack,
-    shaped: ShapedHand,
-    timing: Timing | None = None,
-) -> bpy.types.Action:
-    """Key the track on the armature at once; by default on the source's frame numbers. Returns the action."""
-    describe(armature, take, track)
-    frames = rest_frames(armature, track.side)
-    *_, action = animating(armature, track, hand_keys(take, track, shaped, frames, timing or Timing()))
-    return action
 
 
 def describe(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:

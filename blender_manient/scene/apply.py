@@ -14,14 +14,13 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.hand_model import ShapedHand
+from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
-from .. import axes
-from .armature import bone_names, rest_frames
-from .corrections import end_corrections, source_frames
-from .editable import check_bones, check_editable, check_keyable
+from .corrections import end_corrections
+from .editable import check_editable, check_keyable
 from .keys import (
     PoseKeys,
     align_signs,
@@ -31,7 +30,6 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .models import kept_model
 from .store import CapturedHand, hand_of, timing_of
 from .timing import Timing, timing_in
 
@@ -103,10 +101,10 @@ def apply_hand(
         )
     if mode == "POSE":
         frames = np.array([frame])
-        quats, locations = pose_at(other.armature, other.side, frames)
+        quats, locations = pose_at(other.rig, frames)
         motion = Motion(frames, *_of_bones(hand, other, quats, locations))
         return _apply(hand, motion, mode, frame, wrist)
-    keys = read_pose_keys(other.armature, other.side)
+    keys = read_pose_keys(other.rig)
     if len(keys.frames) == 0:
         raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
     motion = Motion(keys.frames, *_of_bones(hand, other, keys.quats, keys.locations))
@@ -125,7 +123,7 @@ def _captured(obj: bpy.types.Object) -> CapturedHand:
     hand = hand_of(obj)
     if hand is None:
         raise OptionError(f"{obj.name!r} is no captured hand; choose one that a capture or an import made")
-    check_bones(hand.armature, hand.side)
+    hand.rig.check()
     return hand
 
 
@@ -152,19 +150,16 @@ def _of_track(
     hand: CapturedHand, take: Take, track: HandTrack, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions (N, 16, 4) and wrist locations (N, 3) of the take's rows about the target's bones."""
-    target = _shaped(hand)
+    target = hand.shaped()
     orient, pose, transl = (
         np.asarray(values, dtype=np.float64)[rows]
         for values in (track.global_orient, track.hand_pose, track.transl)
     )
     place = _source_wrist(take, track, hand) + transl
     if track.side != hand.side:
-        # A mirror at x = 0 turns the axis-angle (a, b, c) into (a, -b, -c).
-        turn = np.array([1.0, -1.0, -1.0])
-        orient, pose = orient * turn, pose * np.tile(turn, NUM_JOINTS - 1)
-        place = place @ axes.MIRROR_X
-    frames = rest_frames(hand.armature, hand.side)
-    return axes.bone_pose(target, frames, orient, pose, place - target.joints[0])
+        orient, pose = mirrored_pose(orient, pose)
+        place = place @ MIRROR_X
+    return hand.rig.to_bones(target, orient, pose, place - target.joints[0])
 
 
 def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarray:
@@ -176,28 +171,12 @@ def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarra
         return kept_model(hand.take.model, track.side).shaped(track.betas).joints[0]
 
 
-def _shaped(hand: CapturedHand) -> ShapedHand:
-    model = kept_model(hand.take.model, hand.side)
-    return model.shaped(np.array(hand.armature.manient.betas, dtype=np.float64))
-
-
 def _of_bones(
     hand: CapturedHand, other: CapturedHand, quats: np.ndarray, locations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Another rig's pose about the target's bones."""
-    source = rest_frames(other.armature, other.side)
-    target = rest_frames(hand.armature, hand.side)
-    place = _rest_wrist(other) + locations @ source[0].T
-    if other.side == hand.side:
-        quats = axes.turned_bones(source, target, quats)
-    else:
-        quats = axes.mirrored_bones(source, target, quats)
-        place = place @ axes.MIRROR_X
-    return quats, (place - _rest_wrist(hand)) @ target[0]
-
-
-def _rest_wrist(hand: CapturedHand) -> np.ndarray:
-    return np.array(hand.armature.data.bones[bone_names(hand.side)[0]].head_local)
+    source, target = other.rig.rest, hand.rig.rest
+    return source.turned_to(target, quats), source.moved_to(target, locations)
 
 
 def _apply(
@@ -220,18 +199,18 @@ def _apply(
             rotation_keyed=keys.rotation_keyed & (np.arange(NUM_JOINTS) > 0),
             location_keyed=np.zeros(len(frames), dtype=bool),
         )
-    armature, side = hand.armature, hand.side
+    rig = hand.rig
     first, last = float(frames[0]), float(frames[-1])
-    check_unlocked(armature, side, joints=list(joints), location=wrist)
+    check_unlocked(rig, joints=list(joints), location=wrist)
     end_corrections(
-        armature,
-        source_frames(timing_of(hand.collection), np.array([first, last])).tolist(),
+        hand.armature,
+        timing_of(hand.collection).source_frames(np.array([first, last])).tolist(),
         whole=True,
         joints=joints,
         location=wrist,
     )
     if mode == "ANIMATION":
-        remove_pose_keys(armature, side, first, last, joints=list(joints), location=wrist)
-    write_pose_keys(armature, side, keys)
-    align_signs(armature, side)
+        remove_pose_keys(rig, first, last, joints=list(joints), location=wrist)
+    write_pose_keys(rig, keys)
+    align_signs(rig)
     return len(frames)

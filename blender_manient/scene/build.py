@@ -9,7 +9,6 @@ Python too (up to Python 3.11 it cannot tell which of its threads holds the inte
 
 from __future__ import annotations
 
-import time
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,27 +17,23 @@ from typing import Any, TypeVar
 import bpy
 
 from handfit_core.errors import BuildInterrupted, OptionError
-from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model import HandModel, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, Side
+from handfit_core.slices import result_of, retold, slice_clock
 from handfit_core.take import HandTrack, Take
 
-from .. import axes
-from ..slices import result_of, retold
+from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, named_after, shortened_name
 from .animation import CURVES, animating, computing_keys, describe
-from .armature import build_armature, rest_frames
 from .camera import build_camera, frame_scene, put_before, show_behind
 from .correctives import adding_correctives
-from .matching import note_matched
+from .matching import Footage, note_matched
 from .mesh import build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
 from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
 from .timing import Timing, check_range, set_timing, timing_in
-
-_SLICE = 0.008
-"""seconds after which a slice ends, when its last step is over"""
 
 _T = TypeVar("_T")
 
@@ -64,65 +59,46 @@ class BuiltTake:
     """Sentences for the user about what is not as it should be"""
 
 
-def build_take(
-    take: Take,
-    *,
-    scene: bpy.types.Scene | None = None,
-    model: str | None = None,
-    pose_correctives: bool = True,
-    picture: bool = True,
-    match_scene: bool = True,
-    render_setup: bool = True,
-    wrist: Wrist = "forearm",
-    frame: float | None = None,
-    camera: bpy.types.Object | None = None,
-    data: bytes | None = None,
-    max_megapixels: float | None = None,
-) -> BuiltTake:
+@dataclass(frozen=True)
+class BuildOptions:
+    """How a take is built."""
+
+    scene: bpy.types.Scene | None = None
+    """The current one, or None for it"""
+    model: str | None = None
+    """Instead of `take.model`, for takes whose model file has moved"""
+    pose_correctives: bool = True
+    """Whether shape keys fill out bent joints, where the model has any"""
+    picture: bool = True
+    """Whether the picture is shown behind the hands"""
+    match_scene: bool = True
+    """Whether the scene gets the take's frame rate, frame range, picture size and camera; else it stays as it
+    is, and the take starts at `frame`, at its rate"""
+    render_setup: bool = True
+    """Whether a matched scene gets lights and the picture in its renders too"""
+    wrist: Wrist = "forearm"
+    """How the meshes end"""
+    frame: float | None = None
+    """None: the current one"""
+    camera: bpy.types.Object | None = None
+    """One that is there already: the hands hang on it, and its lens and the scene's size stay"""
+    data: bytes | None = None
+    """The bytes of the take's file, where the caller has them"""
+    max_megapixels: float | None = None
+    """How large the picture behind the hands may be, instead of what the preferences say"""
+
+
+def build_take(take: Take, **options: Any) -> BuiltTake:
     """Build a take's hands, their animation and the camera that saw them, in a collection of their own.
 
-    `scene` is the current one or None. With `match_scene` it gets the take's frame rate, frame range,
-    picture size and camera, and with `render_setup` lights and the picture in its renders too; else it
-    stays as it is, and the take starts at `frame` (None: the current one), at its rate. `wrist` is how the
-    meshes end. `model` replaces `take.model`, for takes whose model file has moved. `camera` is one that is
-    there already: the hands hang on it, and its lens and the scene's size stay. `data` are the bytes of the
-    take's file, where the caller has them. `max_megapixels` is how large the picture behind the hands may
-    be, instead of what the preferences say. Hands are life-size in any unit of length: in scenes whose unit
-    is not the metre their armatures are scaled. Building twice makes a second set and leaves the
-    first alone. Raises HandModelError and OptionError.
+    `options` are fields of `BuildOptions`. Hands are life-size in any unit of length: in scenes whose unit
+    is not the metre their armatures are scaled. Building twice makes a second set and leaves the first alone.
+    Raises HandModelError and OptionError.
     """
-    steps = building(
-        take,
-        scene=scene,
-        model=model,
-        pose_correctives=pose_correctives,
-        picture=picture,
-        match_scene=match_scene,
-        render_setup=render_setup,
-        wrist=wrist,
-        frame=frame,
-        camera=camera,
-        data=data,
-        max_megapixels=max_megapixels,
-    )
-    return result_of(steps)
+    return result_of(building(take, BuildOptions(**options)))
 
 
-def building(
-    take: Take,
-    *,
-    scene: bpy.types.Scene | None = None,
-    model: str | None = None,
-    pose_correctives: bool = True,
-    picture: bool = True,
-    match_scene: bool = True,
-    render_setup: bool = True,
-    wrist: Wrist = "forearm",
-    frame: float | None = None,
-    camera: bpy.types.Object | None = None,
-    data: bytes | None = None,
-    max_megapixels: float | None = None,
-) -> Generator[float, None, BuiltTake]:
+def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float, None, BuiltTake]:
     """`build_take` in slices of some milliseconds. Yields how much is done, 0..1; returns what was made.
 
     Closing it early removes what it made. Raises BuildInterrupted where an undo, another file or a
@@ -133,26 +109,12 @@ def building(
     steps = None
     try:
         with _Watch() as watch:
-            open_scene = _checked_scene(scene)
-            steps = _steps(
-                made,
-                take,
-                open_scene,
-                model,
-                pose_correctives,
-                picture,
-                match_scene,
-                render_setup,
-                wrist,
-                frame,
-                camera,
-                data,
-                max_megapixels,
-            )
+            open_scene = _checked_scene(how.scene)
+            steps = _steps(made, take, open_scene, how)
             done = 0.0
             while True:
-                end = time.perf_counter() + _SLICE
-                while time.perf_counter() < end:
+                is_over = slice_clock()
+                while not is_over():
                     step = next(steps)
                     if step is None:
                         break
@@ -174,33 +136,27 @@ def _steps(
     made: list[bpy.types.ID],
     take: Take,
     scene: bpy.types.Scene,
-    model: str | None,
-    pose_correctives: bool,
-    picture: bool,
-    match_scene: bool,
-    render_setup: bool,
-    wrist: Wrist,
-    frame: float | None,
-    own_camera: bpy.types.Object | None,
-    data: bytes | None,
-    max_megapixels: float | None,
+    how: BuildOptions,
 ) -> Generator[float | None, None, BuiltTake]:
     """The work in small steps. Yields how much is done, or None where the slice should end: what follows
     is one long step. Every data-block goes into `made`."""
     # Read every model before anything is made: a missing file must not leave half a rig behind.
     models: dict[Side, HandModel] = {}
+    wrists: dict[Side, Wrist] = {}
     warnings: list[str] = []
     for track in take.hands:
-        loaded = load_model(model or take.model, track.side)
+        loaded = load_model(how.model or take.model, track.side)
         warnings += _digest_warning(take, loaded)
         yield None
-        models[track.side] = with_wrist(loaded, wrist)
+        models[track.side] = with_wrist(loaded, how.wrist)
+        # A model without an edge where a piece of forearm could begin comes back as it is.
+        wrists[track.side] = "open" if models[track.side] is loaded else how.wrist
         yield None
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
-    timing = Timing() if match_scene else timing_in(scene, take, frame)
+    timing = Timing() if how.match_scene else timing_in(scene, take, how.frame)
     check_range(take, timing)
     units = 1.0 / scene.unit_settings.scale_length
-    work = _Work(take, models, pose_correctives)
+    work = _Work(take, models, how.pose_correctives)
 
     def keep(block: _T) -> _T:
         made.append(block)  # type: ignore[arg-type]
@@ -211,21 +167,21 @@ def _steps(
     name = collection.name
     yield None
     plate, plate_warnings = None, []
-    if picture:
-        plate, plate_warnings = yield from work.counting(loading_plate(take, timing, max_megapixels))
+    if how.picture:
+        plate, plate_warnings = yield from work.counting(loading_plate(take, timing, how.max_megapixels))
     if plate is not None:
         keep(plate.image)
     yield None
-    camera = own_camera
+    camera = how.camera
     if camera is None:
-        unmatched = None if match_scene else scene
+        unmatched = None if how.match_scene else scene
         camera = keep(
             build_camera(named_after(name, "camera"), take, plate, scene=unmatched, units_per_metre=units)
         )
         keep(camera.data)
         collection.objects.link(camera)
     stage = []
-    if render_setup and match_scene and own_camera is None:
+    if how.render_setup and how.match_scene and how.camera is None:
         stage = set_up(scene, camera, take, plate)
         for thing in stage:
             keep(thing)
@@ -236,28 +192,29 @@ def _steps(
     hands = []
     for track, shaped in zip(take.hands, shapes, strict=True):
         model_of_side = models[track.side]
-        armature = keep(build_armature(named_after(name, f"{track.side} hand"), shaped, track.side))
+        rig = build_rig(named_after(name, f"{track.side} hand"), shaped, track.side)
+        armature = keep(rig.armature)
         keep(armature.data)
         armature.scale = (units, units, units)
-        if own_camera is not None:
-            put_before(armature, own_camera)
+        if how.camera is not None:
+            put_before(armature, how.camera)
         describe(armature, take, track)
-        frames = rest_frames(armature, track.side)
+        rest = rig.rest
         yield work.done(1)
-        mesh = keep(build_mesh(f"{armature.name} mesh", model_of_side, shaped))
+        mesh = keep(build_mesh(f"{armature.name} mesh", model_of_side, shaped, rig))
         keep(mesh.data)
         made.extend(mesh.data.materials)
         mesh.parent = armature
         mesh.modifiers.new("Armature", "ARMATURE").object = armature
         yield work.done(1)
         if work.has_correctives(track):
-            offsets = axes.corrective_offsets(model_of_side, frames)
+            offsets = axes.corrective_offsets(model_of_side, rest.frames)
             yield None
-            for _ in adding_correctives(mesh, armature, track.side, offsets):
+            for _ in adding_correctives(mesh, rig, offsets):
                 yield work.done(0.3)
-        keys = yield from work.counting(computing_keys(take, track, shaped, frames, timing))
+        keys = yield from work.counting(computing_keys(take, track, shaped, rest, timing))
         action = None
-        for action in animating(armature, track, keys):
+        for action in animating(rig, keys):
             if action not in made:
                 keep(action)
             yield work.done(1)
@@ -265,27 +222,27 @@ def _steps(
         hands.append(BuiltHand(track.side, armature, mesh, action))
 
     if kept_here():
-        packed = yield from work.counting(packing_take(take, data))
+        packed = yield from work.counting(packing_take(take, how.data))
         yield None
         keep_packed(collection, take, packed)  # a copy of up to 20 MB
         yield None
 
     # From here on the artist sees it.
     describe_capture(collection, camera, timing)
-    for index, armature in enumerate(hand.armature for hand in hands):
-        describe_hand(armature, collection, take, index, wrist)
-    if own_camera is not None and plate is not None:
-        warnings += _show_behind_own(own_camera, plate, take, scene)
+    for index, hand in enumerate(hands):
+        describe_hand(hand.armature, collection, take, index, wrists[hand.side])
+    if how.camera is not None and plate is not None:
+        warnings += _show_behind_own(how.camera, plate, take, scene)
     scene.collection.children.link(collection)
-    if match_scene:
+    if how.match_scene:
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
         scene.frame_current = int(take.frame_numbers[0])
-        if own_camera is None:
+        if how.camera is None:
             frame_scene(scene, take)
             scene.camera = camera
             put_in_force(scene, stage)
-        note_matched(scene)
+        note_matched(scene, Footage.of_take(take, own_camera=how.camera is not None))
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)
@@ -293,7 +250,7 @@ def _steps(
         if bpy.context.scene == scene:
             bpy.context.view_layer.update()  # copies the whole action, which takes longest of all
     yield None
-    if match_scene:
+    if how.match_scene:
         scene.frame_set(int(take.frame_numbers[0]))
     return BuiltTake(collection, camera, tuple(hands), (*warnings, *plate_warnings))
 

@@ -19,13 +19,14 @@ from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.skeleton import Side
 
 from ..blender_versions import assign_action
+from ..exporters.exporter import HandObjects
 from .animation import new_curve
 from .sampling import Sampled, rotations_of, sample
 
 
 @dataclass(frozen=True)
-class Rig:
-    """A hand to write to a file."""
+class CleanHand:
+    """A plain copy of a hand."""
 
     side: Side
     armature: bpy.types.Object
@@ -39,14 +40,14 @@ _STILL = 1e-7
 
 @contextlib.contextmanager
 def clean_rig(
-    hand: Rig,
+    hand: HandObjects,
     name: str,
     frames: Sequence[int],
     *,
     metres_per_unit: float,
     units: float = 1.0,
     turn: np.ndarray | None = None,
-) -> Iterator[Rig]:
+) -> Iterator[CleanHand]:
     """A copy of the hand in the open scene, with an armature object called `name` (empty: as the hand's).
 
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
@@ -88,7 +89,7 @@ def clean_rig(
         action = _bake(armature, sampled, turned @ metres, size, frames)
         for original in originals:
             scene.collection.objects.unlink(original)
-        yield Rig(hand.side, armature, copies[1] if hand.mesh is not None else None)
+        yield CleanHand(hand.side, armature, copies[1] if hand.mesh is not None else None)
     finally:
         bpy.data.batch_remove([*copies, *(o.data for o in copies), *([action] if action else [])])
         for original, old in zip(originals, names, strict=True):

@@ -14,10 +14,10 @@ from typing import Final
 import bpy
 import numpy as np
 
+from handfit_core.fit_quality import length_in_picture
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
-from .armature import bone_names
 from .store import CapturedHand, captured_hands, hand_of, rows_at
 
 GOOD: Final = 0.02
@@ -30,9 +30,6 @@ POOR: Final = 0.10
 UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
 _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
 """sRGB of GOOD, FAIR and POOR"""
-
-_MIDDLE_FINGER: Final = (0, 9, 10, 11, 12)
-"""Keypoints from the wrist to the middle fingertip"""
 
 _KEPT: Final = 32
 """Hands whose errors are remembered"""
@@ -51,8 +48,7 @@ def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
     if len(points) == 0:
         return errors
     distance = np.linalg.norm(take.intrinsics.project(points) - track.keypoints_2d[measured], axis=-1)
-    length = np.linalg.norm(np.diff(points[:, _MIDDLE_FINGER], axis=1), axis=-1).sum(axis=-1)
-    shown = take.intrinsics.fx * length / points[..., 2].mean(axis=-1)
+    shown = length_in_picture(points, take.intrinsics)
     errors[measured] = np.stack([distance[:, ends].mean(axis=-1) for ends in _ENDS], axis=-1) / shown[:, None]
     return errors
 
@@ -86,7 +82,7 @@ def _color(hand: CapturedHand, frame: float) -> None:
         _errors[key] = bone_errors(hand.take, hand.track)
     errors = np.full(NUM_JOINTS, np.nan) if row is None else _errors[key][row]
     bones = hand.armature.pose.bones
-    for name, color in zip(bone_names(hand.side), colors_of(errors), strict=True):
+    for name, color in zip(hand.rig.bones, colors_of(errors), strict=True):
         bone = bones.get(name)
         if bone is None:
             continue
@@ -111,7 +107,7 @@ def _keep_colors(hand: CapturedHand) -> None:
     if hand.armature.manient.own_colors:
         return
     before = {}
-    for name in bone_names(hand.side):
+    for name in hand.rig.bones:
         bone = hand.armature.pose.bones.get(name)
         if bone is not None:
             custom = bone.color.custom

@@ -1,6 +1,6 @@
 """Corrections of a captured hand: kept on its armature, and carried into its keys.
 
-`correction_field.py` has the mathematics. Only keys within reach of a changed correction are ever
+`handfit_core.edit.corrections` has the mathematics. Only keys within reach of a changed correction are ever
 touched; what they hold besides the correction, by capture or by hand, stays on them.
 
 Actions can be exchanged, so each notes the fingerprint of the corrections that its keys hold. In another
@@ -18,11 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.errors import OptionError, TakeError
-from handfit_core.skeleton import NUM_JOINTS
-
-from ..blender_versions import action_slot, property_group
-from ..correction_field import (
+from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
     Pins,
@@ -31,7 +27,12 @@ from ..correction_field import (
     correction_between,
     kept_frame,
 )
+from handfit_core.errors import OptionError, TakeError
+from handfit_core.skeleton import NUM_JOINTS
+
+from ..blender_versions import action_slot, property_group
 from ..remembered import Remembered
+from ..rigs import rig_of
 from . import store
 from .editable import check_keyable
 from .keys import (
@@ -58,11 +59,6 @@ def timing_of(armature: bpy.types.Object) -> Timing:
     """Where the source frames of the hand's capture lie in the scene."""
     capture = armature.manient.capture
     return store.timing_of(capture) if capture is not None else Timing()
-
-
-def source_frames(timing: Timing, frames: np.ndarray) -> np.ndarray:
-    """Scene frames -> source frames, whole or not: the inverse of `Timing.scene_frames`."""
-    return (np.asarray(frames, dtype=np.float64) - timing.offset) / (timing.scale or 1.0)
 
 
 def corrected_frames(armature: bpy.types.Object) -> list[int]:
@@ -134,7 +130,7 @@ def check_writable(armature: bpy.types.Object) -> None:
     why = why_elsewhere(armature)
     if why is not None:
         raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
-    check_unlocked(armature, armature.manient.side)
+    check_unlocked(rig_of(armature))
 
 
 def correct_frame(
@@ -155,7 +151,7 @@ def correct_frame(
     from pins, so that pins which come and go later leave it as it is.
     Raises TakeError and what `check_writable` does, and then changes nothing.
     """
-    side, frame = armature.manient.side, kept_frame(frame)
+    rig, frame = rig_of(armature), kept_frame(frame)
     old = corrections_of(armature)
     check_writable(armature)
     lost = displaced(armature)
@@ -164,13 +160,13 @@ def correct_frame(
         old = old.without(lost)
         keep_field(armature, old)
     here = timing_of(armature).scene_frames(np.array([frame]))
-    now_quats, now_location = pose_at(armature, side, here)
-    present = read_pose_keys(armature, side, here[0], here[0])
+    now_quats, now_location = pose_at(rig, here)
+    present = read_pose_keys(rig, here[0], here[0])
     had_key = bool(present.rotation_keyed.any() or present.location_keyed.any())
     turns, moves = np.isfinite(quats[:, 0]), bool(np.isfinite(location).all())
     keyless = turns & ~present.rotation_keyed.any(axis=0)
     unplaced = np.array([moves and not present.location_keyed.any()])
-    write_pose_keys(armature, side, PoseKeys(here, now_quats, now_location, keyless[None], unplaced))
+    write_pose_keys(rig, PoseKeys(here, now_quats, now_location, keyless[None], unplaced))
     quats = np.where(turns[:, None], quats, now_quats[0])
     location = location if moves else now_location[0]
 
@@ -229,7 +225,7 @@ def displaced(armature: bpy.types.Object) -> list[float]:
     field = corrections_of(armature)
     frames = field.corrected
     places = timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
-    quats, locations = pose_at(armature, armature.manient.side, places)
+    quats, locations = pose_at(rig_of(armature), places)
     return [
         g
         for g, pose, location in zip(frames, quats, locations, strict=True)
@@ -244,13 +240,13 @@ def forget_corrections(armature: bpy.types.Object) -> None:
 
 def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
     """Carry a changed field into the keys within its reach, and keep it on the hand."""
-    side = armature.manient.side
+    rig = rig_of(armature)
     old = corrections_of(armature)
     timing = timing_of(armature)
     for stretch in changed_stretches(old, new):
         first, last = sorted(timing.scene_frames(np.array(stretch)).tolist())
-        keys = read_pose_keys(armature, side, first, last)
-        places = _snapped(source_frames(timing, keys.frames), np.concatenate([old.frames, new.frames]))
+        keys = read_pose_keys(rig, first, last)
+        places = _snapped(timing.source_frames(keys.frames), np.concatenate([old.frames, new.frames]))
         (turned_old, moved_old), (turned_new, moved_new) = old.at(places), new.at(places)
         # Keys at the end of the stretch, where nothing changes, are not even written.
         turns = np.any(turned_old != turned_new, axis=-1)
@@ -262,7 +258,7 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
             rotation_keyed=keys.rotation_keyed & turns,
             location_keyed=keys.location_keyed & moves,
         )
-        write_pose_keys(armature, side, changed)
+        write_pose_keys(rig, changed)
     keep_field(armature, new)
 
 
@@ -288,7 +284,7 @@ def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable
 def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
     """The keys as they would be without the hand's corrections. Raises TakeError."""
     field = corrections_of(armature)
-    places = _snapped(source_frames(timing_of(armature), keys.frames), field.frames)
+    places = _snapped(timing_of(armature).source_frames(keys.frames), field.frames)
     turned, moved = field.at(places)
     quats = changed_quats(keys.quats, turned, np.zeros_like(turned))
     return replace(keys, quats=quats, locations=keys.locations - moved)
@@ -349,7 +345,7 @@ def _replacing(
         keyed = np.zeros((count, NUM_JOINTS), dtype=bool)
         keyed[:, joint] = True
         keys = PoseKeys(places, quats, locations, keyed, np.full(count, joint == 0))
-        write_pose_keys(armature, armature.manient.side, keys)
+        write_pose_keys(rig_of(armature), keys)
         yield (joint + 1) / NUM_JOINTS
 
 
@@ -363,11 +359,11 @@ def _snapped(places: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:
     """Take the keys of a scene frame away if the pose there stays the same without them."""
-    side = armature.manient.side
+    rig = rig_of(armature)
     place = np.array([frame])
-    quats, locations = pose_at(armature, side, place)
-    remove_pose_keys(armature, side, frame, frame)
-    quats_without, locations_without = pose_at(armature, side, place)
+    quats, locations = pose_at(rig, place)
+    remove_pose_keys(rig, frame, frame)
+    quats_without, locations_without = pose_at(rig, place)
     turned = np.abs(correction_between(quats, quats_without)).max()
     if max(turned, np.abs(locations - locations_without).max()) > _IDLE:
-        write_pose_keys(armature, side, PoseKeys.everywhere(place, quats, locations))
+        write_pose_keys(rig, PoseKeys.everywhere(place, quats, locations))

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 import bpy
 import numpy as np
 
-from handfit_core.hand_model import HandModel
-from handfit_core.skeleton import NUM_JOINTS, Side
+from handfit_core.hand_model import HandModel, axes
+from handfit_core.skeleton import NUM_JOINTS
 
-from .. import axes
-from .armature import bone_names, rest_frames
+from ..rigs.rig import Rig
 
 _LEAST_OFFSET = 1e-6
 """metres. A key that moves no vertex by more, at a full turn, is left out"""
@@ -28,22 +27,19 @@ shape keys to 0..1. Blender calls these simple expressions: it evaluates them it
 with scripts disabled."""
 
 
-def add_correctives(mesh: bpy.types.Object, armature: bpy.types.Object, model: HandModel) -> int:
+def add_correctives(mesh: bpy.types.Object, rig: Rig, model: HandModel) -> int:
     """Give the mesh up to 135 shape keys, each driven by one element of one bone's rotation.
 
     With them the evaluated mesh is exactly the model's (`HandModel.posed`), under any pose that is
     set on the bones. Returns how many keys were made.
     """
-    offsets = axes.corrective_offsets(model, rest_frames(armature, model.side))
-    return sum(adding_correctives(mesh, armature, model.side, offsets))
+    return sum(adding_correctives(mesh, rig, axes.corrective_offsets(model, rig.rest.frames)))
 
 
-def adding_correctives(
-    mesh: bpy.types.Object, armature: bpy.types.Object, side: Side, offsets: np.ndarray
-) -> Iterator[int]:
+def adding_correctives(mesh: bpy.types.Object, rig: Rig, offsets: np.ndarray) -> Iterator[int]:
     """The same a key at a time, from `axes.corrective_offsets` (15, 3, 3, V, 3). Yields how many keys each
     step made: 1, or 0 for a joint's elements that are left out."""
-    names = bone_names(side)
+    names = rig.bones
     basis = np.empty((len(mesh.data.vertices), 3), dtype=np.float32)
     mesh.data.vertices.foreach_get("co", basis.ravel())
     mesh.shape_key_add(name="Basis", from_mix=False)
@@ -57,7 +53,7 @@ def adding_correctives(
                 sign, expression = _ELEMENTS[row][column]
                 key.data.foreach_set("co", (basis + sign * offset).astype(np.float32).ravel())
                 key.slider_min, key.slider_max = -1.0, 2.0
-                _drive(key, expression, armature, names[joint])
+                _drive(key, expression, rig.armature, names[joint])
                 yield 1
         yield 0
 

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.errors import HandModelError, OptionError
-from handfit_core.skeleton import Side
+from handfit_core.errors import OptionError
 
-from .armature import bone_names
-
-
-def check_bones(armature: bpy.types.Object, side: Side) -> None:
-    """Raises HandModelError where the armature lacks one of the hand's 16 bones."""
-    why = _lacking(armature, side)
-    if why is not None:
-        raise HandModelError(f"{armature.name!r}: {_lower(why)}")
+from ..rigs import rig_of
 
 
 def why_not_readable(armature: bpy.types.Object) -> str | None:
     """Why a captured hand's pose cannot be read: a sentence for a tooltip; None where it can."""
-    return _lacking(armature, armature.manient.side)
+    return rig_of(armature, armature.manient.side).lacking
 
 
 def why_not_editable(armature: bpy.types.Object) -> str | None:
@@ -69,14 +61,4 @@ def check_keyable(armature: bpy.types.Object) -> None:
 
 def _check(armature: bpy.types.Object, why: str | None) -> None:
     if why is not None:
-        raise OptionError(f"{armature.name!r} cannot be changed: {_lower(why)}")
-
-
-def _lacking(armature: bpy.types.Object, side: Side) -> str | None:
-    bones = armature.data.bones
-    missing = next((name for name in bone_names(side) if name not in bones), None)
-    return None if missing is None else f"The hand lacks the bone {missing}: give its bones their names back"
-
-
-def _lower(sentence: str) -> str:
-    return sentence[:1].lower() + sentence[1:]
+        raise OptionError(f"{armature.name!r} cannot be changed: {why[:1].lower()}{why[1:]}")

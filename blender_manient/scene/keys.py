@@ -1,7 +1,7 @@
 """A captured hand's keys as arrays, and back, in bulk. Each bone keeps its own frames.
 
 Rotations are quaternions (w, x, y, z) relative to the bone's rest, locations metres along the wrist
-bone's own axes, just as `axes.bone_pose` makes them. Frames are scene frames. Bones that the artist
+bone's own axes, just as `Rig.to_bones` makes them. Frames are scene frames. Bones that the artist
 switched to Euler angles or axis-angle are read and written in their own mode. Only the action (and slot)
 that the armature uses now is touched, or another one's channels where they are named as `holder`.
 
@@ -12,6 +12,7 @@ been changed then.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,11 +22,11 @@ from mathutils import Euler, Quaternion
 
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import unflip_quats
-from handfit_core.skeleton import NUM_JOINTS, Side
+from handfit_core.skeleton import NUM_JOINTS
 
 from ..blender_versions import action_slot, assign_action, channels
-from .armature import bone_names
-from .editable import check_bones, is_tweaked
+from ..rigs.rig import Rig
+from .editable import is_tweaked
 
 SAME_FRAME = 0.01
 """Keys nearer than this are one key, as for Blender itself"""
@@ -63,62 +64,59 @@ class PoseKeys:
 
 
 def read_pose_keys(
-    armature: bpy.types.Object,
-    side: Side,
+    rig: Rig,
     first: float = -np.inf,
     last: float = np.inf,
     *,
     holder: Any = None,
 ) -> PoseKeys:
     """All keys of the hand's 16 bones from frame `first` to `last`, both included."""
-    curves = _Curves(armature, holder)
-    names = _names(armature, side)
+    curves = _Curves(rig.armature, holder)
+    names = _bones(rig)
     own = [_frames_of(curves.rotation(name)) for name in names]
     placed = _frames_of(curves.location(names[0]))
     frames = _union([*own, placed])
     frames = frames[(frames >= first - SAME_FRAME) & (frames <= last + SAME_FRAME)]
-    quats, locations = pose_at(armature, side, frames, holder=holder)
+    quats, locations = pose_at(rig, frames, holder=holder)
     keyed = np.stack([_contains(mine, frames) for mine in own], axis=-1)
     return PoseKeys(frames, quats, locations, keyed, _contains(placed, frames))
 
 
-def pose_at(
-    armature: bpy.types.Object, side: Side, frames: np.ndarray, *, holder: Any = None
-) -> tuple[np.ndarray, np.ndarray]:
+def pose_at(rig: Rig, frames: np.ndarray, *, holder: Any = None) -> tuple[np.ndarray, np.ndarray]:
     """What the keys say on any frames: quaternions (N, 16, 4), wrist locations (N, 3).
 
     Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked.
     """
-    curves = _Curves(armature, holder)
+    curves = _Curves(rig.armature, holder)
     frames = np.asarray(frames, dtype=np.float64)
     quats = np.empty((len(frames), NUM_JOINTS, 4))
-    names = _names(armature, side)
+    names = _bones(rig)
     for joint, name in enumerate(names):
-        bone = armature.pose.bones[name]
+        bone = rig.armature.pose.bones[name]
         values = _values_at(curves.rotation(name), _present_rotation(bone), frames)
         quats[:, joint] = _to_quats(values, bone.rotation_mode)
-    locations = _values_at(curves.location(names[0]), armature.pose.bones[names[0]].location, frames)
+    locations = _values_at(curves.location(names[0]), rig.armature.pose.bones[names[0]].location, frames)
     return unflip_quats(quats), locations
 
 
-def write_pose_keys(armature: bpy.types.Object, side: Side, keys: PoseKeys, *, holder: Any = None) -> None:
+def write_pose_keys(rig: Rig, keys: PoseKeys, *, holder: Any = None) -> None:
     """Write the rows that `keys` marks as keyed: keys that lie there get the new value, others are inserted.
 
     All other keys stay as they are. A key that exists keeps its interpolation, and its handles move with
     it; a new one takes the interpolation of the key before it (the first: straight lines). An action and
     curves are made where they are missing. Quaternions get the sign that is nearest to the key before.
     """
-    names = _names(armature, side)
+    names = _bones(rig)
     if holder is None:
-        own_action(armature)
+        own_action(rig.armature)
         chosen = [bool(keys.rotation_keyed[:, joint].any()) for joint in range(NUM_JOINTS)]
-        _check_unlocked(armature, names, chosen, bool(keys.location_keyed.any()))
-    curves = _Curves(armature, holder, make=True)
+        _check_unlocked(rig.armature, names, chosen, bool(keys.location_keyed.any()))
+    curves = _Curves(rig.armature, holder, make=True)
     for joint, name in enumerate(names):
         chosen = keys.rotation_keyed[:, joint]
         if not chosen.any():
             continue
-        bone = armature.pose.bones[name]
+        bone = rig.armature.pose.bones[name]
         parts = curves.rotation(name, make=True)
         frames = keys.frames[chosen]
         for part, values in zip(
@@ -133,8 +131,7 @@ def write_pose_keys(armature: bpy.types.Object, side: Side, keys: PoseKeys, *, h
 
 
 def remove_pose_keys(
-    armature: bpy.types.Object,
-    side: Side,
+    rig: Rig,
     first: float,
     last: float,
     *,
@@ -143,10 +140,10 @@ def remove_pose_keys(
 ) -> None:
     """Take away the rotation keys of `joints` (None: all 16), and the wrist's location keys, from frame
     `first` to `last`, both included."""
-    check_unlocked(armature, side, joints=joints, location=location)
-    own_action(armature)
-    curves = _Curves(armature)
-    names = _names(armature, side)
+    check_unlocked(rig, joints=joints, location=location)
+    own_action(rig.armature)
+    curves = _Curves(rig.armature)
+    names = _bones(rig)
     found = [c for j in (range(NUM_JOINTS) if joints is None else joints) for c in curves.rotation(names[j])]
     if location:
         found += curves.location(names[0])
@@ -160,16 +157,16 @@ def remove_pose_keys(
     curves.tag()
 
 
-def align_signs(armature: bpy.types.Object, side: Side) -> None:
+def align_signs(rig: Rig) -> None:
     """Turn the sign of quaternion keys where the curve would else take the long way round to the next one.
 
     q and -q are the same rotation, so no pose changes.
     """
-    own_action(armature)
-    curves = _Curves(armature)
-    for name in _names(armature, side):
+    own_action(rig.armature)
+    curves = _Curves(rig.armature)
+    for name in _bones(rig):
         parts = curves.rotation(name)
-        if armature.pose.bones[name].rotation_mode != "QUATERNION" or any(c is None for c in parts):
+        if rig.armature.pose.bones[name].rotation_mode != "QUATERNION" or any(c is None for c in parts):
             continue
         data = [_read(c, _PLACES) for c in parts]
         frames = data[0]["co"][:, 0]
@@ -189,17 +186,15 @@ def align_signs(armature: bpy.types.Object, side: Side) -> None:
     curves.tag()
 
 
-def set_pose(
-    armature: bpy.types.Object, side: Side, quats: np.ndarray, location: np.ndarray | None = None
-) -> None:
+def set_pose(rig: Rig, quats: np.ndarray, location: np.ndarray | None = None) -> None:
     """Put the bones into a pose without keys: quats (16, 4), location (3,) of the wrist.
 
     Bones whose quaternion is NaN stay as they are.
     """
-    for name, quat in zip(_names(armature, side), quats, strict=True):
+    for name, quat in zip(_bones(rig), quats, strict=True):
         if np.isnan(quat).any():
             continue
-        bone = armature.pose.bones[name]
+        bone = rig.armature.pose.bones[name]
         if bone.rotation_mode == "QUATERNION":
             bone.rotation_quaternion = quat
         elif bone.rotation_mode == "AXIS_ANGLE":
@@ -208,36 +203,33 @@ def set_pose(
         else:
             bone.rotation_euler = Quaternion(quat).to_euler(bone.rotation_mode, bone.rotation_euler)
     if location is not None:
-        armature.pose.bones[_names(armature, side)[0]].location = location
+        rig.armature.pose.bones[_bones(rig)[0]].location = location
 
 
-def keyed_bones(armature: bpy.types.Object, side: Side) -> np.ndarray:
+def keyed_bones(rig: Rig) -> np.ndarray:
     """(16,) bool: the bones whose rotation has keys in the present action."""
-    curves = _Curves(armature)
+    curves = _Curves(rig.armature)
     return np.array(
-        [
-            any(c is not None and len(c.keyframe_points) for c in curves.rotation(name))
-            for name in _names(armature, side)
-        ]
+        [any(c is not None and len(c.keyframe_points) for c in curves.rotation(name)) for name in _bones(rig)]
     )
 
 
-def displayed_pose(armature: bpy.types.Object, side: Side) -> np.ndarray:
+def displayed_pose(rig: Rig) -> np.ndarray:
     """(16, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
-    bones = [armature.pose.bones[name] for name in _names(armature, side)]
+    bones = [rig.armature.pose.bones[name] for name in _bones(rig)]
     return np.array([bone.matrix_basis.to_quaternion() for bone in bones])
 
 
-def check_unlocked(
-    armature: bpy.types.Object, side: Side, *, joints: list[int] | None = None, location: bool = True
-) -> None:
+def check_unlocked(rig: Rig, *, joints: list[int] | None = None, location: bool = True) -> None:
     """Raises OptionError where a channel of these joints (None: all 16), or of the wrist's location, is
     locked."""
     chosen = [joints is None or j in joints for j in range(NUM_JOINTS)]
-    _check_unlocked(armature, _names(armature, side), chosen, location)
+    _check_unlocked(rig.armature, _bones(rig), chosen, location)
 
 
-def _check_unlocked(armature: bpy.types.Object, names: list[str], chosen: list[bool], location: bool) -> None:
+def _check_unlocked(
+    armature: bpy.types.Object, names: Sequence[str], chosen: list[bool], location: bool
+) -> None:
     curves = _Curves(armature)
     asked = [(name, curves.rotation(name)) for name, on in zip(names, chosen, strict=True) if on]
     if location:
@@ -293,10 +285,10 @@ def _used_by_others(armature: bpy.types.Object, action: bpy.types.Action, slot: 
     return False
 
 
-def _names(armature: bpy.types.Object, side: Side) -> list[str]:
+def _bones(rig: Rig) -> list[str]:
     """The names of the 16 bones. Raises HandModelError where one of them is missing."""
-    check_bones(armature, side)
-    return bone_names(side)
+    rig.check()
+    return rig.bones
 
 
 class _Curves:

@@ -7,7 +7,6 @@ from typing import Literal
 import bpy
 import numpy as np
 
-from .. import axes
 from .store import CapturedHand, captured_hands, scene_frames
 
 Direction = Literal["PREVIOUS", "NEXT"]
@@ -78,7 +77,7 @@ def _wanted(hand: CapturedHand) -> set[tuple[int, str]]:
 
 
 def _names(hand: CapturedHand) -> tuple[str, str, str, str]:
-    letter = axes.BONE_SUFFIX[hand.side].lstrip(".")
+    letter = hand.side[:1].upper()
     doubtful, filled = f"Doubtful {letter}", f"Filled {letter}"
     return doubtful, filled, doubtful + _END, filled + _END
 

@@ -16,6 +16,7 @@ import bpy
 from handfit_core.take import Take
 
 from ..blender_versions import has_strips
+from .start_up import is_untouched
 from .store import kept_here
 from .timing import frame_rate, nearest_rate
 
@@ -23,22 +24,18 @@ Choice = Literal["AUTO", "MATCH", "KEEP"]
 
 CHOICES = (
     ("AUTO", "Auto", "Match a scene in which nothing moves and nothing was set up; keep any other"),
-    ("MATCH", "Match Footage", "Give the scene the footage's frame rate, frame range, size and camera"),
+    (
+        "MATCH",
+        "Match Footage",
+        "Give the scene the footage's frame rate, frame range, size and camera; with Ready to Render "
+        "also suns if nothing lights it, and colors as the picture has them",
+    ),
     ("KEEP", "Keep", "The scene stays as it is: the hand begins at the current frame, at the scene's rate"),
 )
 """The items of the properties in which artists choose"""
 
-_RENDER = (
-    "fps",
-    "fps_base",
-    "resolution_x",
-    "resolution_y",
-    "resolution_percentage",
-    "pixel_aspect_x",
-    "pixel_aspect_y",
-)
-_START_UP_CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0)
-"""Place, rotation and lens of the camera in Blender's start-up file"""
+_TIME = ("fps", "fps_base", "frame_start", "frame_end")
+_SIZE = ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y")
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
     A scene that has the footage's rate, range and size already loses nothing by it.
     """
     camera = scene.camera
-    if camera is not None and not _is_start_up_camera(camera) and not _is_of_a_capture(camera):
+    if camera is not None and not is_untouched(camera) and not _is_of_a_capture(camera):
         return f"its camera is {camera.name}"
     if footage is not None and footage.is_that_of(scene):
         return ""
@@ -106,49 +103,54 @@ def said(
     footage: Footage | None,
     frame: float,
     *,
+    render_setup: bool = False,
     done: bool | None = None,
 ) -> str:
-    """What becomes of the scene, in words; `done` says what has become of it: whether it was matched."""
+    """What becomes of the scene, in words; `done` says what has become of it: whether it was matched.
+    `render_setup`: whether a matched scene is made ready to render, too."""
     matched = matches(scene, choice, footage) if done is None else done
     if matched:
         news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)
         if footage is not None and not news:
             return f"Hand {'comes' if done is None else 'came'} at frame {footage.first}"
+        if footage is not None and footage.width:
+            news += ", with the footage's camera"
+        if render_setup and done is None and (footage is None or footage.width):
+            news += ". Renders show the picture, its colors as they are (Standard), and suns light the hands "
+            news += "if nothing else does"
         return f"Scene {'becomes' if done is None else 'became'} {news}"
     comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
     why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""
     return f"{comes}: the scene stays, as {why}" if why else f"{comes}: the scene stays as it is"
 
 
-def note_matched(scene: bpy.types.Scene) -> None:
-    """Remember that the scene's present settings are the footage's, and not the artist's."""
-    if kept_here():
-        scene.manient.matched = _settings(scene)
+def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:
+    """Remember what of the scene's present settings is the footage's, and not the artist's."""
+    if not kept_here():
+        return
+    if footage.last > footage.first:
+        scene.manient.matched_time = _settings(scene, _TIME)
+    if footage.width:
+        scene.manient.matched_size = _settings(scene, _SIZE)
 
 
 def _untouched(scene: bpy.types.Scene) -> bool:
-    return _settings(scene) in (_settings(None), scene.manient.matched if kept_here() else "")
+    matched = (scene.manient.matched_time, scene.manient.matched_size) if kept_here() else ("", "")
+    return all(
+        _settings(scene, names) in (_settings(None, names), noted)
+        for names, noted in zip((_TIME, _SIZE), matched, strict=True)
+    )
 
 
-def _settings(scene: bpy.types.Scene | None) -> str:
-    """The settings that matching changes, as text; of no scene: those that Blender starts with."""
+def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
+    """Settings that matching changes, as text; of no scene: those that Blender starts with."""
     found = []
-    for cls, owner, names in (
-        (bpy.types.RenderSettings, scene and scene.render, _RENDER),
-        (bpy.types.Scene, scene, ("frame_start", "frame_end")),
-    ):
-        for name in names:
-            value = getattr(owner, name) if owner else cls.bl_rna.properties[name].default
-            found.append(f"{value:.6g}")
+    for name in names:
+        cls = bpy.types.Scene if name.startswith("frame") else bpy.types.RenderSettings
+        owner = scene and (scene if cls is bpy.types.Scene else scene.render)
+        value = getattr(owner, name) if owner else cls.bl_rna.properties[name].default
+        found.append(f"{value:.6g}")
     return " ".join(found)
-
-
-def _is_start_up_camera(camera: bpy.types.Object) -> bool:
-    """Whether it is the camera of Blender's start-up file, and nobody has touched it."""
-    if camera.type != "CAMERA" or camera.name != "Camera" or camera.parent or len(camera.constraints):
-        return False
-    found = (*camera.location, *camera.rotation_euler, camera.data.lens)
-    return all(abs(a - b) < 1e-4 for a, b in zip(found, _START_UP_CAMERA, strict=True))
 
 
 def _is_of_a_capture(camera: bpy.types.Object) -> bool:

@@ -5,19 +5,18 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.nails import nail_polygons
 
-from .. import axes
-from .armature import bone_names
+from ..rigs.rig import Rig
 from .materials import hand_materials
 
 _LEAST_WEIGHT = 1e-6
 """Weights below this move nothing visibly; they would only make every export larger"""
 
 
-def build_mesh(name: str, model: HandModel, shaped: ShapedHand) -> bpy.types.Object:
-    """A smooth-shaded mesh object of the shaped hand in rest space, with one vertex group per bone.
+def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy.types.Object:
+    """A smooth-shaded mesh object of the shaped hand in rest space, with a vertex group per bone of the rig.
 
     It is not linked to any collection and has no modifier yet.
     """
@@ -33,7 +32,7 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand) -> bpy.types.Obj
     mesh.update()
 
     obj = bpy.data.objects.new(name, mesh)
-    for bone, weights in zip(bone_names(model.side), model.weights.T, strict=True):
+    for bone, weights in zip(rig.bones, model.weights.T, strict=True):
         group = obj.vertex_groups.new(name=bone)
         for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
             group.add([vertex], float(weights[vertex]), "REPLACE")

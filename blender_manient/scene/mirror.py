@@ -9,19 +9,20 @@ import bpy
 import numpy as np
 
 from handfit_core.hand_model import HandModel
+from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.forearm import with_wrist
-from handfit_core.skeleton import NUM_JOINTS, Side, other_side
+from handfit_core.hand_model.kept import kept_model
+from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack
 
-from .. import axes
 from ..blender_versions import action_slot, assign_action, channels
+from ..rigs.captured_hand import build_rig
+from ..rigs.rig import Rig
 from ..wording import named_after
 from .animation import describe
-from .armature import bone_names, build_armature, rest_frames
 from .correctives import add_correctives
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import build_mesh
-from .models import kept_model
 from .store import CapturedHand, describe_hand, keep_take
 
 _GAP = 0.01
@@ -38,44 +39,38 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     """
     side = other_side(hand.side)
     model, source_model = (kept_model(hand.take.model, s) for s in (side, hand.side))
-    source = hand.armature
-    betas = np.array(source.manient.betas, dtype=np.float64)
+    source, own = hand.armature, hand.rig
+    betas = hand.betas
     shaped = model.shaped(betas)
-    keys = read_pose_keys(source, hand.side)
-    present = displayed_pose(source, hand.side)
-    present_place = np.array(source.pose.bones[bone_names(hand.side)[0]].location)
+    keys = read_pose_keys(own)
+    present = displayed_pose(own)
+    present_place = np.array(source.pose.bones[own.bones[0]].location)
     plane = _plane(hand, source_model, betas, keys.quats, keys.locations, present, present_place)
 
-    armature = build_armature(named_after(hand.collection.name, f"{side} hand"), shaped, side)
+    rig = build_rig(named_after(hand.collection.name, f"{side} hand"), shaped, side)
+    armature = rig.armature
     for collection in source.users_collection:
         collection.objects.link(armature)
     armature.parent, armature.parent_type = source.parent, source.parent_type
     armature.matrix_parent_inverse = source.matrix_parent_inverse
     armature.rotation_mode = source.rotation_mode
     armature.matrix_basis = source.matrix_basis
-    for from_bone, to_bone in zip(bone_names(hand.side), bone_names(side), strict=True):
+    for from_bone, to_bone in zip(own.bones, rig.bones, strict=True):
         armature.pose.bones[to_bone].rotation_mode = source.pose.bones[from_bone].rotation_mode
     if hand.mesh is not None:
-        _add_mesh(hand.mesh, armature, with_wrist(model, source.manient.wrist), betas)
+        _add_mesh(hand.mesh, rig, with_wrist(model, source.manient.wrist), betas)
 
     # What the rig shows and what its keys say, about the new bones.
-    old, new = rest_frames(source, hand.side), rest_frames(armature, side)
-    old_wrist = np.array(source.data.bones[bone_names(hand.side)[0]].head_local)
-    new_wrist = np.array(armature.data.bones[bone_names(side)[0]].head_local)
-
-    def placed(locations: np.ndarray) -> np.ndarray:
-        place = (old_wrist + locations @ old[0].T) @ axes.MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
-        return (place - new_wrist) @ new[0]
-
-    set_pose(armature, side, axes.mirrored_bones(old, new, present), placed(present_place))
-    holder = _mirrored_action(source, armature, hand.side)
+    old, new = own.rest, rig.rest
+    set_pose(rig, old.turned_to(new, present), old.moved_to(new, present_place, plane))
+    holder = _mirrored_action(own, rig)
     if holder is not None and len(keys.frames):
         mirrored = replace(
             keys,
-            quats=axes.mirrored_bones(old, new, keys.quats),
-            locations=placed(keys.locations),
+            quats=old.turned_to(new, keys.quats),
+            locations=old.moved_to(new, keys.locations, plane),
         )
-        write_pose_keys(armature, side, mirrored, holder=holder)
+        write_pose_keys(rig, mirrored, holder=holder)
     _keep(hand, armature, model, betas, plane)
     return armature
 
@@ -90,21 +85,19 @@ def _plane(
     present_place: np.ndarray,
 ) -> float:
     """The mirror's x in the armature's space, metres."""
-    frames = rest_frames(hand.armature, hand.side)
     quats = np.concatenate([quats, present[None]])
     locations = np.concatenate([locations, present_place[None]])
     shaped = model.shaped(betas)
-    points = model.keypoints(betas, *axes.pose_from_bones(shaped, frames, quats, locations))[..., 0]
+    points = model.keypoints(betas, *hand.rig.from_bones(shaped, quats, locations))[..., 0]
     low, high = float(points.min()), float(points.max())
     if low > _GAP or high < -_GAP:
         return 0.0
     return high + _GAP if high < -low else low - _GAP
 
 
-def _add_mesh(
-    source: bpy.types.Object, armature: bpy.types.Object, model: HandModel, betas: np.ndarray
-) -> None:
-    mesh = build_mesh(f"{armature.name} mesh", model, model.shaped(betas))
+def _add_mesh(source: bpy.types.Object, rig: Rig, model: HandModel, betas: np.ndarray) -> None:
+    armature = rig.armature
+    mesh = build_mesh(f"{armature.name} mesh", model, model.shaped(betas), rig)
     for collection in armature.users_collection:
         collection.objects.link(mesh)
     mesh.parent = armature
@@ -116,13 +109,13 @@ def _add_mesh(
         mesh.data.materials.append(material)
     bpy.data.batch_remove([m for m in own if m is not None])
     if source.data.shape_keys is not None and model.has_pose_blendshapes:
-        add_correctives(mesh, armature, model)
+        add_correctives(mesh, rig, model)
 
 
-def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side: Side) -> Any:
-    """A copy of the source's action for the new armature, its curves on the other side's bones and mirrored
+def _mirrored_action(source: Rig, rig: Rig) -> Any:
+    """A copy of the source's action for the new rig, its curves on the other side's bones and mirrored
     as Blender mirrors bones. Returns its channels, None where there is no action."""
-    data = source.animation_data
+    data, armature = source.armature.animation_data, rig.armature
     if data is None or data.action is None:
         return None
     old_slot = action_slot(data)
@@ -139,7 +132,8 @@ def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side:
     holder = channels(action, action_slot(armature.animation_data))
     if holder is None:
         return assign_action(armature, action)
-    names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in _pairs(side)}
+    groups = dict(zip(source.bones, rig.bones, strict=True))
+    names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in groups.items()}
     for curve in holder.fcurves:
         start, dot, attribute = curve.data_path.partition("].")
         renamed = names.get(start + dot)
@@ -147,14 +141,9 @@ def _mirrored_action(source: bpy.types.Object, armature: bpy.types.Object, side:
             curve.data_path = renamed + attribute
             if _turns_over(attribute, curve.array_index):
                 _negate(curve)
-    groups = dict(_pairs(side))
     for group in holder.groups:
         group.name = groups.get(group.name, group.name)
     return holder
-
-
-def _pairs(side: Side) -> list[tuple[str, str]]:
-    return list(zip(bone_names(side), bone_names(other_side(side)), strict=True))
 
 
 def _turns_over(attribute: str, index: int) -> bool:
@@ -183,11 +172,10 @@ def _keep(
     """Add the mirrored track to the collection's take, and say on the armature which one it is."""
     track = hand.track
     count = len(hand.take.frame_numbers)
-    turn = np.array([1.0, -1.0, -1.0])
     present = np.asarray(track.present, dtype=bool)
     old_wrist = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
-    place = (old_wrist + track.transl) @ axes.MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
-    orient, pose = track.global_orient * turn, track.hand_pose * np.tile(turn, NUM_JOINTS - 1)
+    place = (old_wrist + track.transl) @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
+    orient, pose = mirrored_pose(track.global_orient, track.hand_pose)
     transl = place - model.shaped(betas).joints[0]
     joints = np.full((count, 21, 3), np.nan)
     joints[present] = model.keypoints(betas, orient[present], pose[present], transl[present])

@@ -13,15 +13,12 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from handfit_core.hand_model import ShapedHand
+from handfit_core.edit.corrections import correction_between
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
-from .. import axes
-from ..correction_field import correction_between
-from .armature import rest_frames
 from .corrections import without_field
 from .keys import PoseKeys, nearest, read_pose_keys
-from .models import kept_model
 from .store import CapturedHand, hand_of, scene_frames
 
 _SAME_TURN = 0.01
@@ -40,9 +37,7 @@ def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
     found = np.zeros((len(rows), NUM_JOINTS + 1), dtype=bool)
     if len(rows) == 0:
         return found
-    keys = without_field(
-        hand.armature, read_pose_keys(hand.armature, hand.side, float(frames[0]), float(frames[-1]))
-    )
+    keys = without_field(hand.armature, read_pose_keys(hand.rig, float(frames[0]), float(frames[-1])))
     at, on = nearest(frames, keys.frames)
     keyed = np.column_stack([keys.rotation_keyed, keys.location_keyed])
     track, captured = hand.track, np.full((len(rows), _POSE), np.nan)
@@ -63,8 +58,8 @@ def note_fitted(
     hand = hand_of(armature)
     if hand is None or len(frames) == 0:
         return
-    shaped = _shaped(hand)
-    orient, pose, transl = axes.pose_from_bones(shaped, rest_frames(armature, hand.side), quats, locations)
+    shaped = hand.shaped()
+    orient, pose, transl = hand.rig.from_bones(shaped, quats, locations)
     new = np.column_stack([frames, orient, np.reshape(pose, (-1, 45)), shaped.joints[0] + transl])
     old = _noted(armature)
     table = np.concatenate([old[~np.isin(old[:, 0], new[:, 0])], new])
@@ -85,18 +80,13 @@ def _holds(hand: CapturedHand, keys: PoseKeys, poses: np.ndarray) -> np.ndarray:
     """(N, 17) bool: whether keys (N) hold these poses (N, 51); never where a pose is NaN."""
     same = np.zeros((len(keys.frames), NUM_JOINTS + 1), dtype=bool)
     known = np.isfinite(poses).all(axis=-1)
-    shaped, rest, poses = _shaped(hand), rest_frames(hand.armature, hand.side), poses[known]
+    shaped, poses = hand.shaped(), poses[known]
     transl = poses[:, 48:] - shaped.joints[0]
-    quats, locations = axes.bone_pose(shaped, rest, poses[:, :3], poses[:, 3:48], transl)
+    quats, locations = hand.rig.to_bones(shaped, poses[:, :3], poses[:, 3:48], transl)
     turned = np.linalg.norm(correction_between(keys.quats[known], quats), axis=-1)
     moved = np.linalg.norm(keys.locations[known] - locations, axis=-1)
     same[known] = np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
     return same
-
-
-def _shaped(hand: CapturedHand) -> ShapedHand:
-    model = kept_model(hand.take.model, hand.side)
-    return model.shaped(np.array(hand.armature.manient.betas, dtype=np.float64))
 
 
 def _noted(armature: bpy.types.Object) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A scene of its own to work in, so that the user's is neither seen nor changed."""
+"""Where to work so that the user's scene is neither seen nor changed: a scene of its own, in Object mode."""
 
 from __future__ import annotations
 
@@ -7,6 +7,22 @@ from collections.abc import Iterable, Iterator
 
 import bpy
 import numpy as np
+
+
+@contextlib.contextmanager
+def object_mode() -> Iterator[None]:
+    """Leave edit, sculpt and paint modes, whose data is not in the object yet and would be written over what
+    is; go back there afterwards. Pose mode may stay."""
+    active = bpy.context.view_layer.objects.active
+    mode = active.mode if active is not None else "OBJECT"
+    if mode in ("OBJECT", "POSE"):
+        yield
+        return
+    bpy.ops.object.mode_set(mode="OBJECT")
+    try:
+        yield
+    finally:
+        bpy.ops.object.mode_set(mode=mode)
 
 
 @contextlib.contextmanager

@@ -13,11 +13,11 @@ from handfit_core.errors import InputError
 from handfit_core.files import is_file
 from handfit_core.media.exif import upright
 from handfit_core.media.opening import numbered_like, sequence_numbers
-from handfit_core.media.size_limit import check_for_blender, is_picture, is_video
+from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
+from handfit_core.slices import result_of
 from handfit_core.take import Take
 
 from .. import preferences
-from ..slices import result_of
 from .timing import Timing
 
 _MOST_TURNED = 16e6
@@ -98,6 +98,7 @@ def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator
     if take.source.kind == "sequence":
         first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
         files += [file for number, file in numbered_like(path) if first <= number <= last]
+    max_megapixels = common_limit(files, max_megapixels)
     for file in files:
         yield
         try:

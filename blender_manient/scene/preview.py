@@ -18,15 +18,15 @@ from mathutils import Matrix, Vector
 
 from handfit_core.errors import OutputError
 from handfit_core.files import check_room, written_whole
+from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
-from .. import axes
 from ..blender_versions import use_nodes
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
 from .plate import Plate, load_plate
-from .proof import prove_whole
+from .proof import is_whole_png, prove_whole
 from .render_setup import SUNS, picture_card, sun
 
 LONGEST_SIDE = 1200
@@ -150,7 +150,7 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
                 check_room(beside, 1 << 16)
                 reason = " ".join(str(error).split())
                 raise OutputError(f"{path}: Blender could not write the preview ({reason})") from error
-            prove_whole(path, beside)
+            prove_whole(path, beside, is_whole_png)
     finally:
         bpy.data.images.remove(image)
     return path

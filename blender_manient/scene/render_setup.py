@@ -2,7 +2,7 @@
 
 The picture glows on a card far behind the hands rather than in the compositor: that works alike in every
 engine and every Blender, follows clips as the camera's background does, and leaves the artist's compositing
-alone.
+alone. Where there are several captures, renders show what belongs to the one whose camera the scene has.
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
-from .. import axes
 from ..blender_versions import use_nodes
 from .camera import put_before
 from .plate import Plate
+from .start_up import is_untouched
+from .store import kept_here
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
 """Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
 _OURS = "hand_render_setup"
-"""Custom property of the cards and suns, by which a later capture finds an earlier one's"""
+"""Custom property of the cards and suns, by which they are found again"""
 _CARD_PLACE = 0.9
 """of the camera's far clip distance"""
 _BEYOND = 0.05
 """of the picture's width and height"""
-_START_UP_LIGHT = (4.07625, 1.00545, 5.90386)
 
 
 def set_up(
@@ -57,19 +58,39 @@ def set_up(
 
 
 def put_in_force(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
-    """Have renders show what `set_up` has made instead of what earlier captures brought, each kind for
-    itself. A card's picture keeps its colours if nobody has chosen how the scene shows colours: what Blender
-    starts with washes pictures out."""
-    kinds = {thing.type for thing in made}
-    for thing in scene.objects:
-        if _OURS in thing and thing.type in kinds and thing not in made:
-            thing.hide_render = True
-    if "MESH" not in kinds:
+    """Have renders show what `set_up` has made for the scene's camera. A card's picture keeps its colours if
+    nobody has chosen how the scene shows colours: what Blender starts with washes pictures out."""
+    follow_camera(scene)
+    if all(thing.type != "MESH" for thing in made):
         return
     view = scene.view_settings
     untouched = view.look == "None" and view.exposure == 0.0 and view.gamma == 1.0
     if view.view_transform == "AgX" and untouched:
         view.view_transform = "Standard"
+
+
+def follow_camera(scene: bpy.types.Scene) -> None:
+    """Have renders show the card and the suns that hang on the scene's camera instead of those of other
+    captures, each kind for itself.
+
+    Before a camera of the artist's own, those that renders have shown so far stay; where these were deleted,
+    the latest of the others take their place. As long as no other camera's turn comes, nothing is changed: a
+    card that the artist has hidden stays hidden.
+    """
+    objects = list(scene.objects)
+    ours = [thing for thing in objects if _OURS in thing]
+    cameras = [thing.parent for thing in ours if thing.parent in objects]
+    shown = scene.manient.rendered_camera if kept_here() else ""
+    chosen = next((c for c in cameras if c == scene.camera), None)
+    chosen = chosen or next((c for c in cameras if c.name == shown), cameras[-1] if cameras else None)
+    if chosen is None or chosen.name == shown:
+        return
+    kinds = {thing.type for thing in ours if thing.parent == chosen}
+    for thing in ours:
+        if thing.type in kinds:
+            thing.hide_render = thing.parent != chosen
+    if kept_here():
+        scene.manient.rendered_camera = chosen.name
 
 
 def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.types.Object:
@@ -114,7 +135,7 @@ def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object
 def _is_lit(scene: bpy.types.Scene) -> bool:
     """Whether the artist has seen to light: with a lamp that renders show, or a sky or a picture as world."""
     lamps = (o for layer in scene.view_layers for o in _rendered(layer.layer_collection) if o.type == "LIGHT")
-    if any(not (_OURS in o or _is_start_up_light(o)) for o in lamps):
+    if any(not (_OURS in o or is_untouched(o)) for o in lamps):
         return True
     tree = scene.world.node_tree if scene.world is not None else None
     return tree is not None and any(n.type in ("TEX_ENVIRONMENT", "TEX_SKY") for n in tree.nodes)
@@ -131,10 +152,28 @@ def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
         yield from _rendered(child)
 
 
-def _is_start_up_light(thing: bpy.types.Object) -> bool:
-    """Whether nobody has done anything to it yet; it stands too far off to light a hand."""
-    light = thing.data
-    moved = (thing.matrix_world.translation - Vector(_START_UP_LIGHT)).length > 1e-3
-    if moved or thing.animation_data is not None:
-        return False
-    return thing.name == "Light" and light.type == "POINT" and light.energy == 1000.0
+_seen: dict[int, tuple[str, str, int]] = {}
+"""session_uid of a scene -> what it was when `follow_camera` was last asked about it"""
+
+
+@bpy.app.handlers.persistent
+def _on_update(scene: bpy.types.Scene, *_args) -> None:
+    """Another camera, or a deletion. Blender calls this after every step: what it compares is cheap."""
+    shown = scene.manient.rendered_camera
+    if not shown:
+        return
+    now = (shown, scene.camera.name if scene.camera else "", len(bpy.data.objects))
+    if _seen.get(scene.session_uid) != now:
+        follow_camera(scene)
+        _seen[scene.session_uid] = (scene.manient.rendered_camera, *now[1:])
+
+
+def register() -> None:
+    """Watch the scene's camera."""
+    bpy.app.handlers.depsgraph_update_post.append(_on_update)
+
+
+def unregister() -> None:
+    """Watch no more."""
+    bpy.app.handlers.depsgraph_update_post.remove(_on_update)
+    _seen.clear()

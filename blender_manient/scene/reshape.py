@@ -22,24 +22,23 @@ from typing import Any
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from mathutils import Vector
 
+from handfit_core.edit.corrections import CorrectionField
 from handfit_core.errors import HandfitError, HandModelError, OptionError
-from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model import HandModel, ShapedHand, axes
+from handfit_core.hand_model.axes import RestPose
 from handfit_core.hand_model.forearm import Wrist, with_wrist
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.shape_names import shape_names
-from handfit_core.skeleton import NUM_BETAS, Side
+from handfit_core.skeleton import NUM_BETAS
 
-from .. import axes
 from ..blender_versions import action_slot, channels
-from ..correction_field import CorrectionField
+from ..rigs.rig import Rig
 from . import correctives
-from .armature import bone_names, edit_mode, rest_frames
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
-from .models import kept_model
-from .object_mode import object_mode
+from .own_scene import object_mode
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
@@ -126,16 +125,16 @@ def reshape(armature: bpy.types.Object) -> None:
         )
     field = corrections_of(armature)  # before anything is changed: they may not be readable
     before = old_model.shaped(np.array(armature[APPLIED]))
-    betas = np.array(armature.manient.betas, dtype=np.float64)
+    betas = hand.betas
     after = model.shaped(betas)
     with object_mode():
         _own_data(armature, mesh)
-        old_frames = rest_frames(armature, hand.side)
-        _reshape_rig(armature, hand.side, after)
+        old_rest = hand.rig.rest
+        _reshape_rig(hand.rig, after)
+        rest = hand.rig.rest
         if mesh is not None:
-            old, new = (old_model, before, old_frames), (model, after, rest_frames(armature, hand.side))
-            _reshape_mesh(mesh, old, new)
-    _turn_corrections(armature, field, old_frames, rest_frames(armature, hand.side))
+            _reshape_mesh(mesh, hand.rig, (old_model, before, old_rest), (model, after, rest))
+    _turn_corrections(armature, field, old_rest, rest)
     armature[APPLIED] = [float(b) for b in betas]
     armature.manient.wrist = wrist
     armature.update_tag()
@@ -193,33 +192,21 @@ def _after_time_travel(*_: Any) -> None:
             shape_changed(armature)
 
 
-def _reshape_rig(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> None:
+def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     """New rest bones, and every key and the present pose about the new axes."""
-    names = bone_names(side)
-    wrist = names[0]
-    old_frames = rest_frames(armature, side)
-    old_wrist = np.array(armature.data.bones[wrist].head_local)
-    holders = _holders(armature)
-    kept = [(holder, read_pose_keys(armature, side, holder=holder)) for holder in holders]
-    present = pose_at(armature, side, np.zeros(1), holder=_NOTHING)
-
-    _place_bones(armature, side, shaped)
-
-    frames = rest_frames(armature, side)
-    new_wrist = np.array(armature.data.bones[wrist].head_local)
-
-    def moved(locations: np.ndarray) -> np.ndarray:
-        return (old_wrist + locations @ old_frames[0].T - new_wrist) @ frames[0]
-
+    kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in _holders(rig.armature)]
+    quats, locations = pose_at(rig, np.zeros(1), holder=_NOTHING)
+    old = rig.rest
+    rig.follow(shaped)
+    new = rig.rest
     for holder, keys in kept:
         changed = replace(
             keys,
-            quats=axes.turned_bones(old_frames, frames, keys.quats),
-            locations=moved(keys.locations),
+            quats=old.turned_to(new, keys.quats),
+            locations=old.moved_to(new, keys.locations),
         )
-        write_pose_keys(armature, side, changed, holder=holder)
-    quats, locations = present
-    set_pose(armature, side, axes.turned_bones(old_frames, frames, quats)[0], moved(locations)[0])
+        write_pose_keys(rig, changed, holder=holder)
+    set_pose(rig, old.turned_to(new, quats)[0], old.moved_to(new, locations)[0])
 
 
 class _Nothing:
@@ -252,10 +239,10 @@ def _holders(armature: bpy.types.Object) -> list[Any]:
 
 
 def _turn_corrections(
-    armature: bpy.types.Object, field: CorrectionField, old_frames: np.ndarray, frames: np.ndarray
+    armature: bpy.types.Object, field: CorrectionField, old: RestPose, new: RestPose
 ) -> None:
     """Corrections are kept about the bones' axes too; else they could not be taken out of the keys again."""
-    turn = np.swapaxes(frames, -1, -2) @ old_frames
+    turn = np.swapaxes(new.frames, -1, -2) @ old.frames
     turned = {
         frame: replace(
             c,
@@ -263,33 +250,12 @@ def _turn_corrections(
             location=turn[0] @ c.location,
             start_rotation=(turn @ c.start_rotation[..., None])[..., 0],
             start_location=turn[0] @ c.start_location,
-            pose=axes.turned_bones(old_frames, frames, c.pose) if np.any(c.pose) else c.pose,
+            pose=old.turned_to(new, c.pose) if np.any(c.pose) else c.pose,
             place=np.zeros(3),  # measured from another wrist; the rotations tell enough
         )
         for frame, c in field.corrections.items()
     }
     keep_turned(armature, CorrectionField(turned), _used(armature))
-
-
-def _place_bones(armature: bpy.types.Object, side: Side, shaped: ShapedHand) -> None:
-    """Move the 16 rest bones. Other bones that the artist added stay where they are."""
-    heads = axes.points_to_rest(shaped.joints)
-    tails = axes.points_to_rest(axes.bone_tails(shaped))
-    frames = axes.bone_frames(shaped, side)
-    # The artist's object may be in Pose mode, hidden or in a collection that is switched off.
-    editor = bpy.data.objects.new("reshape", armature.data)
-    with edit_mode(editor):
-        bones = armature.data.edit_bones
-        own = [bones[name] for name in bone_names(side)]
-        connected = [bone.use_connect for bone in own]
-        for bone in own:
-            bone.use_connect = False  # else moving one end would move its neighbour's
-        for bone, head, tail, frame in zip(own, heads, tails, frames, strict=True):
-            bone.head, bone.tail = Vector(head), Vector(tail)
-            bone.align_roll(Vector(frame[:, 2]))
-        for bone, was in zip(own, connected, strict=True):
-            bone.use_connect = was
-    bpy.data.objects.remove(editor)
 
 
 def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:
@@ -303,19 +269,20 @@ def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None
 
 def _reshape_mesh(
     obj: bpy.types.Object,
-    old: tuple[HandModel, ShapedHand, np.ndarray],
-    new: tuple[HandModel, ShapedHand, np.ndarray],
+    rig: Rig,
+    old: tuple[HandModel, ShapedHand, RestPose],
+    new: tuple[HandModel, ShapedHand, RestPose],
 ) -> None:
-    """`old` and `new`: the model with its wrist, its shape, and the bones' axes (16, 3, 3)."""
-    (old_model, before, old_frames), (model, after, frames) = old, new
+    """`old` and `new`: the model with its wrist, its shape, and how the bones lie at rest."""
+    (old_model, before, old_rest), (model, after, rest) = old, new
     mesh = obj.data
     moved = axes.points_to_rest(after.vertices - before.vertices)
     _move(mesh.vertices, moved)
     if mesh.shape_keys is not None:
         turned = {}
         if model.has_pose_blendshapes:
-            change = _offsets(model, frames.tobytes()) - _offsets(old_model, old_frames.tobytes())
-            turned = _by_key_name(change, model.side)
+            change = _offsets(model, rest.frames.tobytes()) - _offsets(old_model, old_rest.frames.tobytes())
+            turned = _by_key_name(change, rig)
         for key in mesh.shape_keys.key_blocks:
             _move(key.data, moved + turned.get(key.name, 0.0))
     mesh.update()
@@ -327,9 +294,9 @@ def _offsets(model: HandModel, frames: bytes) -> np.ndarray:
     return axes.corrective_offsets(model, np.frombuffer(frames).reshape(-1, 3, 3))
 
 
-def _by_key_name(offsets: np.ndarray, side: Side) -> dict[str, np.ndarray]:
+def _by_key_name(offsets: np.ndarray, rig: Rig) -> dict[str, np.ndarray]:
     """(15, 3, 3, V, 3) offsets -> those of each corrective shape key, with its sign."""
-    names = bone_names(side)[1:]
+    names = rig.bones[1:]
     return {
         f"{names[joint]} {row}{column}": correctives._ELEMENTS[row][column][0] * offsets[joint, row, column]
         for joint in range(len(names))

@@ -13,16 +13,13 @@ from mathutils import Matrix
 
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import rotmat_to_quat
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
-from .. import axes
-from .armature import bone_names, rest_frames
 from .corrections import corrections_of
 from .keys import read_pose_keys
-from .models import kept_model
-from .object_mode import object_mode
-from .own_scene import own_scene, shown_in_pose
+from .own_scene import object_mode, own_scene, shown_in_pose
 from .sampling import rotations_of, sample
 from .store import CapturedHand, rows_at, scene_frames
 
@@ -57,13 +54,12 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
 def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
     """One hand's track; the open scene holds it and the camera. `metres` per unit of the artist's scene."""
     model = kept_model(hand.take.model, hand.side)
-    betas = np.array(hand.armature.manient.betas, dtype=np.float64)
+    betas = hand.betas
     shaped = model.shaped(betas)
     posed = _posed_rows(hand)
     present = hand.track.present | posed
     quats, locations = _bones(hand, frames[present], metres)
-    bones = rest_frames(hand.armature, hand.side)
-    orient, pose, transl = axes.pose_from_bones(shaped, bones, quats, locations)
+    orient, pose, transl = hand.rig.from_bones(shaped, quats, locations)
     joints = model.keypoints(betas, orient, pose, transl)
 
     track = hand.track
@@ -84,7 +80,7 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
 
 def _posed_rows(hand: CapturedHand) -> np.ndarray:
     """(T,) bool: the take's rows that have keys or a correction."""
-    keyed = read_pose_keys(hand.armature, hand.side).frames
+    keyed = read_pose_keys(hand.rig).frames
     rows = rows_at(hand.collection, hand.take, keyed)
     posed = np.zeros(len(hand.take.frame_numbers), dtype=bool)
     posed[rows[rows >= 0]] = True
@@ -98,17 +94,17 @@ def _bones(hand: CapturedHand, frames: np.ndarray, metres: float) -> tuple[np.nd
     the hand before a camera that stands where capture cameras stand."""
     sampled = sample(hand.armature, frames)
     camera = _camera_frames(hand.camera, frames)
-    chosen = [sampled.names.index(name) for name in bone_names(hand.side)]
+    rest = hand.rig.rest
+    bones = rest.frames
+    chosen = [sampled.names.index(name) for name in hand.rig.bones]
     space = np.linalg.inv(camera) @ sampled.world
-    bones = rest_frames(hand.armature, hand.side)
     turned = rotations_of(sampled.pose[:, chosen]) @ np.swapaxes(bones, -1, -2)  # from rest, in its space
     local = np.empty_like(turned)
     local[:, 0] = rotations_of(space) @ turned[:, 0]
     for joint in range(1, NUM_JOINTS):
         local[:, joint] = np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint]
     place = metres * (space @ sampled.pose[:, chosen[0], :, 3:])[:, :3, 0]
-    rest = np.array(hand.armature.data.bones[bone_names(hand.side)[0]].head_local)
-    return rotmat_to_quat(np.swapaxes(bones, -1, -2) @ local @ bones), (place - rest) @ bones[0]
+    return rotmat_to_quat(np.swapaxes(bones, -1, -2) @ local @ bones), (place - rest.wrist) @ bones[0]
 
 
 def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray) -> np.ndarray:

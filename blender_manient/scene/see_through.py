@@ -4,7 +4,7 @@ Behind a hand the capture camera shows its picture as a background image. Here a
 the hand, as opaque as the hand is to be see-through; where there is no hand, picture over picture looks as
 before. The copies are there while keypoints are edited. They are kept out of files that are saved
 meanwhile, and where an undo or a file that Blender saved by itself brings them back later, they are taken
-away again: the camera remembers how many it has.
+away again: the camera remembers the pictures of which it has copies.
 """
 
 from __future__ import annotations
@@ -18,6 +18,13 @@ from ..remembered import Remembered
 _COPIED_STRUCTS = ("image_user", "clip_user")
 
 _active: SeeThrough | None = None
+
+
+class Copied(bpy.types.PropertyGroup):
+    """A picture of which a camera has a copy: one of the two."""
+
+    image: bpy.props.PointerProperty(type=bpy.types.Image)  # type: ignore
+    clip: bpy.props.PointerProperty(type=bpy.types.MovieClip)  # type: ignore
 
 
 class SeeThrough:
@@ -71,19 +78,21 @@ def lay_over(camera: bpy.types.Camera, opacity: float) -> None:
         copy.display_depth = "FRONT"
         copy.alpha *= 1.0 - opacity
         copy.show_expanded = False
-    camera.manient_see_through = len(behind)
+        noted = camera.manient_see_through.add()
+        noted.image, noted.clip = _picture(copy)
 
 
 def take_away(camera: bpy.types.Camera) -> None:
     """Take the copies away, and nothing that the artist has added meanwhile."""
-    if not camera.manient_see_through or not _is_own(camera):
+    if not len(camera.manient_see_through) or not _is_own(camera):
         return
-    # Whether the originals can be seen does not count: the artist may have closed their eyes meanwhile.
-    behind = {_picture(b) for b in camera.background_images if b.display_depth == "BACK"}
-    copies = [b for b in camera.background_images if b.display_depth == "FRONT" and _picture(b) in behind]
-    for copy in reversed(copies[max(0, len(copies) - camera.manient_see_through) :]):
-        camera.background_images.remove(copy)
-    camera.manient_see_through = 0
+    # The originals tell nothing: the artist may have removed them meanwhile.
+    for noted in camera.manient_see_through:
+        for background in reversed(list(camera.background_images)):
+            if background.display_depth == "FRONT" and _picture(background) == _picture(noted):
+                camera.background_images.remove(background)
+                break
+    camera.manient_see_through.clear()
 
 
 def _is_own(camera: bpy.types.Camera) -> bool:
@@ -98,7 +107,9 @@ def _is_behind(background: bpy.types.CameraBackgroundImage) -> bool:
     )
 
 
-def _picture(background: bpy.types.CameraBackgroundImage) -> tuple[bpy.types.ID | None, bpy.types.ID | None]:
+def _picture(
+    background: bpy.types.CameraBackgroundImage | Copied,
+) -> tuple[bpy.types.ID | None, bpy.types.ID | None]:
     return background.image, background.clip
 
 
@@ -143,10 +154,8 @@ _HANDLERS = {
 
 def register() -> None:
     """Let cameras remember their copies, and look after them."""
-    bpy.types.Camera.manient_see_through = bpy.props.IntProperty(
-        description="How many of the background images are copies, with which keypoints are edited",
-        default=0,
-        options={"HIDDEN"},
+    bpy.types.Camera.manient_see_through = bpy.props.CollectionProperty(
+        type=Copied, description="Background images that are copies, with which keypoints are edited"
     )
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)

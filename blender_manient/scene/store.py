@@ -19,13 +19,16 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
+from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.forearm import Wrist, with_wrist
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
+from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
-from ..slices import result_of
-from .models import kept_model
+from ..rigs import rig_of
+from ..rigs.rig import Rig
 from .timing import Timing
 
 _CACHED = 8
@@ -56,6 +59,20 @@ class CapturedHand:
     index: int
     """Which of `take.hands`"""
     side: Side
+
+    @property
+    def rig(self) -> Rig:
+        """Its bones."""
+        return rig_of(self.armature, self.side)
+
+    @property
+    def betas(self) -> np.ndarray:
+        """(10,) the shape that its sliders say."""
+        return np.array(self.armature.manient.betas, dtype=np.float64)
+
+    def shaped(self) -> ShapedHand:
+        """Its model in that shape. Raises HandModelError."""
+        return kept_model(self.take.model, self.side).shaped(self.betas)
 
 
 @dataclass(frozen=True)

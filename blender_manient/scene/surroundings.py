@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import bpy
 
+from .start_up import is_untouched
+
 _SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
-_CUBE_VERTICES = 8
 
 
 def clear_view(
@@ -21,7 +22,7 @@ def clear_view(
     """
     said = []
     for thing in list(_around(camera, collection, layer)):
-        if _is_start_up_cube(thing):
+        if is_untouched(thing):
             thing.hide_set(True, view_layer=layer)
             thing.hide_render = True
             said.append(
@@ -46,12 +47,3 @@ def _around(
         corners = list(zip(*thing.bound_box, strict=True))
         if all(min(axis) < x < max(axis) for axis, x in zip(corners, inside, strict=True)):
             yield thing
-
-
-def _is_start_up_cube(thing: bpy.types.Object) -> bool:
-    """Whether nobody has done anything to it yet."""
-    mesh = thing.data
-    untouched = (
-        isinstance(mesh, bpy.types.Mesh) and len(mesh.vertices) == _CUBE_VERTICES and thing.name == "Cube"
-    )
-    return untouched and not thing.modifiers and thing.matrix_world == thing.matrix_world.Identity(4)

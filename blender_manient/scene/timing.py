@@ -46,6 +46,13 @@ def frame_rate(scene: bpy.types.Scene) -> float:
     return scene.render.fps / scene.render.fps_base
 
 
+def span_of(scene: bpy.types.Scene) -> tuple[int, int]:
+    """First and last scene frame: the preview range where it is used, else the scene's own."""
+    if scene.use_preview_range:
+        return scene.frame_preview_start, scene.frame_preview_end
+    return scene.frame_start, scene.frame_end
+
+
 def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> Timing:
     """The take in the scene's own time: its first frame at `frame` (None: the current one), as fast as it
     was filmed.

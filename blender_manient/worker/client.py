@@ -12,7 +12,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,6 @@ __all__ = [
     "IN_BLENDER",
     "PYTHON_VARIABLE",
     "Advice",
-    "CaptureOptions",
     "Event",
     "Worker",
     "WorkerError",
@@ -93,40 +92,6 @@ IN_BLENDER = Advice(
     where=installation.IN_PREFERENCES,
     crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
 )
-
-
-@dataclass(frozen=True)
-class CaptureOptions:
-    """What a capture can be told; None leaves it to the core."""
-
-    frames: str | None = None
-    """Source frames, as in 10-200:2"""
-    hands: str | None = None
-    solver: str | None = None
-    model: str | None = None
-    threshold: float | None = None
-    intrinsics: tuple[float, float, float, float] | None = None
-    """fx, fy, cx, cy in pixels of the upright picture"""
-    lens: tuple[float, float, float] | None = None
-    """Focal length in picture widths, and the principal point as parts of width and height, instead of
-    `intrinsics` where the picture's size is not known"""
-    landmark_model: str | None = None
-    smoothing: float | None = None
-    """0 takes every frame by itself"""
-    plain_detection: bool | None = None
-    hand_length: float | None = None
-    """Metres from the wrist to the tip of the middle finger"""
-    max_megapixels: float | None = None
-    """How large pictures and the frames of videos may be"""
-
-    def to_message(self) -> dict[str, Any]:
-        """The `options` of a capture request: those that are given."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in given.items()
-            if value is not None
-        }
 
 
 class Worker:

@@ -1,26 +1,24 @@
-"""Hands in the frames of a clip: MediaPipe's own following, and second looks where it loses a hand."""
+"""Hands in the frames of a clip: the detector's own following, and second looks where it loses a hand."""
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.detect.agreement import SAME_HAND, distance
+from handfit_core.detect.correction.sides import with_side_judged
+from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.look_again import look_again
-from handfit_core.detect.mediapipe_tasks import MediaPipeHands
-from handfit_core.detect.search import search
-from handfit_core.detect.second_look import SecondLook
+from handfit_core.detect.looks import SAME_HAND, SecondLook, distance, look_again
+from handfit_core.detect.stills import ALL_HANDS, search
 
 LOOK_BACK = 24
-"""So many frames are kept, to be looked at again once a hand turns up ..."""
+"""Past frames that are looked at again once a hand turns up, at most"""
 
-MOST_KEPT_BYTES = 100_000_000
-"""... but no more than this: 4 frames of 3840 x 2160."""
+MOST_PAST_BYTES = 100_000_000
+"""Memory that those frames may take: 4 frames of 3840 x 2160"""
 
 MOST_TRIES = 6
 """Second looks after one loss, 1, 2, 4, ... frames apart: a hand that left costs no more than these."""
@@ -53,63 +51,53 @@ class _Followed:
 
 
 @dataclass
-class _Kept:
+class _PastFrame:
     """A frame that may be looked at again."""
 
     index: int
     rgb: np.ndarray | None
 
 
-class ClipFinder:
-    """Finds the hands of one clip, frame by frame. Use as a context manager.
+class ClipFinder(Detector):
+    """Finds the hands of one clip, frame by frame.
 
-    Where all hands are found, it costs what MediaPipe's video mode costs. Where one is lost, its
+    Where all hands are found, it costs what the backend's own following costs. Where one is lost, its
     surroundings are looked at again, and again in later frames, each time after a longer wait. A hand
     that turns up is looked for in the `LOOK_BACK` frames before, so that `frames` is final only so
     many frames back.
 
-    Raises LandmarkModelError when the model file is missing or damaged, OptionError for a threshold
-    outside 0..1.
+    Raises LandmarkModelError when the model file is missing or damaged.
     """
 
-    def __init__(
-        self, *, max_hands: int, threshold: float, landmark_model: str | os.PathLike[str] | None
-    ) -> None:
+    def __init__(self, backend: Backend, settings: DetectorSettings) -> None:
         self.frames: list[tuple[HandDetection, ...]] = []
         """The hands of every frame so far"""
-        self._max_hands = max_hands
+        self._backend, self._settings = backend, settings
+        self._max_hands = settings.max_hands or ALL_HANDS
         self._followed: list[_Followed] = []
-        self._kept: deque[_Kept] = deque(maxlen=LOOK_BACK)
+        self._past: deque[_PastFrame] = deque(maxlen=LOOK_BACK)
         self._searches = 0
         self._search_wait = 0
-        self._landmark_model = landmark_model
-        with ExitStack() as opening:
-            self._following = opening.enter_context(
-                MediaPipeHands(
-                    max_hands=max_hands, video=True, threshold=threshold, landmark_model=landmark_model
-                )
-            )
-            self._open = opening.pop_all()
+        self._open = ExitStack()
+        self._following = self._open.enter_context(backend.open(settings))
         self._of_crops: SecondLook | None = None
         self._of_frames: SecondLook | None = None
 
-    def __enter__(self) -> ClipFinder:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
-        """Give MediaPipe's threads and memory back."""
+        """Give the detectors' threads and memory back."""
         self._open.close()
-        self._kept.clear()
+        self._past.clear()
 
-    def find(self, rgb: np.ndarray | None, time: float) -> tuple[HandDetection, ...]:
-        """The hands of the next frame (H, W, 3) uint8 RGB at `time` in seconds; None where it could not
-        be read."""
+    def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:  # noqa: ARG002
+        """The hands of all frames, those that were found afterwards included, with sides judged."""
+        judged = iter(with_side_judged([hand for frame in self.frames for hand in frame]))
+        return [tuple(next(judged) for _ in frame) for frame in self.frames]
+
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
+        """As `Detector.find`; hands that are found in this frame later are told by `completed`."""
         index = len(self.frames)
         self.frames.append(())
-        hands = [] if rgb is None else list(self._following.detect(rgb, time))
+        hands = list(self._following.find(rgb, time))
         lost = self._update(hands)
         if rgb is not None:
             for followed in lost:
@@ -127,9 +115,9 @@ class ClipFinder:
                     self._look_back(followed.last)
                 followed.frame = index
         # Only frames that lack a hand can gain one.
-        self._kept.append(_Kept(index, rgb if len(hands) < self._max_hands else None))
-        while sum(kept.rgb.nbytes for kept in self._kept if kept.rgb is not None) > MOST_KEPT_BYTES:
-            self._kept.popleft()
+        self._past.append(_PastFrame(index, rgb if len(hands) < self._max_hands else None))
+        while sum(past.rgb.nbytes for past in self._past if past.rgb is not None) > MOST_PAST_BYTES:
+            self._past.popleft()
         return self.frames[index]
 
     def _update(self, hands: list[HandDetection]) -> list[_Followed]:
@@ -167,19 +155,21 @@ class ClipFinder:
     def _look_at(self, rgb: np.ndarray, last: HandDetection) -> HandDetection | None:
         """The hand, near where it was seen last."""
         if self._of_crops is None:
-            self._of_crops = self._open.enter_context(
-                SecondLook(max_hands=1, landmark_model=self._landmark_model)
-            )
+            self._of_crops = self._second_look(1)
         return look_again(rgb, last, self._of_crops)
+
+    def _second_look(self, max_hands: int | None) -> SecondLook:
+        """One that is made when it is first needed: a clip whose hands are always found needs none."""
+        second = SecondLook(self._backend, self._settings, max_hands=max_hands)
+        self._open.callback(second.close)
+        return second
 
     def _search(self, rgb: np.ndarray, hands: list[HandDetection]) -> None:
         if self._search_wait > 0:
             self._search_wait -= 1
             return
         if self._of_frames is None:
-            self._of_frames = self._open.enter_context(
-                SecondLook(max_hands=self._max_hands, landmark_model=self._landmark_model)
-            )
+            self._of_frames = self._second_look(self._settings.max_hands)
         hands += search(rgb, self._of_frames, (), self._max_hands)
         self._searches = 0 if hands else self._searches + 1
         self._search_wait = min(2**self._searches - 1, LONGEST_WAIT) if self._searches else 0
@@ -187,15 +177,15 @@ class ClipFinder:
     def _look_back(self, hand: HandDetection) -> None:
         """Look for a hand that turned up in the frames before, back to where it is not seen any more."""
         gaps = 0
-        for kept in reversed(self._kept):
-            there = self.frames[kept.index]
+        for past in reversed(self._past):
+            there = self.frames[past.index]
             if (
-                kept.rgb is None
+                past.rgb is None
                 or len(there) >= self._max_hands
                 or any(distance(hand, other) < 1.0 for other in there)
             ):
                 return
-            before = self._look_at(kept.rgb, hand)
+            before = self._look_at(past.rgb, hand)
             if before is None:
                 gaps += 1
                 if gaps == MOST_GAPS:
@@ -203,5 +193,5 @@ class ClipFinder:
                 continue
             if any(distance(before, other) < SAME_HAND for other in there):
                 return
-            self.frames[kept.index] = (*there, before)
+            self.frames[past.index] = (*there, before)
             hand = before

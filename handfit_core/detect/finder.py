@@ -1,74 +1,77 @@
-"""Finding the hands of a photo or of a clip's frames, with or without second looks: one door for both."""
+"""Finding the hands of photos and clips with any detector, and counting those that are not looked for."""
 
 from __future__ import annotations
 
-import os
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.correction.sides import with_side_judged
-from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+from handfit_core.detect.detector import DETECTORS, Detector, DetectorSettings
 from handfit_core.detect.stills import StillFinder
+from handfit_core.detect.tracks import without_duplicates
+from handfit_core.options import CaptureOptions
 
 
-class HandFinder:
-    """Finds hands in pictures. Use as a context manager.
+def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:
+    """What a capture with these options asks of its detector; `video`: of the frames of one clip."""
+    return DetectorSettings(options.max_hands, video, options.threshold, options.landmark_model)
 
-    `video`: the pictures are the frames of one clip, in order; else they have nothing to do with each
-    other. `persistent`: look again where the plain detector finds too little, and more than once at
-    hands in stills.
 
-    Raises LandmarkModelError when the model file is missing or damaged, OptionError for a threshold
-    outside 0..1.
+def open_finder(options: CaptureOptions, *, video: bool = False) -> Detector:
+    """The detector that the options name, for the frames of one clip, or for stills.
+
+    Where second looks help it, and unless `plain_detection`, it looks again where it finds too little,
+    averages several looks at hands in stills, and judges sides. Raises OptionError where there is no such
+    detector, LandmarkModelError.
+    """
+    backend, settings = DETECTORS.get(options.detector), settings_of(options, video=video)
+    if options.plain_detection or not backend.second_looks:
+        return backend.open(settings)
+    return (ClipFinder if settings.video else StillFinder)(backend, settings)
+
+
+MOST_COUNTED: Final = 10
+"""Hands that a count tells apart"""
+
+COUNTED_EVERY: Final = 25
+"""Pictures of a clip, of those with as many hands as are looked for, from one count to the next: a count
+costs as much as finding hands in one more picture"""
+
+
+class HandCounter:
+    """Counts the hands of pictures in which the finder found as many as it may. Use as a context manager.
+
+    A finder that found fewer has seen them all, so that footage of one hand costs nothing.
     """
 
-    def __init__(
-        self,
-        *,
-        max_hands: int = 2,
-        video: bool = False,
-        threshold: float = 0.5,
-        landmark_model: str | os.PathLike[str] | None = None,
-        persistent: bool = True,
-    ) -> None:
-        self._finder: MediaPipeHands | ClipFinder | StillFinder
-        if not persistent:
-            self._finder = MediaPipeHands(
-                max_hands=max_hands, video=video, threshold=threshold, landmark_model=landmark_model
-            )
-        else:
-            kind = ClipFinder if video else StillFinder
-            self._finder = kind(max_hands=max_hands, threshold=threshold, landmark_model=landmark_model)
+    def __init__(self, options: CaptureOptions) -> None:
+        self._options = options
+        self._counting: Detector | None = None
+        self._full = 0
+        self._counts: list[int] = []
 
-    def __enter__(self) -> HandFinder:
+    def __enter__(self) -> HandCounter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        if self._counting is not None:
+            self._counting.close()
 
-    def close(self) -> None:
-        """Give MediaPipe's threads and memory back."""
-        self._finder.close()
+    def look(self, rgb: np.ndarray | None, found: int) -> None:
+        """Take notice of the next picture (H, W, 3) uint8 RGB, in which `found` hands were found."""
+        if rgb is None or found < self._options.max_hands:
+            return
+        if self._full % COUNTED_EVERY == 0:
+            if self._counting is None:
+                all_hands = replace(self._options, max_hands=MOST_COUNTED, plain_detection=True)
+                self._counting = open_finder(all_hands)
+            self._counts.append(len(without_duplicates(self._counting.find(rgb))))
+        self._full += 1
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
-        """The hands of the next picture (H, W, 3) uint8 RGB, at `time` in seconds; None, a picture that
-        could not be read, has none."""
-        finder = self._finder
-        if isinstance(finder, ClipFinder):
-            return finder.find(rgb, time)
-        if rgb is None:
-            return ()
-        if isinstance(finder, StillFinder):
-            return tuple(with_side_judged(finder.find(rgb)))
-        return finder.detect(rgb, time)
-
-    def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:
-        """What `find` gave for all pictures so far, in order, and the hands of a clip that were found in
-        them later: one that turns up is looked for in the frames before. Sides are judged here."""
-        if not isinstance(self._finder, ClipFinder):
-            return found
-        frames = list(self._finder.frames)
-        judged = iter(with_side_judged([hand for frame in frames for hand in frame]))
-        return [tuple(next(judged) for _ in frame) for frame in frames]
+    @property
+    def seen(self) -> int:
+        """The most hands that were seen at once; of several pictures, in at least two, since one may show
+        what only looks like a hand. 0 where no picture was full."""
+        return sorted([0, *self._counts])[-min(2, max(1, len(self._counts)))]

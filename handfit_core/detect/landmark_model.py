@@ -14,8 +14,7 @@ import zipfile
 from pathlib import Path
 
 from handfit_core.errors import LandmarkModelError
-from handfit_core.files import is_file, shown, written_whole
-from handfit_core.paths import cache_dir
+from handfit_core.files import cache_dir, is_file, shown, written_whole
 
 FILE_NAME = "hand_landmarker.task"
 

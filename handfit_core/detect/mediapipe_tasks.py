@@ -2,42 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from types import TracebackType
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
+from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import landmark_model_path
-from handfit_core.errors import LandmarkModelError, OptionError
+from handfit_core.errors import LandmarkModelError
 from handfit_core.skeleton import Side
+
+MOST_HANDS = 10
+"""Where all hands are wanted: the graph has a fixed number of places for them, each of which costs"""
 
 MAX_SIDE = 1920
 """Longer pictures are shrunk to this before detection: the networks see at most 224 pixels a side."""
 
 
-class MediaPipeHands:
-    """A hand detector. Use it as a context manager: MediaPipe must be closed by hand.
+class MediaPipeHands(Detector):
+    """A graph of MediaPipe's, which has memory and threads that must be given back by `close`.
 
-    `video=True` follows hands from frame to frame, which is cheaper and steadier; frames must then
-    come in order, each with its time. One object serves a whole run.
-
-    Raises LandmarkModelError when the model file is missing or damaged, OptionError for thresholds
-    outside 0..1.
+    With `video` it follows hands from frame to frame, which is cheaper and steadier. One object serves a
+    whole run. Raises LandmarkModelError when the model file is missing or damaged.
     """
 
-    def __init__(
-        self,
-        *,
-        max_hands: int = 2,
-        video: bool = False,
-        threshold: float = 0.5,
-        landmark_model: str | os.PathLike[str] | None = None,
-    ) -> None:
-        if not 0.0 <= threshold <= 1.0:
-            raise OptionError(f"the detection threshold must lie between 0 and 1, not {threshold}")
-        path = landmark_model_path(landmark_model)
+    def __init__(self, settings: DetectorSettings) -> None:
+        video, threshold = settings.video, settings.threshold
+        path = landmark_model_path(settings.landmark_model)
         # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
         os.environ.setdefault("GLOG_minloglevel", "2")
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
@@ -51,7 +45,7 @@ class MediaPipeHands:
             # The bytes and not the path: MediaPipe on Windows fails on paths that are not ASCII.
             base_options=mp.tasks.BaseOptions(model_asset_buffer=path.read_bytes()),
             running_mode=vision.RunningMode.VIDEO if video else vision.RunningMode.IMAGE,
-            num_hands=max_hands,
+            num_hands=settings.max_hands or MOST_HANDS,
             min_hand_detection_confidence=threshold,
             min_hand_presence_confidence=threshold,
             min_tracking_confidence=threshold,
@@ -64,23 +58,14 @@ class MediaPipeHands:
                 "again with scripts/fetch_landmark_model.py --force"
             ) from error
 
-    def __enter__(self) -> MediaPipeHands:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         """Give MediaPipe's threads and memory back."""
         self._landmarker.close()
 
-    def detect(self, rgb: np.ndarray, time: float = 0.0) -> tuple[HandDetection, ...]:
-        """Find hands in one picture (H, W, 3) uint8 RGB; `time` in seconds, for video only.
-
-        No hand is an empty tuple.
-        """
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
+        """As `Detector.find`; `time` is for video only."""
+        if rgb is None:
+            return ()
         height, width = rgb.shape[:2]
         image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=_shrunk(rgb))
         if self._video:
@@ -119,3 +104,11 @@ def _detection(
 
 def _first_line(error: BaseException) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def _fingerprint(settings: DetectorSettings) -> str:
+    model = hashlib.sha256(landmark_model_path(settings.landmark_model).read_bytes()).hexdigest()
+    return f"{model}|mediapipe {version('mediapipe')}"
+
+
+MEDIAPIPE = Backend(open=MediaPipeHands, fingerprint=_fingerprint, second_looks=True)

@@ -9,17 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice, pairwise
-from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.detect.agreement import distance
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.errors import NoHandFoundError, OptionError
+from handfit_core.detect.looks import distance
+from handfit_core.errors import NoHandFoundError
+from handfit_core.options import HandChoice
 from handfit_core.skeleton import SIDES, Side, other_side
-
-HandChoice = Literal["auto", "left", "right", "both"]
-HAND_CHOICES: Final[tuple[HandChoice, ...]] = ("auto", "left", "right", "both")
 
 DUPLICATE_DISTANCE = 0.25
 """Two detections of one frame nearer than this (mean keypoint distance / hand size) are one hand."""
@@ -110,7 +107,7 @@ def link_tracks(
     that side only; "both" means one left and one right, and overrules the detector if it named
     two hands alike. `fps` and `holes` are of the clip (see `DetectedTrack`).
 
-    Raises OptionError for another `hands`, NoHandFoundError when nothing (of that side) was seen.
+    Raises NoHandFoundError when nothing (of that side) was seen.
     """
     return link_and_count(frames, hands, max_hands, fps, holes)[0]
 
@@ -123,8 +120,6 @@ def link_and_count(
     holes: tuple[int, ...] = (),
 ) -> tuple[tuple[DetectedTrack, ...], int]:
     """`link_tracks`, and among how many hands of the whole clip (of that side) it chose."""
-    if hands not in HAND_CHOICES:
-        raise OptionError(f"hands must be one of {', '.join(HAND_CHOICES)}; got {hands!r}")
     tracks = _merge(_link([without_duplicates(frame) for frame in frames]), _overlap)
     tracks = _merge(tracks, _adjoin)
     tracks = _merge(tracks, _may_return)
@@ -152,8 +147,8 @@ def link_and_count(
 def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list[tuple[_OpenTrack, Side]]:
     if hands == "auto":
         surest = tracks[0]
-        kept = [t for t in tracks if t.weight >= STRAY_WEIGHT * surest.weight]
-        return [(t, t.side) for t in kept[:max_hands]]
+        sure = [t for t in tracks if t.weight >= STRAY_WEIGHT * surest.weight]
+        return [(t, t.side) for t in sure[:max_hands]]
     if hands == "both":
         first = tracks[0]
         for second in tracks[1:]:
@@ -177,11 +172,11 @@ def _sureness(track: _OpenTrack) -> float:
 
 def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
     """One detection of each hand in one picture: the surest."""
-    kept: list[HandDetection] = []
+    hands: list[HandDetection] = []
     for candidate in sorted(detections, key=lambda d: d.score, reverse=True):
-        if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in kept):
-            kept.append(candidate)
-    return kept
+        if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in hands):
+            hands.append(candidate)
+    return hands
 
 
 def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:

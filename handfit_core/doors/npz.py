@@ -10,14 +10,18 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 import struct
 import zipfile
 from typing import Any, Final
 
 import numpy as np
 
-LONGEST_HEADER: Final = 1 << 24
-"""characters of a file's JSON header: it names each picture of a sequence, so 80 000 of long names"""
+LONGEST_HEADER: Final = 1 << 26
+"""characters of a file's JSON header: it names each picture of a sequence, so 300 000 of long names"""
+_MOST_SYNTAX: Final = 1 << 22
+"""characters of them outside strings, each of which may become an object of a hundred bytes"""
+_STRING: Final = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
 
 _MOST_MEMBERS: Final = 4096
 _LONGEST_ENTRY: Final = 512
@@ -37,7 +41,8 @@ class NpzArchive:
     """The arrays of an `.npz`, each read when it is asked for."""
 
     def __init__(self, data: bytes, most_bytes: int) -> None:
-        """`most_bytes`: what all arrays together may take once they are read, with 8 bytes for each float.
+        """`most_bytes`: what all arrays together may take once they are read, with 8 bytes for each float,
+        besides the header.
 
         Raises NotNpz.
         """
@@ -77,7 +82,8 @@ class NpzArchive:
                 count = math.prod(shape)
                 if count * dtype.itemsize + stream.tell() != info.file_size:
                     raise NotNpz(f"holds {name} with another size than it declares")
-                self._pay(name, count * (8 if dtype.kind == "f" else dtype.itemsize))
+                if dtype.kind != "U":
+                    self._pay(name, count * (8 if dtype.kind == "f" else dtype.itemsize))
                 raw = stream.read(count * dtype.itemsize)
                 if (
                     stream.read(1) or len(raw) != count * dtype.itemsize
@@ -94,13 +100,17 @@ class NpzArchive:
 
     def header(self, name: str = "header") -> dict[str, Any]:
         """The JSON object that a member holds as its only text. Raises KeyError and NotNpz."""
-        if self._members[name].file_size > 4 * LONGEST_HEADER:
+        if self._members[name].file_size > 4 * LONGEST_HEADER + _LONGEST_DESCRIPTION:
             raise NotNpz(f"has a {name} of more than {LONGEST_HEADER} characters")
         try:
             array = self.array(name, "U")
             if array.shape != ():
                 raise NotNpz(f"has a {name} that is no single text")
-            content = json.loads(str(array[()]))
+            text = array.item()
+            del array  # four times as large
+            if len(_STRING.sub("", text)) > _MOST_SYNTAX:
+                raise NotNpz(f"has a {name} of very many parts")
+            content = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise NotNpz(f"has a {name} that is no JSON") from error
         if not isinstance(content, dict):

@@ -7,10 +7,10 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
-from handfit_core.edit.models import hand_model
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import ShouldStop, never
 
@@ -30,7 +30,7 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
     """
     from handfit_core.edit import solving
 
-    model = hand_model(hand.model, hand.side)
+    model = kept_model(hand.model, hand.side)
     return _result(hand, model, solving.each(hand, model, guess, draft=draft))
 
 
@@ -46,7 +46,7 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResu
     """
     from handfit_core.edit import solving
 
-    model = hand_model(hand.model, hand.side)
+    model = kept_model(hand.model, hand.side)
     return _result(hand, model, solving.over_range(hand, model, should_stop))
 
 
@@ -61,7 +61,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
     errors: list[HandModelError] = []
     for side in SIDES:
         try:
-            loaded = hand_model(model, side)
+            loaded = kept_model(model, side)
         except HandModelError as error:  # a MANO file of one side is enough
             errors.append(error)
             continue

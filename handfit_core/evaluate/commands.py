@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 from pathlib import Path
 from typing import get_args
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
-from handfit_core.solvers import DEFAULT_SOLVER
+from handfit_core.options import CaptureOptions, add_options
 
-DEFAULT_METHODS = ("raw", "fused", DEFAULT_SOLVER)
+REPORTS_NEED = ("pandas", "matplotlib", "jinja2")
+DEFAULT_METHODS = ("raw", "fused", CaptureOptions.solver)
 
 
 def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
@@ -71,31 +73,22 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
     command.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well"
     )
-    command.add_argument(
-        "--model", metavar="PATH", help="a MANO file, or a folder with both sides (default: the open hand)"
-    )
-    command.add_argument(
-        "--threshold", type=float, default=0.5, help="detection threshold 0-1 (default: 0.5)"
-    )
-    command.add_argument(
-        "--plain-detection",
-        action="store_true",
-        help="take the detector at its first word, as the published evaluations do: no second looks, no "
-        "judgement of sides",
-    )
-    command.add_argument(
-        "--landmark-model", type=Path, metavar="PATH", help="MediaPipe's hand_landmarker.task"
-    )
+    add_options(command, ("model", "detector", "threshold", "plain_detection", "landmark_model"))
     command.add_argument(
         "--progress", choices=("bar", "json", "none"), default="bar", help="how to show progress"
     )
 
 
 def _evaluate(args: argparse.Namespace) -> int:
+    missing = [name for name in REPORTS_NEED if importlib.util.find_spec(name) is None]
+    if missing:  # said now, not after an hour of fitting
+        raise OptionError(
+            f"evaluate's report needs {' and '.join(missing)}, which this Python lacks; "
+            f"run `python -m pip install {' '.join(REPORTS_NEED)}`"
+        )
     from handfit_core.evaluate.datasets import open_dataset
-    from handfit_core.evaluate.detections import DetectorSettings
     from handfit_core.evaluate.report import write_report
-    from handfit_core.evaluate.report.tables import markdown_table
+    from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
     from handfit_core.files import check_writable
     from handfit_core.pipeline import Progress
@@ -109,11 +102,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         jobs=args.jobs,
         reference=args.reference,
         model=args.model,
-        detector=DetectorSettings(
-            threshold=args.threshold,
-            landmark_model=args.landmark_model,
-            persistent=not args.plain_detection,
-        ),
+        detector=CaptureOptions.of_arguments(args),
     )
     dataset = open_dataset(
         args.dataset,
@@ -143,6 +132,6 @@ def _evaluate(args: argparse.Namespace) -> int:
             "problems": {kind: len(where) for kind, where in evaluation.problems.items()},
             "summaries": evaluation.summaries,
         },
-        markdown_table(evaluation),
+        main_table(evaluation).markdown(),
     )
     return 0

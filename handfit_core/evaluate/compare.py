@@ -8,12 +8,11 @@ draws single observations or pairs of them, and cannot draw clusters of unequal 
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.scores import Comparison, Scores
 from handfit_core.evaluate.summary import HAND_METRICS, hand_means
-
-_NUMBERS_AT_ONCE = 2_000_000
 
 
 def compare(
@@ -35,42 +34,32 @@ def compare(
             f"{first.method} and {second.method} must have the same pictures and hands in the same order; "
             "evaluate both on the same data set"
         )
-    differences = hand_means(first, metric) - hand_means(second, metric)
-    rows = np.flatnonzero(~np.isnan(differences))
-    if len(rows) == 0:
-        return Comparison(first.method, second.method, metric, np.nan, np.nan, np.nan, 0, 0)
-    names = [
-        ("still", first.samples[row]) if (clip := first.clips[row]) is None else ("clip", clip)
-        for row in rows
-    ]
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    unit = np.array([numbers[name] for name in names])
-    low, high = _interval(differences[rows], unit, len(numbers), resamples, seed)
+    means = pd.Series(hand_means(first, metric) - hand_means(second, metric))
+    differences = means.dropna()
+    # A clip is one unit; a still picture is one of its own, whatever clips are called.
+    pictures = zip(first.samples, first.clips, strict=True)
+    names = [("still", sample) if clip is None else ("clip", clip) for sample, clip in pictures]
+    units = differences.groupby(pd.Series(names)[differences.index], sort=False)
+    low, high = _interval(units.sum().to_numpy(), units.size().to_numpy(), resamples, seed)
     return Comparison(
         first=first.method,
         second=second.method,
         metric=metric,
-        difference=float(differences[rows].mean()),
+        difference=float(differences.mean()),
         low=low,
         high=high,
-        hands=len(rows),
-        units=len(numbers),
+        hands=len(differences),
+        units=len(units),
     )
 
 
-def _interval(
-    differences: np.ndarray, unit: np.ndarray, units: int, resamples: int, seed: int
-) -> tuple[float, float]:
-    """2.5 and 97.5 % points of the mean over (N,) differences when (N,) unit numbers are drawn anew."""
+def _interval(totals: np.ndarray, sizes: np.ndarray, resamples: int, seed: int) -> tuple[float, float]:
+    """2.5 and 97.5 % points of the mean over all hands, when units with these (N,) totals and numbers of
+    hands are drawn anew."""
+    units = len(totals)
     if units < 2:
         return float("nan"), float("nan")
-    totals = np.bincount(unit, weights=differences, minlength=units)
-    sizes = np.bincount(unit, minlength=units)
     rng = np.random.default_rng(seed)
-    means: list[np.ndarray] = []
-    at_once = max(1, _NUMBERS_AT_ONCE // units)
-    for start in range(0, resamples, at_once):
-        drawn = rng.integers(units, size=(min(at_once, resamples - start), units))
-        means.append(totals[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
-    low, high = np.percentile(np.concatenate(means), [2.5, 97.5])
+    draws = (rng.integers(units, size=units) for _ in range(resamples))
+    low, high = np.percentile([totals[d].sum() / sizes[d].sum() for d in draws], [2.5, 97.5])
     return float(low), float(high)

@@ -13,37 +13,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from handfit_core import detect, media
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
+from handfit_core.detect.detector import DETECTORS, Detector
+from handfit_core.detect.finder import open_finder, settings_of
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
-from handfit_core.evaluate.units import Unit
-from handfit_core.media.opening import read_picture
-from handfit_core.paths import cache_dir
+from handfit_core.evaluate.labels import Unit
+from handfit_core.files import cache_dir
+from handfit_core.media.pictures import read_picture
+from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
-if TYPE_CHECKING:
-    from handfit_core.detect.finder import HandFinder
-
 UNREADABLE = (0, 0)
-
-
-@dataclass(frozen=True)
-class DetectorSettings:
-    """What decides a detection, apart from the picture."""
-
-    max_hands: int = 2
-    threshold: float = 0.5
-    landmark_model: Path | None = None
-    """None for the one that is bundled or cached"""
-    persistent: bool = True
-    """Look again where the plain detector finds too little"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,29 +49,28 @@ class UnitDetections:
         return np.asarray((self.sizes > 0).all(axis=-1))
 
 
-class Detector:
+class UnitDetector:
     """Finds the hands of units. Use as a context manager."""
 
-    def __init__(self, settings: DetectorSettings, folder: Path | None = None) -> None:
-        self._settings = settings
+    def __init__(self, options: CaptureOptions, folder: Path | None = None) -> None:
+        self._options = options
         self._folder = folder or cache_dir() / "detections"
-        model = landmark_model_path(settings.landmark_model).read_bytes()
-        self.model_sha256 = hashlib.sha256(model).hexdigest()
+        self.fingerprint = DETECTORS.get(options.detector).fingerprint(settings_of(options))
         self._made_with = "|".join(
             (
-                self.model_sha256,
+                options.detector,
+                self.fingerprint,
                 hashlib.sha256(NETWORK_FILE.read_bytes()).hexdigest(),
-                version("mediapipe"),
-                str(settings.max_hands),
-                repr(settings.threshold),
-                str(settings.persistent),
+                str(options.max_hands),
+                repr(options.threshold),
+                str(options.plain_detection),
                 version("opencv-python-headless"),
                 code_digest(detect, media),
             )
         )
-        self._stills = None
+        self._stills: Detector | None = None
 
-    def __enter__(self) -> Detector:
+    def __enter__(self) -> UnitDetector:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -117,27 +102,15 @@ class Detector:
         return sha.hexdigest()[:32]
 
     def _fresh(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        from handfit_core.detect.finder import HandFinder
-
-        def hands(video: bool) -> HandFinder:
-            s = self._settings
-            return HandFinder(
-                max_hands=s.max_hands,
-                video=video,
-                threshold=s.threshold,
-                landmark_model=s.landmark_model,
-                persistent=s.persistent,
-            )
-
         if not unit.is_clip:
             if self._stills is None:
-                self._stills = hands(video=False)
+                self._stills = open_finder(self._options)
             return _detected(unit, self._stills, on_picture)
-        with hands(video=True) as of_this_clip:
+        with open_finder(self._options, video=True) as of_this_clip:
             return _detected(unit, of_this_clip, on_picture)
 
 
-def _detected(unit: Unit, finder: HandFinder, on_picture: Callable[[], None]) -> UnitDetections:
+def _detected(unit: Unit, finder: Detector, on_picture: Callable[[], None]) -> UnitDetections:
     frames: list[tuple[HandDetection, ...]] = []
     sizes, spent = [], []
     for entry in unit.entries:
@@ -152,7 +125,7 @@ def _detected(unit: Unit, finder: HandFinder, on_picture: Callable[[], None]) ->
         sizes.append(size)
         spent.append(1000 * (time.perf_counter() - started))
         on_picture()
-    if unit.is_clip:
+    if unit.is_clip:  # stills share a finder, which nothing completes
         frames = finder.completed(frames)
     return UnitDetections(tuple(frames), np.array(sizes), np.array(spent))
 

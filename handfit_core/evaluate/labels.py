@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,27 @@ class Entry:
     grouped by it"""
 
 
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """What is fitted in one go: a still, or a clip's pictures in the order of time."""
+
+    entries: tuple[Entry, ...]
+    is_clip: bool
+
+
+def units_of(entries: Sequence[Entry], *, clips: bool = True, every: int = 1) -> list[Unit]:
+    """Group entries into units and keep every n-th still and every n-th clip, each counted by itself.
+
+    With `clips=False` every picture is a still of its own, as in the paper, and every n-th is kept.
+    """
+    if not clips:
+        return [Unit((entry,), is_clip=False) for entry in entries[::every]]
+    stills = [Unit((entry,), is_clip=False) for entry in entries if entry.clip is None]
+    of_clips = [entry for entry in entries if entry.clip is not None]
+    tracks = [Unit(tuple(group), is_clip=True) for _, group in groupby(of_clips, key=lambda e: e.clip)]
+    return stills[::every] + tracks[::every]
+
+
 @dataclass(frozen=True)
 class Problem:
     """What is wrong with some entries; such entries are counted and reported, never silently dropped."""
@@ -91,3 +113,20 @@ class Dataset:
     """Found while listing: pictures without labels, labels without pictures, ..."""
     notes: tuple[str, ...] = ()
     """What a reader of the results should know about the labels"""
+
+
+@dataclass(frozen=True, eq=False)
+class Reader:
+    """One layout of data sets on disk, and what can be chosen about it."""
+
+    layout: str
+    """For messages, as in `RHD's layout: training/color/00000.png ..., ...`"""
+    recognises: Callable[[Path], bool]
+    """Whether a folder has any part of this layout, so that what it lacks can be named"""
+    read: Callable[..., Dataset]
+    """(root, **what can be chosen) -> everything that is there, with labels that are read when asked for.
+    Raises DatasetError, OptionError"""
+    has_splits: bool = False
+    """Whether `read` takes `split`: a name, or None for the part that is evaluated by default"""
+    has_label_variants: bool = False
+    """Whether `read` takes `labels` and `published_frame` (`open_dataset` says what they mean)"""

@@ -1,7 +1,8 @@
-"""Which detection is which labelled hand."""
+"""Which detection is which labelled hand, and how the camera sees it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.evaluate.labels import HandLabel
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.skeleton import Side
 
 MATCH_DISTANCE = 0.5
 """A detection whose points lie farther from the labels than half the hand's size (on average) has found
@@ -53,3 +55,27 @@ def _distance(pixels: np.ndarray, detection: HandDetection) -> float:
     # One labelled point has no size, and a few may lie close together: the detection's then decides.
     size = max(float(np.max(np.ptp(pixels[known], axis=0))), detection.extent, 1e-9)
     return float(distance) / size
+
+
+_WRIST, _INDEX_KNUCKLE, _LITTLE_KNUCKLE = 0, 5, 17
+EDGE_DEGREES = 30.0
+"""The palm's plane within so many degrees of the line of sight is an edge."""
+
+
+def view_of(joints_3d: np.ndarray, side: Side | None) -> str:
+    """How the camera sees the palm of (21, 3) labels in its frame: `palm`, `back`, `edge` or `unknown`.
+
+    The palm's plane is that of wrist, index knuckle and little finger's knuckle; `unknown` where one of
+    them has no label or the side is not known.
+    """
+    wrist, index, little = joints_3d[[_WRIST, _INDEX_KNUCKLE, _LITTLE_KNUCKLE]]
+    # Out of the palm, for a right hand.
+    normal = np.cross(index - wrist, little - wrist)
+    sight = (wrist + index + little) / 3.0
+    size = np.linalg.norm(normal) * np.linalg.norm(sight)
+    if side is None or not np.isfinite(size) or size == 0.0:
+        return "unknown"
+    towards_camera = -float(normal @ sight) / size * (1.0 if side == "right" else -1.0)
+    if abs(towards_camera) < math.sin(math.radians(EDGE_DEGREES)):
+        return "edge"
+    return "palm" if towards_camera > 0.0 else "back"

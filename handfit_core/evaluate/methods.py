@@ -128,7 +128,7 @@ _TITLES: Final = {
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),
-    "paper": tuple(f"paper-{letter}" for letter in "abcdefgh"),
+    "paper": tuple(name for name, options in EXPERIMENTS.items() if not options.camera_stage),
     "all": (*_RAW, *solver_names()),
 }
 """Names that stand for several."""

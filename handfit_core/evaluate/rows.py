@@ -14,11 +14,9 @@ from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.errors import DatasetError, NoHandFoundError
 from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry, HandLabel, Labels, Problem
-from handfit_core.evaluate.matching import label_pixels, match
+from handfit_core.evaluate.labels import Entry, HandLabel, Labels, Problem, Unit
+from handfit_core.evaluate.matching import label_pixels, match, view_of
 from handfit_core.evaluate.scores import ProtocolName
-from handfit_core.evaluate.units import Unit
-from handfit_core.evaluate.views import view_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import TIP_KEYPOINTS, Side
 
@@ -68,6 +66,8 @@ class Rows:
     """Detections in a kept track that belong to no labelled hand"""
 
 
+Frame = tuple[int, Entry, Labels]
+"""A picture's place in its unit, the picture, and its labels"""
 ReadUnit = Callable[[Unit], UnitDetections]
 
 
@@ -106,10 +106,11 @@ def rows_of(
             if changed:
                 kind = "camera changes within the clip: its first one is used throughout"
                 found.problems.append(Problem(kind, changed[0]))
+        frames = [(t, unit.entries[t], one) for t, one in enumerate(labels) if used[t] and one is not None]
         if protocol == "paper":
-            _paper_rows(unit, labels, detections, intrinsics, used, found)
+            _paper_rows(frames, detections, intrinsics, found)
         else:
-            _strict_rows(unit, labels, detections, intrinsics, used, max_hands, found)
+            _strict_rows(unit, frames, detections, intrinsics, max_hands, found)
     return found
 
 
@@ -144,10 +145,9 @@ def _camera(camera: str, labels: Labels | None, size: np.ndarray) -> Intrinsics 
 
 def _strict_rows(
     unit: Unit,
-    labels: Sequence[Labels | None],
+    frames: Sequence[Frame],
     detections: UnitDetections,
     intrinsics: Intrinsics,
-    used: Sequence[bool],
     max_hands: int,
     found: Rows,
 ) -> None:
@@ -158,20 +158,15 @@ def _strict_rows(
         tracks = ()
     in_view = [TrackInView(track, intrinsics) for track in tracks]
     found.tracks += in_view
-    for t, entry in enumerate(unit.entries):
-        frame_labels = labels[t]
-        if not used[t] or frame_labels is None:
-            continue
-        hands = [(i, hand) for i, hand in enumerate(frame_labels.hands) if _is_labelled(hand)]
-        pixels = [label_pixels(hand, frame_labels.intrinsics) for _, hand in hands]
+    for t, entry, labels in frames:
+        hands = [i for i, hand in enumerate(labels.hands) if _is_labelled(hand)]
+        pixels = [label_pixels(labels.hands[i], labels.intrinsics) for i in hands]
         present = [(view, d) for view in in_view if (d := view.track.detections[t]) is not None]
         matched = match(pixels, [detection for _, detection in present])
         found.extra_hands += len(present) - sum(m is not None for m in matched)
-        for (index, hand), label_2d, which in zip(hands, pixels, matched, strict=True):
+        for index, which in zip(hands, matched, strict=True):
             track = None if which is None else present[which][0]
-            found.rows.append(
-                _row(entry, index, hand, label_2d, frame_labels.intrinsics, detections, t, track)
-            )
+            found.rows.append(_row(entry, labels, index, float(detections.milliseconds[t]), track, t))
 
 
 def _fps(unit: Unit) -> float:
@@ -182,61 +177,42 @@ def _fps(unit: Unit) -> float:
 
 
 def _paper_rows(
-    unit: Unit,
-    labels: Sequence[Labels | None],
-    detections: UnitDetections,
-    intrinsics: Intrinsics,
-    used: Sequence[bool],
-    found: Rows,
+    frames: Sequence[Frame], detections: UnitDetections, intrinsics: Intrinsics, found: Rows
 ) -> None:
     """One row a picture: its first labelled hand and its first detection, whoever's it is, taken for a
     left hand. What the published evaluation drops in silence is dropped too, and named."""
-    for t, entry in enumerate(unit.entries):
-        frame_labels = labels[t]
-        if not used[t] or frame_labels is None:
-            continue
+    for t, entry, labels in frames:
         tips = list(TIP_KEYPOINTS)
-        with_tips = [i for i, h in enumerate(frame_labels.hands) if np.isfinite(h.joints_3d[tips]).any()]
-        if frame_labels.intrinsics is None:
+        with_tips = [i for i, h in enumerate(labels.hands) if np.isfinite(h.joints_3d[tips]).any()]
+        if labels.intrinsics is None:
             found.problems.append(Problem("camera missing: the paper's protocol needs it", entry.name))
             continue
         if not with_tips:
             found.problems.append(Problem("no labelled fingertip: dropped as in the paper", entry.name))
             continue
-        index, track = with_tips[0], None
-        hand = frame_labels.hands[index]
+        track = None
         if detections.frames[t]:
             track = TrackInView(DetectedTrack(PAPER_SIDE, (detections.frames[t][0],)), intrinsics)
             found.tracks.append(track)
         else:
             found.problems.append(Problem("no hand detected: dropped as in the paper", entry.name))
-        label_2d = label_pixels(hand, frame_labels.intrinsics)
-        found.rows.append(
-            _row(entry, index, hand, label_2d, frame_labels.intrinsics, detections, t, track, frame=0)
-        )
+        found.rows.append(_row(entry, labels, with_tips[0], float(detections.milliseconds[t]), track, 0))
 
 
 def _row(
-    entry: Entry,
-    hand_index: int,
-    hand: HandLabel,
-    label_2d: np.ndarray,
-    intrinsics: Intrinsics | None,
-    detections: UnitDetections,
-    t: int,
-    track: TrackInView | None,
-    frame: int | None = None,
+    entry: Entry, labels: Labels, index: int, detect_ms: float, track: TrackInView | None, frame: int
 ) -> Row:
+    hand = labels.hands[index]
     known = track is not None and hand.side is not None
     return Row(
         entry=entry,
-        hand_index=hand_index,
+        hand_index=index,
         label=hand,
-        label_2d=label_2d,
-        intrinsics=intrinsics,
+        label_2d=label_pixels(hand, labels.intrinsics),
+        intrinsics=labels.intrinsics,
         view=view_of(hand.joints_3d, hand.side),
-        detect_ms=float(detections.milliseconds[t]),
+        detect_ms=detect_ms,
         track=track,
-        frame=t if frame is None else frame,
+        frame=frame,
         side_correct=float(track.track.side == hand.side) if known and track else float("nan"),
     )

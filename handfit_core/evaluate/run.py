@@ -6,15 +6,15 @@ import os
 import platform
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.compare import compare
-from handfit_core.evaluate.detections import Detector, DetectorSettings, UnitDetections
+from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import Fits, FitTask
-from handfit_core.evaluate.labels import Dataset, Problem
+from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
 from handfit_core.evaluate.methods import method_names, method_title
 from handfit_core.evaluate.rows import Row, Rows, rows_of
 from handfit_core.evaluate.scores import (
@@ -27,8 +27,8 @@ from handfit_core.evaluate.scores import (
 )
 from handfit_core.evaluate.scoring import RowResult, baselines, score
 from handfit_core.evaluate.summary import summarise
-from handfit_core.evaluate.units import Unit, units_of
 from handfit_core.hand_model import OPEN_HAND
+from handfit_core.options import CaptureOptions
 from handfit_core.version import __version__
 
 COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
@@ -56,7 +56,7 @@ class EvaluationOptions:
     reference: str | None = None
     """Every other method is compared with this one; the last of `methods` by default"""
     model: str | None = None
-    detector: DetectorSettings = field(default_factory=DetectorSettings)
+    detector: CaptureOptions = CaptureOptions()  # noqa: RUF009 (frozen)
 
 
 ReportProgress = Callable[[str, int, int], None]
@@ -79,7 +79,7 @@ def evaluate(
         dataset.entries, clips=options.clips and options.protocol == "strict", every=options.every
     )
     settings = _detector_settings(options)
-    with Detector(settings) as detector:
+    with UnitDetector(settings) as detector:
         found = _detected_rows(units, detector, options, settings.max_hands, progress)
     if not found.rows:
         kinds = _grouped((*dataset.problems, *found.problems))
@@ -135,16 +135,16 @@ def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
     return reference
 
 
-def _detector_settings(options: EvaluationOptions) -> DetectorSettings:
+def _detector_settings(options: EvaluationOptions) -> CaptureOptions:
     if options.protocol == "paper":
         # The published evaluation looks for one hand, once.
-        return replace(options.detector, max_hands=1, persistent=False)
+        return replace(options.detector, max_hands=1, plain_detection=True)
     return replace(options.detector, max_hands=options.max_hands)
 
 
 def _detected_rows(
     units: Sequence[Unit],
-    detector: Detector,
+    detector: UnitDetector,
     options: EvaluationOptions,
     max_hands: int,
     progress: ReportProgress,
@@ -236,7 +236,7 @@ def _notes(options: EvaluationOptions) -> list[str]:
 
 
 def _setup(
-    options: EvaluationOptions, names: Sequence[str], detector: Detector, fits: Fits
+    options: EvaluationOptions, names: Sequence[str], detector: UnitDetector, fits: Fits
 ) -> dict[str, str]:
     setup = {
         "handfit_core": __version__,
@@ -248,9 +248,10 @@ def _setup(
         "jobs": str(options.jobs),
         "hand model": options.model or OPEN_HAND,
         "hand model digests": ", ".join(f"{side} {m.digest}" for side, m in sorted(fits.models.items())),
-        "detection": "with second looks" if _detector_settings(options).persistent else "plain",
+        "detector": options.detector.detector,
+        "detection": "plain" if _detector_settings(options).plain_detection else "with second looks",
         "detection threshold": f"{options.detector.threshold:g}",
-        "landmark model sha256": detector.model_sha256,
+        "detector's models and versions": detector.fingerprint,
         "Python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPU cores",
     }

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.errors import DatasetError
-from handfit_core.evaluate.baselines import collapsed_to_centroid, mean_pose_at_truth
 from handfit_core.evaluate.labels import Problem
 from handfit_core.evaluate.metrics import (
     aligned_vertices,
@@ -20,10 +19,10 @@ from handfit_core.evaluate.metrics import (
     root_aligned_distances,
     similarity_aligned_distances,
 )
-from handfit_core.evaluate.paper_protocol import published_error
 from handfit_core.evaluate.rows import PAPER_SIDE, Row
 from handfit_core.evaluate.scores import ProtocolName, Scores
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS, Side
 
@@ -118,6 +117,32 @@ def _published(row: Row, result: RowResult) -> dict[str, np.ndarray]:
     return {"epe": published_error(result.picture_points, row.label.joints_3d, row.intrinsics)}
 
 
+def published_error(picture_points: np.ndarray, joints_3d: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(21,) mm by the published evaluation, faults included; NaN but for labelled fingertips.
+
+    What that does (arXiv 2506.11133 and its code; docs/evaluation.md lists the consequences):
+
+    * only fingertips are scored, on every picture with a detection and at least one labelled tip;
+    * a predicted tip is a pixel with a depth in pixels, and one pixel of depth counts as one millimetre;
+    * the mean depth is moved to the truth's, pixels are unprojected with the data set's own camera, and the
+      points' centroid is moved to the truth's: no rotation, no scale;
+    * so a picture with one labelled tip has an error of exactly zero.
+
+    picture_points (21, 3): pixels with a relative depth in pixels; joints_3d (21, 3): labels in metres,
+    camera frame.
+    """
+    errors = np.full(NUM_KEYPOINTS, np.nan)
+    tips = [tip for tip in TIP_KEYPOINTS if np.isfinite(joints_3d[tip]).all()]
+    if not tips:
+        return errors
+    truth = MM * joints_3d[tips]
+    predicted = picture_points[tips]
+    depth = predicted[:, 2] - predicted[:, 2].mean() + truth[:, 2].mean()
+    unprojected = intrinsics.rays(predicted[:, :2]) * depth[:, None]
+    errors[tips] = centroid_aligned_distances(unprojected, truth, min_points=1)
+    return errors
+
+
 def _surface(row: Row, result: RowResult, problems: dict[Problem, None]) -> dict[str, float]:
     """PA-MPVPE and F-scores, where both sides have a surface."""
     mesh = row.label.mesh
@@ -143,8 +168,9 @@ def _surface(row: Row, result: RowResult, problems: dict[Problem, None]) -> dict
 def baselines(
     rows: Sequence[Row], protocol: ProtocolName, model: str | None
 ) -> list[tuple[str, str, Callable[[Row], RowResult | None]]]:
-    """The null baselines, which know the truth: (method, title, result of a row).
+    """The null baselines, which look at the truth instead of the picture: (method, title, result of a row).
 
+    Whatever a protocol gives them for nothing, it gives to every method.
     Under the paper's protocol they see only what was detected, as the methods do.
     """
     sides: set[Side] = {_side(row, protocol) for row in rows}
@@ -166,6 +192,30 @@ def baselines(
         ("null-centroid", "null: all points at their centroid", centroid),
         ("null-mean-pose", "null: relaxed hand at the true orientation", mean_pose),
     ]
+
+
+def collapsed_to_centroid(labels_3d: np.ndarray) -> np.ndarray:
+    """(21, 3) points that all stand at the centroid of the labelled ones of (21, 3) labels.
+
+    All NaN where nothing is labelled.
+    """
+    labelled = labels_3d[~np.isnan(labels_3d).any(axis=-1)]
+    centroid = labelled.mean(axis=0) if len(labelled) else np.full(3, np.nan)
+    return np.tile(centroid, (len(labels_3d), 1))
+
+
+def mean_pose_at_truth(model: HandModel, labels_3d: np.ndarray) -> np.ndarray | None:
+    """(21, 3) keypoints of the relaxed hand of mean shape, moved rigidly onto the labelled points.
+
+    The relaxed hand is `model.hands_mean` with betas 0; rotation and translation are the best in the
+    least-squares sense (Umeyama 1991), without scale and without mirroring, so take the model of the
+    labelled side. With one or two labelled points some rotation that meets them best. None without any.
+    """
+    labelled = ~np.isnan(labels_3d).any(axis=-1)
+    if not labelled.any():
+        return None
+    relaxed = model.keypoints(None, np.zeros(3), model.hands_mean, np.zeros(3))
+    return align(relaxed[labelled], labels_3d[labelled], with_scale=False).apply(relaxed)
 
 
 def _side(row: Row, protocol: ProtocolName) -> Side:

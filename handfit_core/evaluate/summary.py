@@ -6,11 +6,11 @@ a miss, so read it beside the detection rate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import pandas as pd
 
 from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
@@ -67,6 +67,7 @@ _HAND_ERRORS = {
 }
 HAND_METRICS: Final = tuple(_HAND_ERRORS)
 """The metrics that every hand has a value of its own of, for `hand_means` and `compare`"""
+_CLIP_METRICS = ("bone_variation", "acceleration_error", "jitter")
 
 
 def hand_means(scores: Scores, metric: str) -> np.ndarray:
@@ -77,6 +78,21 @@ def hand_means(scores: Scores, metric: str) -> np.ndarray:
     errors = _counted_epe(scores) if metric == "epe" else getattr(scores, _HAND_ERRORS[metric])
     means = errors if errors.ndim == 1 else mean_of_labelled(errors, axis=1)
     return 100.0 * means if metric == "error_2d" else means
+
+
+def hands_table(scores: Scores) -> pd.DataFrame:
+    """One row per labelled hand with its picture, its mean errors, its times and its picture's tags."""
+    told = pd.DataFrame(
+        {
+            **{"method": scores.method, "sample": scores.samples, "hand": scores.hands},
+            **{"clip": scores.clips, "time": scores.times, "view": scores.views},
+            "detected": scores.detected.astype(int),
+            **{metric: hand_means(scores, metric) for metric in HAND_METRICS},
+            **{"detect_ms": scores.detect_ms, "fit_ms": scores.fit_ms},
+        }
+    )
+    tags = pd.DataFrame([dict(tags) for tags in scores.tags], index=told.index)
+    return told.join(tags[sorted(map(str, tags))].add_prefix("tag_"))
 
 
 def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
@@ -174,58 +190,35 @@ def _counted_epe(scores: Scores) -> np.ndarray:
     return np.where(enough[:, None], scores.epe, np.nan)
 
 
-@dataclass(frozen=True, eq=False)
-class _Track:
-    """One hand through one clip. Where frames are missing from the set, one NaN frame stands for the gap."""
-
-    points: np.ndarray
-    """(T, 21, 3) metres"""
-    truth: np.ndarray
-    """(T, 21, 3) metres"""
-    times: np.ndarray
-    """(T,) seconds"""
-    step: float
-    """seconds between neighbouring frames; 0 where the set has no times"""
-
-
-def _tracks(scores: Scores) -> Iterator[_Track]:
-    rows_of: dict[tuple[str, int], list[int]] = {}
-    for row, (clip, hand) in enumerate(zip(scores.clips, scores.hands, strict=True)):
-        if clip is not None:
-            rows_of.setdefault((clip, int(hand)), []).append(row)
-    for rows in rows_of.values():
-        points, truth, times = scores.points_3d[rows], scores.labels_3d[rows], scores.times[rows]
-        steps = np.diff(times)
-        if len(steps) == 0 or not np.all(steps > 0.0):
-            yield _Track(points, truth, times, 0.0)
-            continue
-        step = float(np.median(steps))
-        gaps = np.flatnonzero(steps > 1.5 * step) + 1
-        yield _Track(
-            np.insert(points, gaps, np.nan, axis=0),
-            np.insert(truth, gaps, np.nan, axis=0),
-            np.insert(times, gaps, (times[gaps - 1] + times[gaps]) / 2.0),
-            step,
-        )
-
-
 def _of_clips(scores: Scores) -> dict[str, float]:
     """The metrics of each hand of each clip, averaged with the number of its detected frames as weight."""
-    weights: list[int] = []
-    values: list[tuple[float, float, float]] = []
-    for track in _tracks(scores):
-        weights.append(int(labelled_points(track.points).all(axis=1).sum()))
-        acceleration = jitter = float("nan")
-        if track.step > 0.0:
-            acceleration = acceleration_error(track.points, track.truth, track.times)
-            jitter = 1000.0 * jitter_spectrum(track.points, track.truth, 1.0 / track.step)
-        values.append((bone_length_variation(track.points), acceleration, jitter))
-    table = np.array(values).reshape(-1, 3)
-    weight = np.where(np.isnan(table), 0.0, np.array(weights, dtype=np.float64)[:, None])
-    total = weight.sum(axis=0)
-    summed = (weight * np.nan_to_num(table)).sum(axis=0)
-    means = np.divide(summed, total, out=np.full(3, np.nan), where=total > 0.0)
-    return dict(zip(("bone_variation", "acceleration_error", "jitter"), means.tolist(), strict=True))
+    hands = pd.DataFrame({"clip": scores.clips, "hand": scores.hands})
+    tracks = hands.groupby(["clip", "hand"], sort=False).indices.values()
+    values = [_of_clip(scores, np.asarray(rows)) for rows in tracks]
+    table = pd.DataFrame(values, columns=["frames", *_CLIP_METRICS], dtype=float)
+    weights = table[list(_CLIP_METRICS)].notna().mul(table.pop("frames"), axis="index")
+    means = table.mul(weights).sum() / weights.sum()
+    return {key: float(means[key]) for key in _CLIP_METRICS}
+
+
+def _of_clip(scores: Scores, rows: np.ndarray) -> tuple[int, float, float, float]:
+    """Detected frames of one hand of one clip, and its values of _CLIP_METRICS."""
+    points, truth, times = scores.points_3d[rows], scores.labels_3d[rows], scores.times[rows]
+    frames = int(labelled_points(points).all(axis=1).sum())
+    steps = np.diff(times)
+    if len(steps) == 0 or not np.all(steps > 0.0):  # the set has no times
+        return frames, bone_length_variation(points), np.nan, np.nan
+    # Where frames are missing from the set, one NaN frame stands for the gap.
+    step = float(np.median(steps))
+    gaps = np.flatnonzero(steps > 1.5 * step) + 1
+    points, truth = (np.insert(part, gaps, np.nan, axis=0) for part in (points, truth))
+    times = np.insert(times, gaps, (times[gaps - 1] + times[gaps]) / 2.0)
+    return (
+        frames,
+        bone_length_variation(points),
+        acceleration_error(points, truth, times),
+        1000.0 * jitter_spectrum(points, truth, 1.0 / step),
+    )
 
 
 def _mean(values: np.ndarray) -> float:

@@ -147,12 +147,31 @@ def quat_to_rotmat(quat: np.ndarray) -> np.ndarray:
 
 def rotmat_to_rotvec(rotmat: np.ndarray) -> np.ndarray:
     """(..., 3, 3) -> (..., 3) axis-angle with an angle of at most pi."""
-    quat = rotmat_to_quat(rotmat)
-    vector = quat[..., 1:]
-    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return quat_to_rotvec(rotmat_to_quat(rotmat))
+
+
+def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions (..., 4) as (w, x, y, z)."""
+    aw, av = a[..., :1], a[..., 1:]
+    bw, bv = b[..., :1], b[..., 1:]
+    scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
+    return np.concatenate([scalar, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
+
+
+def rotvec_to_quat(rotvec: np.ndarray) -> np.ndarray:
+    """(..., 3) axis-angle in radians -> (..., 4) unit quaternions (w, x, y, z); exact at zero."""
+    half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2.0
+    # sin(x) / x, which numpy defines as sinc(x / pi)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotvec], axis=-1)
+
+
+def quat_to_rotvec(quat: np.ndarray) -> np.ndarray:
+    """(..., 4) unit quaternions (w, x, y, z) -> (..., 3) axis-angle in radians, of at most pi."""
+    quat = np.where(quat[..., :1] < 0.0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quat[..., :1])
     scale = np.where(sine < 1e-12, 2.0, angle / np.where(sine < 1e-12, 1.0, sine))
-    return vector * scale
+    return quat[..., 1:] * scale
 
 
 def unflip_quats(quats: np.ndarray) -> np.ndarray:

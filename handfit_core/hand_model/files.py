@@ -72,7 +72,7 @@ def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
                 f"{shown(path)}: there is no such hand model; give a MANO .pkl or .npz, a folder with both "
                 f"sides, or '{OPEN_HAND}'"
             )
-        path = _file_of_side(path, side)
+        path = file_of_side(path, side)
     except RuntimeError as error:  # the home folder of a user who does not exist
         raise HandModelError(f"{shown(model)}: there is no such hand model ({error})") from error
     except (OSError, ValueError) as error:
@@ -80,7 +80,7 @@ def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
     return _read(path, side)
 
 
-def _file_of_side(path: Path, side: Side) -> Path:
+def file_of_side(path: Path, side: Side) -> Path:
     """The file of one side in a folder, or beside a file of the other side."""
     if path.is_dir():
         for candidate in _candidates(path, side, (".npz", ".pkl")):

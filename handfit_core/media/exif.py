@@ -1,4 +1,4 @@
-"""The few EXIF tags that matter here, read without an imaging library.
+"""The few EXIF tags that matter here, read without an imaging library: how a picture is turned, and its lens.
 
 OpenCV either drops a picture's orientation or applies it while also dropping alpha and 16 bits, so
 the tag is read here and undone by `upright`.
@@ -6,9 +6,15 @@ the tag is read here and undone by `upright`.
 
 from __future__ import annotations
 
+import math
 import struct
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.source import Media
 
 _ORIENTATION_TAG = 0x0112
 _EXIF_IFD_TAG = 0x8769
@@ -19,22 +25,30 @@ _LONG = 4
 
 def read_orientation(data: bytes) -> int:
     """EXIF orientation 1-8 of an encoded JPEG, PNG, WebP or TIFF; 1 where there is none."""
-    try:
-        tiff = _tiff_block(data)
-        value = None if tiff is None else _first_ifd_short(tiff, _ORIENTATION_TAG)
-    except (struct.error, IndexError, ValueError):
-        return 1  # damaged metadata is no reason to refuse a picture
+    value = _short(data, _ORIENTATION_TAG)
     return value if value is not None and 1 <= value <= 8 else 1
 
 
 def read_focal_35mm(data: bytes) -> float | None:
     """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where it is not told."""
+    value = _short(data, _FOCAL_35MM_TAG, within=_EXIF_IFD_TAG)
+    return float(value) if value else None
+
+
+def _short(data: bytes, tag: int, within: int | None = None) -> int | None:
+    """A tag's 16-bit number, from the first directory or from the one that the tag `within` leads to; None
+    where there is none, and in damaged metadata, which are no reason to refuse a picture."""
     try:
         tiff = _tiff_block(data)
-        value = None if tiff is None else _exif_ifd_short(tiff, _FOCAL_35MM_TAG)
+        order = None if tiff is None else {b"II": "<", b"MM": ">"}.get(tiff[:2])
+        if tiff is None or order is None:
+            return None
+        (directory,) = struct.unpack_from(order + "I", tiff, 4)
+        if within is not None:
+            directory = _ifd_value(tiff, order, directory, within, _LONG)
+        return None if directory is None else _ifd_value(tiff, order, directory, tag, _SHORT)
     except (struct.error, IndexError, ValueError):
         return None
-    return float(value) if value else None
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -99,27 +113,6 @@ def _from_chunks(
     return None
 
 
-def _first_ifd_short(tiff: bytes, tag: int) -> int | None:
-    order = _byte_order(tiff)
-    if order is None:
-        return None
-    (offset,) = struct.unpack_from(order + "I", tiff, 4)
-    return _ifd_value(tiff, order, offset, tag, _SHORT)
-
-
-def _exif_ifd_short(tiff: bytes, tag: int) -> int | None:
-    order = _byte_order(tiff)
-    if order is None:
-        return None
-    (offset,) = struct.unpack_from(order + "I", tiff, 4)
-    nested = _ifd_value(tiff, order, offset, _EXIF_IFD_TAG, _LONG)
-    return None if nested is None else _ifd_value(tiff, order, nested, tag, _SHORT)
-
-
-def _byte_order(tiff: bytes) -> str | None:
-    return {b"II": "<", b"MM": ">"}.get(tiff[:2])
-
-
 def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:
     (count,) = struct.unpack_from(order + "H", tiff, offset)
     for i in range(count):
@@ -128,3 +121,26 @@ def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> i
         if found == tag and kind == wanted:
             return struct.unpack_from(order + ("H" if kind == _SHORT else "I"), tiff, entry + 8)[0]
     return None
+
+
+FILM_DIAGONAL: Final = math.hypot(36.0, 24.0)
+"""mm; equivalent focal lengths are defined by equal diagonals (CIPA DCG-001)"""
+_HEAD: Final = 1 << 20
+"""Bytes; EXIF tags stand at a file's beginning"""
+
+
+def known_intrinsics(media: Media) -> Intrinsics | None:
+    """The camera of a photo or image sequence whose first file names its focal length (EXIF, 35 mm film);
+    None where it does not, and for videos. A picture that was cropped afterwards misleads: nothing in it
+    tells."""
+    if media.source.kind == "video":
+        return None
+    try:
+        with open(Path(media.source.files[0]), "rb") as stream:
+            focal_mm = read_focal_35mm(stream.read(_HEAD))
+    except OSError:
+        return None
+    if focal_mm is None:
+        return None
+    focal = focal_mm / FILM_DIAGONAL * math.hypot(media.width, media.height)
+    return Intrinsics(focal, focal, media.width / 2.0, media.height / 2.0)

@@ -5,71 +5,12 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Generator, Iterable
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 Item = TypeVar("Item")
 
 DEFAULT_DEPTH = 2
 """Frames ahead. Decoding is steady enough that more gain nothing, and each is a whole picture."""
-
-
-@dataclass(frozen=True)
-class _Ended:
-    """What the decoder's thread leaves behind its last item."""
-
-    error: BaseException | None
-
-
-class _Decoder(Generic[Item]):
-    """The thread that iterates, and the room it has. Only this thread touches the source."""
-
-    def __init__(self, items: Iterable[Item], depth: int) -> None:
-        self._items = items
-        self._room = threading.Semaphore(depth)
-        self._done: queue.SimpleQueue[tuple[Item] | _Ended] = queue.SimpleQueue()
-        self._stop = threading.Event()
-        # A daemon: a run that ends while somebody still holds the frames must not wait for a reader.
-        self._thread = threading.Thread(target=self._run, name="handfit-read-ahead", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def next(self) -> tuple[Item] | _Ended:
-        """The next item, alone in a tuple, once it is there."""
-        result = self._done.get()
-        self._room.release()
-        return result
-
-    def stop(self) -> None:
-        """End the thread: it finishes the item it is at, no more."""
-        self._stop.set()
-        self._room.release()
-        if self._thread.ident is not None:  # Ctrl-C may come before it has started
-            self._thread.join()
-
-    def _run(self) -> None:
-        error: BaseException | None = None
-        try:
-            source = iter(self._items)
-            try:
-                while self._may_go_on():
-                    # No name may hold the item: it would keep a picture alive while this thread waits.
-                    self._done.put((next(source),))
-            except StopIteration:
-                pass
-            finally:
-                # Here and not where the garbage collector happens to be: it releases the video file.
-                if isinstance(source, Generator):
-                    source.close()
-        except BaseException as raised:
-            error = raised
-        self._done.put(_Ended(error))
-
-    def _may_go_on(self) -> bool:
-        """Wait for room; whether anybody wants more."""
-        self._room.acquire()
-        return not self._stop.is_set()
 
 
 def read_ahead(items: Iterable[Item], depth: int = DEFAULT_DEPTH) -> Generator[Item, None, None]:
@@ -88,12 +29,41 @@ def read_ahead(items: Iterable[Item], depth: int = DEFAULT_DEPTH) -> Generator[I
 
 
 def _read_ahead(items: Iterable[Item], depth: int) -> Generator[Item, None, None]:
-    decoder = _Decoder(items, depth)
+    room, stopped = threading.Semaphore(depth), threading.Event()
+    # Items come alone in a tuple, so that they differ from what comes last: an error, or None.
+    ready: queue.SimpleQueue[tuple[Item] | BaseException | None] = queue.SimpleQueue()
+
+    def decode() -> None:
+        """Only this thread touches the source."""
+        error: BaseException | None = None
+        try:
+            source = iter(items)
+            try:
+                while room.acquire() and not stopped.is_set():
+                    # No name may hold the item: it would keep a picture alive while this thread waits.
+                    ready.put((next(source),))
+            except StopIteration:
+                pass
+            finally:
+                # Here and not where the garbage collector happens to be: it releases the video file.
+                if isinstance(source, Generator):
+                    source.close()
+        except BaseException as raised:
+            error = raised
+        ready.put(error)
+
+    # A daemon: a run that ends while somebody still holds the frames must not wait for a reader.
+    thread = threading.Thread(target=decode, name="handfit-read-ahead", daemon=True)
     try:
-        decoder.start()
-        while not isinstance(result := decoder.next(), _Ended):
+        thread.start()
+        while isinstance(result := ready.get(), tuple):
+            room.release()
             yield result[0]
-        if result.error is not None:
-            raise result.error
+        if result is not None:
+            raise result
     finally:
-        decoder.stop()
+        # The thread finishes the item it is at, no more.
+        stopped.set()
+        room.release()
+        if thread.ident is not None:  # Ctrl-C may come before it has started
+            thread.join()

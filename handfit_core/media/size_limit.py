@@ -1,35 +1,38 @@
 """Pictures and videos that claim more pixels than they may, or are no pictures and videos, are refused here,
 before anything decodes them. The core asks before OpenCV does, the add-on before Blender does.
+
+Whoever names a limit (`max_megapixels`) has named it for every picture and every frame, whatever its bits and
+its file's size. Where nobody has, pictures and videos have a limit each, and a lower one where the whole
+input has so few bytes that only a hostile one would need as much memory.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from handfit_core.errors import InputError, OptionError
-from handfit_core.media.picture_header import read_picture_header
-from handfit_core.media.video_header import read_video_header
+from handfit_core.errors import InputError
+from handfit_core.media.headers import read_picture_header, read_video_header
 
 SMALL_FILE: Final = 10_000_000
-"""Bytes; a smaller file may claim less than a larger one. What it may claim stays below 1 GB in the worker
+"""Bytes; a smaller input may claim less than a larger one. What it may claim stays below 1 GB in the worker
 and in Blender; with a larger one, nobody is surprised by what it takes."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Megapixels that one picture, or one frame of a video, may have."""
+    """Megapixels that one picture, or one frame of a video, may have by default."""
 
     small_file: float
+    """With more than 8 bits per channel it counts several times: `Header.cost`"""
     large_file: float
 
     def __str__(self) -> str:
-        return f"{self.large_file:g}, in files under {SMALL_FILE / 1e6:g} MB {self.small_file:g}"
+        return f"{self.large_file:g}, in inputs under {SMALL_FILE / 1e6:g} MB {self.small_file:g}"
 
 
 PICTURE: Final = Limit(64.0, 250.0)
@@ -45,20 +48,23 @@ LONGEST_SIDE: Final = 65_535
 _FRAMES_BY_NAME: Final = re.compile(r"%\d*d")
 
 
-def check_limit(max_megapixels: float | None) -> float | None:
-    """The limit as it came. Raises OptionError for one that is not above 0."""
-    if max_megapixels is not None and not 0.0 < max_megapixels < math.inf:
-        raise OptionError(f"max_megapixels must be a number above 0, not {max_megapixels:g}")
-    return max_megapixels
+def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | None:
+    """The limit for each of an input's pictures: the one that was named, or that of large files where they
+    are large together. None: each has the limit of its own file."""
+    if max_megapixels is not None or len(files) < 2:
+        return max_megapixels
+    left = SMALL_FILE
+    for file in files:
+        with contextlib.suppress(OSError):  # reading it will say so
+            left -= file.stat().st_size
+        if left <= 0:
+            return PICTURE.large_file
+    return None
 
 
 def check_picture(path: Path, max_megapixels: float | None = None) -> None:
-    """Look at a picture's first bytes.
-
-    `max_megapixels` takes the place of the limits above. A picture with 16 bits per channel counts three
-    times, one of floats four times, a progressive JPEG 1.4 times: so much more memory they take. Raises
-    InputError where it claims more, or is no picture that can be read.
-    """
+    """Look at a picture's first bytes. Raises InputError where it claims more than `max_megapixels`, or is no
+    picture that can be read."""
     with _opened(path) as stream:
         if stream.seek(0, 2) == 0:
             raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
@@ -69,7 +75,7 @@ def check_picture(path: Path, max_megapixels: float | None = None) -> None:
 
 
 def check_video(path: Path, max_megapixels: float | None = None) -> None:
-    """Look at a video's first bytes; `max_megapixels` takes the place of the limit of a video's frames.
+    """Look at a video's first bytes; `max_megapixels` is the limit for each frame.
 
     Raises InputError where a frame is larger, and where the file is no video that holds its frames itself: a
     playlist would make FFmpeg open other files and addresses, and a name with %d in it other pictures.
@@ -130,13 +136,15 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
 
 def _check(path: Path, width: int, height: int, cost: float, limit: Limit, chosen: float | None) -> None:
     megapixels = width * height / 1e6
-    most = chosen or (limit.small_file if path.stat().st_size < SMALL_FILE else limit.large_file)
+    small = chosen is None and path.stat().st_size < SMALL_FILE
+    cost = cost if small else 1
+    most = chosen or (limit.small_file if small else limit.large_file)
     if megapixels * cost <= most and max(width, height) <= LONGEST_SIDE:
         return
     counted = f", which count as {_rounded(megapixels * cost)}" if cost > 1 else ""
     raise InputError(
-        f"{path}: claims {width} x {height} pixels ({_rounded(megapixels)} megapixels{counted}), and in a "
-        f"file of its kind and size no more than {most:g} are read; "
+        f"{path}: claims {width} x {height} pixels ({_rounded(megapixels)} megapixels{counted}), and "
+        f"{f'in a file under {SMALL_FILE / 1e6:g} MB ' if small else ''}no more than {most:g} are read; "
         "save it smaller, or allow more (max_megapixels)"
     )
 

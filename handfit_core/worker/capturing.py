@@ -2,90 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 from handfit_core.errors import OptionError
-from handfit_core.files import check_writable
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.frame_range import FrameRange
-from handfit_core.pipeline import Progress, capture, hand_summaries
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("a text")
-    return value
-
-
-def _number(value: object) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        raise ValueError("a number")
-    try:
-        number = float(value)
-    except OverflowError:  # JSON's whole numbers have no limit
-        number = math.inf
-    if not math.isfinite(number):
-        raise ValueError("a finite number")
-    return number
-
-
-def _flag(value: object) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError("true or false")
-    return value
-
-
-def _camera(value: object) -> Intrinsics:
-    if not isinstance(value, list) or len(value) != 4:
-        raise ValueError("four numbers: fx, fy, cx, cy in pixels")
-    return Intrinsics(*(_number(v) for v in value))
-
-
-def _lens(value: object) -> tuple[float, ...]:
-    if not isinstance(value, list) or len(value) != 3:
-        raise ValueError("three numbers: focal length in picture widths, principal point x and y as parts")
-    return tuple(_number(v) for v in value)
-
-
-OPTIONS: Final[dict[str, tuple[str, Callable[[Any], Any]]]] = {
-    "frames": ("frames", lambda value: FrameRange.parse(_text(value))),
-    "hands": ("hands", _text),
-    "solver": ("solver", _text),
-    "model": ("model", _text),
-    "threshold": ("threshold", _number),
-    "intrinsics": ("intrinsics", _camera),
-    "lens": ("lens", _lens),
-    "smoothing": ("smoothing", _number),
-    "plain_detection": ("persistent", lambda value: not _flag(value)),
-    "landmark_model": ("landmark_model", _text),
-    "hand_length": ("hand_length", _number),
-    "max_megapixels": ("max_megapixels", _number),
-}
-"""Option of the request -> argument of `pipeline.capture`, and how its value is read"""
-
-
-def arguments(options: object) -> dict[str, Any]:
-    """A request's options -> arguments of `pipeline.capture`; null is as good as missing.
-
-    Raises OptionError for an option that does not exist or a value of the wrong kind.
-    """
-    if not isinstance(options, Mapping):
-        raise OptionError(f"a capture's options must be an object, not {options!r}")
-    given: dict[str, Any] = {}
-    for name, value in options.items():
-        if name not in OPTIONS:
-            raise OptionError(f"there is no option '{name}' of a capture; choose from {', '.join(OPTIONS)}")
-        if value is None:
-            continue
-        argument, read = OPTIONS[name]
-        try:
-            given[argument] = read(value)
-        except ValueError as error:
-            raise OptionError(f"the option '{name}' must be {error}; got {value!r}") from None
-    return given
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import Progress, capture_to_file
 
 
 def source_of(message: Mapping[str, Any]) -> str | list[str]:
@@ -111,8 +33,7 @@ def answer(
     compact = message.get("compact", False)
     if not isinstance(compact, bool):
         raise OptionError(f"a capture's compact must be true or false, not {compact!r}")
-    options = arguments(message.get("options") or {})
-    check_writable(output)
+    options = CaptureOptions.of_message(message.get("options") or {})
     stopped = False
 
     def asked() -> bool:
@@ -123,13 +44,5 @@ def answer(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    started = time.perf_counter()
-    take = capture(source, progress=report, should_stop=asked, **options)
-    path = take.save(output, compact=compact)
-    return {
-        "output": str(path),
-        "frames": len(take.frame_numbers),
-        "seconds": round(time.perf_counter() - started, 3),
-        "hands": hand_summaries(take),
-        "stopped": stopped,
-    }
+    done = capture_to_file(source, output, options, report, asked, compact=compact)
+    return {**done, "stopped": stopped}

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from handfit_core.media.opening import open_media
-from handfit_core.worker.capturing import arguments, source_of
+from handfit_core.options import OPTIONS
+from handfit_core.worker.capturing import source_of
 
 
 def answer(message: Mapping[str, Any]) -> dict[str, Any]:
@@ -14,8 +15,8 @@ def answer(message: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises OptionError and InputError.
     """
-    limit = arguments({"max_megapixels": message.get("max_megapixels")})
-    media = open_media(source_of(message), **limit)
+    limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
+    media = open_media(source_of(message), max_megapixels=limit)
     first, last = media.first_and_last
     return {
         "kind": media.source.kind,

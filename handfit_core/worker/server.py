@@ -198,9 +198,9 @@ class Server:
 
             return answer(job.message, should_stop, self._progress_of(job))
         if job.kind == "refit":
-            from handfit_core import refine
+            from handfit_core import edit
 
-            return refine.answer(job.message, should_stop)
+            return edit.answer(job.message, should_stop)
         if job.kind == "probe":
             from handfit_core.worker.probing import answer as probe
 

@@ -18,9 +18,10 @@ _DISTANCE = 0.5
 
 def blank_picture_hands() -> int:
     """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
-    from handfit_core.detect.finder import HandFinder
+    from handfit_core.detect.finder import open_finder
+    from handfit_core.options import CaptureOptions
 
-    with HandFinder(persistent=False) as finder:
+    with open_finder(CaptureOptions(plain_detection=True)) as finder:
         return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
 
 

@@ -10,9 +10,9 @@ import functools
 
 import numpy as np
 
-from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import HandModel, forward_kinematics, load_model
-from handfit_core.hand_model.anatomy import JointLimits, anatomical_axes, joint_limits
+from handfit_core.hand_model.anatomy import JointLimits, anatomical_axes, joint_limits, rotmats_from_angles
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side, keypoints_from_joints
 
 MIRROR_ROTVEC = np.array([1.0, -1.0, -1.0])
@@ -43,17 +43,9 @@ def within_limits(angles: np.ndarray) -> np.ndarray:
     return np.clip(angles, limits.lower, limits.upper)
 
 
-def rotmats_from_angles(angles: np.ndarray) -> np.ndarray:
-    """(..., 15, 3) angles -> (..., 15, 3, 3) local rotations of the right hand: the intrinsic Euler
-    angles XYZ that `anatomical_angles` reads back."""
-    axes = right_axes()
-    x, y, z = (rotvec_to_rotmat(angles[..., i : i + 1] * np.eye(3)[i]) for i in range(3))
-    return axes @ (x @ y @ z) @ np.swapaxes(axes, -1, -2)
-
-
 def hand_pose_from_angles(angles: np.ndarray, side: Side) -> np.ndarray:
     """(..., 15, 3) angles of a right hand -> (..., 45) axis-angle of that hand or its mirror image."""
-    rotvecs = rotmat_to_rotvec(rotmats_from_angles(angles))
+    rotvecs = rotmat_to_rotvec(rotmats_from_angles(angles, right_axes()))
     if side == "left":
         rotvecs = rotvecs * MIRROR_ROTVEC
     return rotvecs.reshape(*angles.shape[:-2], 45)
@@ -80,7 +72,7 @@ class RightHand:
         """(..., 15, 3) angles -> (..., 21, 3) metres, model frame. Fingertips ride on their last bones."""
         batch = angles.shape[:-2]
         root = np.broadcast_to(np.eye(3), (*batch, 1, 3, 3))
-        rotmats = np.concatenate([root, rotmats_from_angles(angles)], axis=-3)
+        rotmats = np.concatenate([root, rotmats_from_angles(angles, right_axes())], axis=-3)
         rotations, joints = forward_kinematics(rotmats, self._joints)
         tips = joints[..., self._distal, :] + np.einsum(
             "...fab,fb->...fa", rotations[..., self._distal, :, :], self._tips

@@ -8,10 +8,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from blender_manient import axes
 from blender_manient.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
 from handfit_core.errors import OptionError
+from handfit_core.hand_model import axes
 
 from .materials import TINT, skin, skin_tone, surface
 from .meshes import Mesh, ball, box

@@ -9,8 +9,9 @@ import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
+from handfit_core.media.source import Source
 from handfit_core.skeleton import Side
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.take import HandTrack, Take
 
 from .arm import Arm
 from .kinematics import model_of

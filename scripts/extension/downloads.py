@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from handfit_core.paths import cache_dir
+from handfit_core.files import cache_dir
 from scripts.extension.errors import BuildError
 from scripts.extension.locks import Pin
 from scripts.extension.targets import Platform

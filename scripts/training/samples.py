@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from handfit_core.detect.detector import Detector
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES, Side, other_side
 from scripts.benchmark.shots import Shot
@@ -66,9 +66,7 @@ class Sample:
         }
 
 
-def samples_of(
-    seed: int, number: int, detector: MediaPipeHands, size: int = SIZE
-) -> tuple[int, list[Sample]]:
+def samples_of(seed: int, number: int, detector: Detector, size: int = SIZE) -> tuple[int, list[Sample]]:
     """How many hands stand in all views of that still, and those that were found."""
     shot = still_shot(seed, number, size)
     rng = np.random.default_rng([seed, number, 7])
@@ -77,7 +75,7 @@ def samples_of(
     for view in range(VIEWS):
         turn, zoom = (np.eye(2), 1.0) if view == 0 else _random_view(rng)
         seen = picture if view == 0 else _viewed(picture, turn, zoom, shot)
-        detections = detector.detect(np.ascontiguousarray(seen))
+        detections = detector.find(np.ascontiguousarray(seen))
         camera = Intrinsics(shot.camera.fx * zoom, shot.camera.fy * zoom, size / 2, size / 2)
         mirrored = bool(np.linalg.det(turn) < 0)
         for hand in shot.hands:

@@ -15,8 +15,9 @@ from handfit_core.geometry.camera import Intrinsics  # noqa: E402
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
 from handfit_core.hand_model import HandModel, load_model, save_model_npz  # noqa: E402
 from handfit_core.hand_model.forearm import with_wrist  # noqa: E402
+from handfit_core.media.source import Source  # noqa: E402
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
-from handfit_core.take import HandTrack, Source, Take  # noqa: E402
+from handfit_core.take import HandTrack, Take  # noqa: E402
 from tests.imitation_mano import imitation_model  # noqa: E402
 
 FRAMES = np.array([3, 4, 5, 6, 7, 8, 12, 13, 14, 16, 17, 18])
@@ -193,7 +194,7 @@ def evaluated_vertices(obj) -> np.ndarray:
 
 def joint_heads(armature, side: Side) -> np.ndarray:
     """(16, 3) world positions of the bones' heads, at the scene's current frame."""
-    from blender_manient.scene.armature import bone_names
+    from blender_manient.rigs.captured_hand import bone_names
 
     armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
     heads = [armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)]

@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_manient.exporters import EXPORTERS
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import FORMATS, available, export_take
+from blender_manient.scene.export import export_take
 from blender_manient.scene.preview import write_png
 from handfit_core.errors import HandfitError
 from handfit_core.take import Take
@@ -34,8 +35,8 @@ def main(source: Path, folder: Path, results: Path, kind: str) -> None:
     noise = np.random.default_rng(1).uniform(size=(100, 100, 3))
     writers: dict[str, Callable[[], object]] = {
         name: lambda name=name: export_take(built, take, folder, "hand", name)
-        for name, fmt in FORMATS.items()
-        if available(fmt)
+        for name, exporter in EXPORTERS.items()
+        if exporter.writes != "captured" and not exporter.why_not()
     }
     writers["take"] = lambda: take.save(folder / "hand.take.npz")
     writers["preview"] = lambda: write_png(noise, folder / "hand.preview.png")

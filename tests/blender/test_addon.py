@@ -66,12 +66,3 @@ def test_importing_the_addon_loads_nothing_heavy():
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120
     )
     assert done.stdout.strip().splitlines()[-1] == "[]"
-
-
-def test_axes_need_no_blender():
-    code = (
-        "import sys; sys.modules['bpy'] = None; import types;"
-        "package = types.ModuleType('blender_manient'); package.__path__ = ['blender_manient'];"
-        "sys.modules['blender_manient'] = package; import blender_manient.axes"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=120)

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.correction_field import Correction, CorrectionField
+from blender_manient.rigs import rig_of
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import corrections_of, keep_field
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
+from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 
@@ -64,7 +65,7 @@ def test_the_motion_of_a_file(make_take, tmp_path, model, side):
     """Same side and other side, another shape, keys outside the range kept."""
     target = build_take(make_take(sides=("right",), model=model).take).hands[0]
     armature = active(target)
-    outside = pose_at(armature, "right", np.array([3.0]))
+    outside = pose_at(rig_of(armature), np.array([3.0]))
     made = make_take(sides=(side,), model=model, seed=9)
     frames = np.arange(8, 15)
     track = made.take.hands[0]
@@ -87,9 +88,9 @@ def test_the_motion_of_a_file(make_take, tmp_path, model, side):
         bpy.context.scene.frame_set(int(frame))
         error = np.abs(evaluated_vertices(target.mesh) - expected[row]).max()
         assert error < 1e-4, frame
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(keys.frames, [3, 4, 5, 6, *frames, 16, 17, 18])
-    np.testing.assert_allclose(np.abs(pose_at(armature, "right", np.array([3.0]))[0]), np.abs(outside[0]))
+    np.testing.assert_allclose(np.abs(pose_at(rig_of(armature), np.array([3.0]))[0]), np.abs(outside[0]))
     # No bone takes the long way round at the seams.
     assert (np.sum(keys.quats[1:] * keys.quats[:-1], axis=-1) >= -1e-6).all()
 
@@ -99,7 +100,7 @@ def test_another_source_starts_at_the_current_frame(make_take):
     made = make_take(sides=("right",), seed=4, frame_numbers=np.arange(50, 60), fps=15.0)
     take = other_source(made)
     count = apply_track(target.armature, take, take.hands[0], "ANIMATION", 100.0)
-    keys = read_pose_keys(target.armature, "right")
+    keys = read_pose_keys(rig_of(target.armature))
     new = keys.frames[keys.frames > 50]
     assert count == len(new) == 9  # one is not detected
     # 15 frames a second in a scene of 30
@@ -112,11 +113,11 @@ def test_a_pose_of_a_file_at_the_current_frame(make_take, tmp_path, wrist):
     armature = active(target)
     made = make_take(sides=("right",), seed=4)
     path = made.take.save(tmp_path / "pose.npz")
-    before = read_pose_keys(armature, "right")
+    before = read_pose_keys(rig_of(armature))
     bpy.context.scene.frame_set(10)
-    here = pose_at(armature, "right", np.array([10.0]))
+    here = pose_at(rig_of(armature), np.array([10.0]))
     bpy.ops.manient.apply_take(filepath=str(path), mode="POSE", source_frame=14, wrist=wrist)
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     added = np.isin(keys.frames, [10.0])
     np.testing.assert_allclose(keys.quats[~added], before.quats, atol=1e-6)
     assert keys.rotation_keyed[added][0].tolist() == [wrist] + [True] * 15
@@ -126,7 +127,7 @@ def test_a_pose_of_a_file_at_the_current_frame(make_take, tmp_path, wrist):
         expected = expected_vertices(made.take, track, np.array(armature.manient.betas), False)[row]
         assert np.abs(evaluated_vertices(target.mesh) - expected).max() < 1e-4
     else:
-        quats, place = pose_at(armature, "right", np.array([10.0]))
+        quats, place = pose_at(rig_of(armature), np.array([10.0]))
         np.testing.assert_allclose(place, here[1], atol=1e-6)
         np.testing.assert_allclose(np.abs(quats[0, 0] @ here[0][0, 0]), 1.0, atol=1e-6)
 
@@ -135,27 +136,27 @@ def test_a_captured_pose_of_another_photo_leaves_the_wrist(make_take):
     """What a capture does that was asked for the active hand's pose."""
     target = build_take(make_take(sides=("right",)).take).hands[0]
     made = make_take(sides=("right",), seed=4, frame_numbers=np.array([1]))
-    here = pose_at(target.armature, "right", np.array([10.0]))
+    here = pose_at(rig_of(target.armature), np.array([10.0]))
     take = other_source(made, "photo.png")
     apply_track(target.armature, take, take.hands[0], "POSE", 10.0)
-    np.testing.assert_allclose(pose_at(target.armature, "right", np.array([10.0]))[1], here[1], atol=1e-6)
+    np.testing.assert_allclose(pose_at(rig_of(target.armature), np.array([10.0]))[1], here[1], atol=1e-6)
     # Captured again from its own pictures, it does go where it was seen.
     apply_track(target.armature, made.take, made.take.hands[0], "POSE", 10.0)
-    assert np.abs(pose_at(target.armature, "right", np.array([10.0]))[1] - here[1]).max() > 1e-3
+    assert np.abs(pose_at(rig_of(target.armature), np.array([10.0]))[1] - here[1]).max() > 1e-3
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_another_hand_of_the_scene_as_the_artist_left_it(make_take, side):
     source = build_take(make_take(sides=(side,), seed=5).take).hands[0]
-    keys = read_pose_keys(source.armature, side)
+    keys = read_pose_keys(rig_of(source.armature))
     quats = keys.quats.copy()
     quats[:, 6] = (0.8, 0.6, 0.0, 0.0)
-    write_pose_keys(source.armature, side, PoseKeys.everywhere(keys.frames, quats, keys.locations + 0.01))
-    remove_pose_keys(source.armature, side, 5, 8, joints=[2], location=False)
+    write_pose_keys(rig_of(source.armature), PoseKeys.everywhere(keys.frames, quats, keys.locations + 0.01))
+    remove_pose_keys(rig_of(source.armature), 5, 8, joints=[2], location=False)
     target = build_take(make_take(sides=("right",), seed=6).take).hands[0]
     armature = active(target)
     assert bpy.ops.manient.apply_take(source=source.armature.name) == {"FINISHED"}
-    found = read_pose_keys(armature, "right")
+    found = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(found.frames, keys.frames)
     assert not found.rotation_keyed[(found.frames >= 5) & (found.frames <= 8), 2].any()
     mirror = MIRROR if side == "left" else np.ones(3)
@@ -181,7 +182,7 @@ def test_a_pose_of_another_hand(make_take):
     np.testing.assert_allclose(
         joint_heads(armature, "right"), joint_heads(source.armature, "right"), atol=1e-5
     )
-    assert len(read_pose_keys(armature, "right").frames) == 12  # nothing was detected in frame 7
+    assert len(read_pose_keys(rig_of(armature)).frames) == 12  # nothing was detected in frame 7
 
 
 def test_corrections_of_replaced_frames_go(make_take):
@@ -199,12 +200,12 @@ def test_undo(make_take):
     target = build_take(make_take(sides=("right",)).take).hands[0]
     made = make_take(sides=("right",), seed=4)
     name = target.armature.name
-    before = read_pose_keys(target.armature, "right")
+    before = read_pose_keys(rig_of(target.armature))
     bpy.ops.ed.undo_push(message="before")
     apply_track(target.armature, made.take, made.take.hands[0], "ANIMATION", 1.0)
     bpy.ops.ed.undo_push(message="applied")
     bpy.ops.ed.undo()
-    after = read_pose_keys(bpy.data.objects[name], "right")
+    after = read_pose_keys(rig_of(bpy.data.objects[name]))
     np.testing.assert_allclose(after.quats, before.quats, atol=1e-6)
 
 

@@ -11,7 +11,7 @@ import pytest
 import blender_manient
 from blender_manient.blender_versions import action_curves
 from blender_manient.scene.animation import CURVES
-from blender_manient.scene.build import build_take, building
+from blender_manient.scene.build import BuildOptions, build_take, building
 from handfit_core.errors import BuildInterrupted
 
 LONGEST_SLICE = 0.055
@@ -93,7 +93,7 @@ def test_no_slice_of_a_long_take_holds_the_window_up(make_take, imitation_mano, 
     parts = []
     for _ in range(3):
         bpy.ops.wm.read_homefile(use_empty=True)
-        times = slice_times(building(made.take, data=data))
+        times = slice_times(building(made.take, BuildOptions(data=data)))
         parts.append(np.array(times) / sum(times))
         print(f"{len(times)} slices, {sum(times):.2f} s: {np.median(times):.4f} (median), {max(times):.4f}")
     assert min(part.max() for part in parts) < LONGEST_SLICE

@@ -165,7 +165,7 @@ def test_without_a_part_that_blenders_side_needs(arguments, missing, tmp_path):
         "import blender_manient\n"
         "blender_manient.register()\n"
         "from blender_manient import command\n"
-        "print('HELP', command.main(['capture', '--help']))\n"
+        "print('HELP', command.main(['--help']))\n"
         f"print('ENDED', command.main({arguments!r}))\n"
         "sys.stdout.flush()\n"
         "import os; os._exit(0)\n"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import confidence
-from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.confidence import FAIR, GOOD, POOR, UNSEEN_COLOR, bone_errors, colors_of
 

@@ -1,9 +1,7 @@
-"""Corrections fade out as promised, live in the .blend, and leave keys as they found them."""
+"""Corrections live in the .blend, and leave keys as they found them."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import bpy
@@ -12,22 +10,18 @@ import pytest
 
 import blender_manient
 from blender_manient.blender_versions import channels
-from blender_manient.correction_field import (
-    Correction,
-    CorrectionField,
-    changed_quats,
-    changed_stretches,
-    correction_between,
-    quat_multiply,
-    quat_to_rotvec,
-    rotvec_to_quat,
-)
+from blender_manient.rigs import rig_of
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
-from handfit_core.errors import OptionError, TakeError
-from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
+from handfit_core.edit.corrections import (
+    Correction,
+    CorrectionField,
+    changed_quats,
+    correction_between,
+)
+from handfit_core.errors import OptionError
 
 from .conftest import FRAMES, UNSEEN
 
@@ -50,140 +44,6 @@ def random_field(seed: int, frames, spread: float = 6.0) -> CorrectionField:
     return CorrectionField({int(f): correction(rng, spread) for f in frames})
 
 
-# The mathematics
-
-
-def test_the_mathematics_need_no_blender():
-    code = (
-        "import sys; sys.modules['bpy'] = None; import types;"
-        "package = types.ModuleType('blender_manient'); package.__path__ = ['blender_manient'];"
-        "sys.modules['blender_manient'] = package;"
-        "import blender_manient.correction_field, blender_manient.picture_map"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=120)
-
-
-def test_weights_are_one_at_home_and_zero_on_other_corrections():
-    field = random_field(1, [10, 13, 30], spread=6.0)
-    np.testing.assert_allclose(field.weights(np.array([10, 13, 30])), np.eye(3), atol=1e-12)
-
-
-def test_neighbours_within_their_spread_share_what_lies_between():
-    field = random_field(1, [10, 14], spread=6.0)
-    weights = field.weights(np.linspace(10, 14, 41))
-    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
-    assert (np.diff(weights[:, 0]) < 0).all()
-
-
-def test_weights_fall_from_one_to_zero_over_the_spread():
-    field = random_field(1, [20], spread=5.0)
-    weights = field.weights(np.arange(12.0, 29.0))[:, 0]
-    assert (weights[:4] == 0).all()
-    assert (weights[-4:] == 0).all()
-    np.testing.assert_allclose(weights, weights[::-1], atol=1e-12)
-    assert (np.diff(weights[3:9]) > 0).all()
-    # A smoothstep: half way it is a half.
-    assert field.weights(np.array([22.5]))[0, 0] == pytest.approx(0.5)
-
-
-def test_no_spread_touches_its_own_frame_only():
-    field = random_field(1, [20], spread=0.0)
-    np.testing.assert_array_equal(field.weights(np.array([19.0, 19.99, 20.0, 20.01]))[:, 0], [0, 0, 1, 0])
-
-
-def test_an_empty_field_is_zero():
-    rotation, location = CorrectionField().at(np.array([1.0, 2.0]))
-    assert rotation.shape == (2, 16, 3)
-    assert not rotation.any()
-    assert not location.any()
-
-
-def test_outside_of_the_changed_stretches_two_fields_are_the_same():
-    """Against the definition, on a fine grid, for corrections that come, go and change."""
-    rng = np.random.default_rng(5)
-    grid = np.linspace(0, 100, 2001)
-    for _ in range(200):
-        spread = float(rng.integers(0, 15))
-        old = random_field(
-            int(rng.integers(1000)), rng.choice(100, rng.integers(0, 6), replace=False), spread
-        )
-        new = old.without(rng.choice(sorted(old.corrections) or [0], 1))
-        for frame in rng.choice(100, rng.integers(0, 3), replace=False):
-            new = new.with_correction(int(frame), correction(rng, float(rng.integers(0, 15))))
-        inside = np.zeros(len(grid), dtype=bool)
-        for first, last in changed_stretches(old, new):
-            inside |= (grid >= first) & (grid <= last)
-        for before, after in zip(old.at(grid), new.at(grid), strict=True):
-            np.testing.assert_allclose(before[~inside], after[~inside], atol=1e-12)
-
-
-def test_turns_lead_from_one_rotation_to_the_other():
-    rng = np.random.default_rng(2)
-    before, after = rng.normal(size=(2, 50, 4))
-    before[0] *= 3.0  # keys need not be of unit length
-    turns = correction_between(before, after)
-    found = quat_to_rotmat(before) @ rotvec_to_rotmat(turns)
-    np.testing.assert_allclose(found, quat_to_rotmat(after), atol=1e-9)
-    np.testing.assert_allclose(quat_to_rotvec(rotvec_to_quat(turns)), turns, atol=1e-9)
-    np.testing.assert_allclose(rotvec_to_quat(np.zeros(3)), [1, 0, 0, 0], atol=0)
-
-
-def test_quaternion_product_is_the_product_of_rotations():
-    rng = np.random.default_rng(3)
-    a, b = rng.normal(size=(2, 20, 4))
-    np.testing.assert_allclose(
-        quat_to_rotmat(quat_multiply(a, b)), quat_to_rotmat(a) @ quat_to_rotmat(b), atol=1e-9
-    )
-
-
-def test_a_change_and_back_is_nothing():
-    rng = np.random.default_rng(4)
-    quats = rng.normal(size=(30, 16, 4))
-    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
-    old, new = rng.normal(scale=1.5, size=(2, 30, 16, 3))
-    there = changed_quats(quats, old, new)
-    np.testing.assert_allclose(np.linalg.norm(there, axis=-1), 1.0, atol=1e-9)
-    assert np.abs(there - quats).max() > 0.1
-    np.testing.assert_allclose(changed_quats(there, new, old), quats, atol=1e-9)
-
-
-def test_text_and_back():
-    field = random_field(7, [3, 12]).with_correction(5, Correction({0: (1.25, -3.5)}, added_key=True))
-    back = CorrectionField.from_json(field.to_json())
-    assert sorted(back.corrections) == [3, 5, 12]
-    for frame, one in field.corrections.items():
-        other = back.corrections[frame]
-        assert (other.pins, other.spread, other.added_key) == (one.pins, one.spread, one.added_key)
-        np.testing.assert_array_equal(other.rotation, one.rotation)
-        np.testing.assert_array_equal(other.location, one.location)
-    assert CorrectionField().to_json() == ""
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "no json",
-        "[]",
-        '{"version":1}',
-        '{"version":1,"frames":{"x":{}}}',
-        '{"version":1,"frames":{"3":{"pins":{"21":[1,2]},"spread":1}}}',
-        '{"version":1,"frames":{"3":{"pins":{},"spread":1,"rotation":[1]}}}',
-        '{"version":1,"frames":{"3":{"pins":{},"spread":NaN}}}',
-        '{"version":99,"frames":{}}',
-        '{"version":1e999,"frames":{}}',
-        '{"version":1,"frames":[]}',
-        '{"version":1,"frames":{"1e999":{"pins":{},"spread":1}}}',
-        '{"version":1,"frames":{"3":{"pins":{"2":[]},"spread":1}}}',
-        '{"version":1,"frames":{"3":{"pins":{},"spread":1,"location":[1e300,0,0]}}}',
-        '{"version":1,"frames":' + "[" * 100_000,
-    ],
-    ids=lambda text: text[:60],
-)
-def test_what_is_no_correction_is_refused(text):
-    with pytest.raises(TakeError, match="corrections"):
-        CorrectionField.from_json(text)
-
-
 # In the scene
 
 
@@ -195,7 +55,7 @@ def armature(make_take):
 
 
 def all_keys(armature) -> PoseKeys:
-    return read_pose_keys(armature, "right")
+    return read_pose_keys(rig_of(armature))
 
 
 def same_rotations(a: np.ndarray, b: np.ndarray) -> float:
@@ -205,7 +65,7 @@ def same_rotations(a: np.ndarray, b: np.ndarray) -> float:
 
 def moved_pose(armature, frame: int, seed: int = 1, size: float = 0.3):
     rng = np.random.default_rng(seed)
-    quats, locations = pose_at(armature, "right", np.array([float(frame)]))
+    quats, locations = pose_at(rig_of(armature), np.array([float(frame)]))
     turned = changed_quats(quats[0], np.zeros((16, 3)), rng.normal(scale=size, size=(16, 3)))
     return turned, locations[0] + rng.normal(scale=0.01, size=3)
 
@@ -264,16 +124,16 @@ def test_what_was_done_by_hand_stays(armature):
     quats, location = moved_pose(armature, 6)
     corrections.correct_frame(armature, 6, {8: (1.0, 2.0)}, quats, location, spread=6)
     here = np.array([8.0])
-    now, _ = pose_at(armature, "right", here)
+    now, _ = pose_at(rig_of(armature), here)
     turn = np.zeros((1, 16, 3))
     turn[0, 2] = [0.2, 0.0, 0.0]
     # The artist's turn comes first, the correction after it: so it is the bone's own before that.
     field_turn = corrections.corrections_of(armature).at(here)[0]
     base = changed_quats(now, field_turn, np.zeros_like(field_turn))
     by_hand = changed_quats(changed_quats(base, np.zeros_like(turn), turn), np.zeros_like(turn), field_turn)
-    write_pose_keys(armature, "right", PoseKeys.everywhere(here, by_hand))
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(here, by_hand))
     corrections.clear_corrections(armature)
-    after, _ = pose_at(armature, "right", here)
+    after, _ = pose_at(rig_of(armature), here)
     np.testing.assert_allclose(correction_between(base[0], after[0]), turn[0], atol=1e-5)
 
 
@@ -283,7 +143,7 @@ def test_a_frame_without_keys_gets_them_and_loses_them_again(armature):
     quats, location = moved_pose(armature, 10)
     corrections.correct_frame(armature, 10, {8: (1.0, 2.0)}, quats, location, spread=0)
     assert 10 in all_keys(armature).frames
-    found, place = pose_at(armature, "right", np.array([10.0]))
+    found, place = pose_at(rig_of(armature), np.array([10.0]))
     assert same_rotations(found[0], quats) < 1e-5
     np.testing.assert_allclose(place[0], location, atol=1e-6)
     corrections.clear_corrections(armature, [10])
@@ -296,7 +156,7 @@ def test_a_key_that_says_something_else_too_stays(armature):
     quats, location = moved_pose(armature, 10)
     corrections.correct_frame(armature, 10, {8: (1.0, 2.0)}, quats, location, spread=0)
     other, place = moved_pose(armature, 10, seed=9)
-    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([10.0]), other[None], place[None]))
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([10.0]), other[None], place[None]))
     corrections.clear_corrections(armature)
     assert 10 in all_keys(armature).frames
 
@@ -337,16 +197,14 @@ def test_scene_frames_that_are_not_the_sources(armature):
     keys = all_keys(armature)
     places = 100.0 + 0.5 * SEEN
     for place, quats, location in zip(places, keys.quats, keys.locations, strict=True):
-        write_pose_keys(
-            armature, "right", PoseKeys.everywhere(np.array([place]), quats[None], location[None])
-        )
-    before = read_pose_keys(armature, "right", 100.0)
+        write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([place]), quats[None], location[None]))
+    before = read_pose_keys(rig_of(armature), 100.0)
     quats, location = moved_pose(armature, 103.0)
     corrections.correct_frame(armature, 6, {8: (1.0, 2.0)}, quats, location, spread=3)
-    after = read_pose_keys(armature, "right", 100.0)
+    after = read_pose_keys(rig_of(armature), 100.0)
     moved = np.linalg.norm(after.locations - before.locations, axis=-1) > 1e-6
     np.testing.assert_array_equal(moved, (SEEN > 3) & (SEEN < 9))
-    np.testing.assert_array_equal(read_pose_keys(armature, "right", 0.0, 50.0).quats, keys.quats)
+    np.testing.assert_array_equal(read_pose_keys(rig_of(armature), 0.0, 50.0).quats, keys.quats)
 
 
 @pytest.mark.parametrize("spread", [2, 6, 20])
@@ -380,41 +238,11 @@ def test_a_frame_keyed_anew_can_be_corrected_and_that_taken_back(armature):
     for frame in (6, 8):
         quats, location = moved_pose(armature, frame, seed=frame + 50)
         corrections.correct_frame(armature, frame, {4: (1.0, 2.0)}, quats, location, spread=3)
-    found, _ = pose_at(armature, "right", np.array([6.0]))
+    found, _ = pose_at(rig_of(armature), np.array([6.0]))
     assert same_rotations(found[0], moved_pose(armature, 6, size=0.0)[0]) < 1e-5
     assert corrections.clear_corrections(armature, [6, 8]) == 2
     assert same_rotations(all_keys(armature).quats, fitted.quats) < 1e-5
     assert corrections.corrected_frames(armature) == [4, 14]
-
-
-def test_the_field_is_zero_where_frames_are_keyed_anew():
-    """On any of them, whatever is corrected around, between, or cleared afterwards."""
-    rng = np.random.default_rng(6)
-    for _ in range(200):
-        spread = float(rng.integers(0, 12))
-        old = random_field(int(rng.integers(1000)), rng.choice(30, rng.integers(1, 7), replace=False), spread)
-        frames = np.sort(rng.choice(30, rng.integers(1, 8), replace=False)).astype(float)
-        frames[0] += 0.25 * rng.integers(0, 2)
-        whole = bool(rng.integers(0, 2))
-        new = old.keyed_anew(frames, whole=whole, keep_pins=bool(rng.integers(0, 2)))
-        asked = np.linspace(frames[0], frames[-1], 200) if whole else frames
-        for one in (new, new.cleared(rng.choice(new.frames, 1)) if len(new.frames) else new):
-            rotation, location = CorrectionField.from_json(one.to_json()).at(asked)
-            assert np.abs(rotation).max() < 1e-12
-            assert np.abs(location).max() < 1e-12
-        assert not new.cleared(new.corrected).corrections
-
-
-def test_joints_that_are_not_keyed_keep_their_corrections():
-    old = random_field(3, [10, 20], spread=8.0)
-    for frame in (10.0, 12.0, 17.5):
-        new = old.keyed_anew([frame], joints=range(1, 16), location=False, keep_pins=True)
-        before, after = old.at(np.array([frame])), new.at(np.array([frame]))
-        np.testing.assert_allclose(after[0][:, 0], before[0][:, 0], atol=1e-7)
-        np.testing.assert_allclose(after[1], before[1], atol=1e-7)
-        assert not after[0][:, 1:].any()
-        assert new.corrected == [10, 20]
-        assert not new.cleared([10, 20]).corrections
 
 
 # Whose keys they are
@@ -425,7 +253,7 @@ def other_action(armature) -> bpy.types.Action:
     first = armature.animation_data.action
     armature.animation_data.action = bpy.data.actions.new("Another")
     keys = PoseKeys.everywhere(SEEN.astype(float), np.tile([0.8, 0.6, 0.0, 0.0], (len(SEEN), 16, 1)))
-    write_pose_keys(armature, "right", keys)
+    write_pose_keys(rig_of(armature), keys)
     return first
 
 
@@ -519,7 +347,7 @@ def test_another_name_while_keys_are_written(armature):
     armature.name = "My Hand"
     bpy.data.objects.new("photo of a hand right hand", None)
     assert list(writing)[-1] == 1.0
-    found, _ = pose_at(armature, "right", np.array(frames, dtype=float))
+    found, _ = pose_at(rig_of(armature), np.array(frames, dtype=float))
     assert same_rotations(found, np.array([q for q, _ in new])) < 1e-5
     writing = corrections.replacing_poses(armature, frames, found, np.array([p for _, p in new]))
     next(writing)
@@ -539,7 +367,7 @@ def test_keys_that_were_moved_or_replaced_are_left_alone(armature, what):
     if what == "replaced":
         rows = (keys.frames > 3) & (keys.frames < 9)
         quats = np.tile([0.6, 0.8, 0.0, 0.0], (rows.sum(), 16, 1))
-        write_pose_keys(armature, "right", PoseKeys.everywhere(keys.frames[rows], quats))
+        write_pose_keys(rig_of(armature), PoseKeys.everywhere(keys.frames[rows], quats))
     else:
         for curve in holder.fcurves:
             for point in curve.keyframe_points:
@@ -563,7 +391,7 @@ def test_a_touched_up_corrected_frame_is_still_known(armature):
     armature.manient.betas = hand_of(armature).track.betas
     quats, location = moved_pose(armature, 6, size=0.0)
     quats[4] = [0.6, 0.8, 0.0, 0.0]
-    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([6.0]), quats[None], location[None]))
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([6.0]), quats[None], location[None]))
     assert corrections.displaced(armature) == []
     corrections.clear_corrections(armature)
     others = np.delete(np.arange(16), 4)

@@ -10,9 +10,10 @@ import blender_manient
 from blender_manient.blender_versions import channels
 from blender_manient.operators import needs_hand
 from blender_manient.refiner import why_not
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections, reshape
 from blender_manient.scene.apply import apply_track
-from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.editable import why_not_editable, why_not_keyable
 from blender_manient.scene.keys import (
@@ -51,7 +52,7 @@ def armature(made):
 def shown(armature, frame: int) -> np.ndarray:
     """What the bones show on a frame, from wherever the motion is."""
     bpy.context.scene.frame_set(frame)
-    return displayed_pose(armature, "right")
+    return displayed_pose(rig_of(armature))
 
 
 def pushed_down(armature) -> bpy.types.Action:
@@ -156,7 +157,7 @@ def test_a_linked_action_says_so(armature, tmp_path):
 
 
 def test_locked_channels_are_not_overwritten(armature, made):
-    before = read_pose_keys(armature, "right")
+    before = read_pose_keys(rig_of(armature))
     bone = bone_names("right")[5]
     for curve in curves(armature):
         if f'"{bone}"' in curve.data_path:
@@ -168,11 +169,11 @@ def test_locked_channels_are_not_overwritten(armature, made):
         lambda: correct(armature),
         lambda: refitted(armature, [5, 6]),
         lambda: apply_track(armature, made.take, made.take.hands[0], "ANIMATION", 1.0),
-        lambda: write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([6.0]), before.quats[:1])),
+        lambda: write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([6.0]), before.quats[:1])),
     ):
         with pytest.raises(OptionError, match=f"bone {bone} .* are locked"):
             change()
-    after = read_pose_keys(armature, "right")
+    after = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(after.quats, before.quats)
     np.testing.assert_array_equal(after.locations, before.locations)
     assert armature.manient.corrections == ""
@@ -180,7 +181,7 @@ def test_locked_channels_are_not_overwritten(armature, made):
     chosen = np.zeros((1, 16), dtype=bool)
     chosen[0, 6] = True
     keys = PoseKeys(np.array([6.0]), before.quats[:1], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool))
-    write_pose_keys(armature, "right", keys)
+    write_pose_keys(rig_of(armature), keys)
 
 
 def test_a_locked_group_counts_too(armature):
@@ -197,7 +198,7 @@ def test_renamed_bones_are_one_sentence(armature, made):
     with pytest.raises(RuntimeError, match=f"lacks the bone {bone}"):
         bpy.ops.manient.relax_pose()
     with pytest.raises(HandModelError, match=f"lacks the bone {bone}"):
-        pose_at(armature, "right", np.array([4.0]))
+        pose_at(rig_of(armature), np.array([4.0]))
     with pytest.raises(HandModelError, match="give its bones their names back"):
         apply_track(armature, made.take, made.take.hands[0], "POSE", 8.0)
 
@@ -214,15 +215,15 @@ def test_renamed_bones_are_one_sentence(armature, made):
 
 
 def test_linked_duplicates_do_not_move_each_other(armature, made):
-    before = read_pose_keys(armature, "right")
+    before = read_pose_keys(rig_of(armature))
     bpy.ops.object.duplicate(linked=True)
     twin = bpy.context.view_layer.objects.active
     assert twin.animation_data.action == armature.animation_data.action
     bpy.context.scene.frame_set(6)
     assert bpy.ops.manient.relax_pose() == {"FINISHED"}
     assert twin.animation_data.action != armature.animation_data.action
-    np.testing.assert_array_equal(read_pose_keys(armature, "right").quats, before.quats)
-    assert same_rotations(read_pose_keys(twin, "right").quats, before.quats) > 0.05
+    np.testing.assert_array_equal(read_pose_keys(rig_of(armature)).quats, before.quats)
+    assert same_rotations(read_pose_keys(rig_of(twin)).quats, before.quats) > 0.05
 
 
 def test_reshaping_a_duplicate_leaves_strips_of_the_other_alone(armature):
@@ -243,36 +244,36 @@ def test_reshaping_a_duplicate_leaves_strips_of_the_other_alone(armature):
 
 
 def test_a_relaxed_pose_beside_a_correction_outlives_it(armature):
-    captured = read_pose_keys(armature, "right")
+    captured = read_pose_keys(rig_of(armature))
     correct(armature, 6)
-    wrist = pose_at(armature, "right", np.array([8.0]))
+    wrist = pose_at(rig_of(armature), np.array([8.0]))
     bpy.context.scene.frame_set(8)
     assert bpy.ops.manient.relax_pose() == {"FINISHED"}
-    relaxed, place = pose_at(armature, "right", np.array([8.0]))
+    relaxed, place = pose_at(rig_of(armature), np.array([8.0]))
     assert same_rotations(relaxed[:, 0], wrist[0][:, 0]) < 1e-5
     np.testing.assert_allclose(place, wrist[1], atol=1e-6)
     corrections.clear_corrections(armature, [6])
     # As with every correction, its frame stays what it was when that was made.
-    now, there = pose_at(armature, "right", np.array([8.0]))
+    now, there = pose_at(rig_of(armature), np.array([8.0]))
     assert same_rotations(now, relaxed) < 1e-5
     np.testing.assert_allclose(there, place, atol=1e-6)
     assert corrections.corrected_frames(armature) == [8]
     corrections.clear_corrections(armature)
-    assert same_rotations(read_pose_keys(armature, "right").quats, captured.quats) < 1e-5
+    assert same_rotations(read_pose_keys(rig_of(armature)).quats, captured.quats) < 1e-5
     assert armature.manient.corrections == ""
 
 
 @pytest.mark.parametrize("frame", [8.0, 9.5])
 def test_an_applied_pose_beside_a_correction_outlives_it(armature, made, frame):
-    captured = read_pose_keys(armature, "right")
+    captured = read_pose_keys(rig_of(armature))
     correct(armature, 6)
     apply_track(armature, made.take, made.take.hands[0], "POSE", frame, source_frame=16)
-    applied, place = pose_at(armature, "right", np.array([frame]))
+    applied, place = pose_at(rig_of(armature), np.array([frame]))
     corrections.clear_corrections(armature)
-    now, there = pose_at(armature, "right", np.array([frame]))
+    now, there = pose_at(rig_of(armature), np.array([frame]))
     assert same_rotations(now, applied) < 1e-5
     np.testing.assert_allclose(there, place, atol=1e-6)
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     same = np.isin(keys.frames, captured.frames) & (keys.frames != frame)
     assert (
         same_rotations(keys.quats[same], captured.quats[np.isin(captured.frames, keys.frames[same])]) < 1e-5
@@ -303,11 +304,10 @@ def test_reshaping_turns_what_pins_began_with(armature):
     quats, location = moved_pose(armature, 6, seed=3, size=0.4)
     corrections.correct_frame(armature, 6, {4: (1.0, 2.0)}, quats, location, 6.0)
     before = corrections.corrections_of(armature).corrections[6]
-    from blender_manient.scene.armature import rest_frames
 
-    old = rest_frames(armature, "right")
+    old = rig_of(armature).rest.frames
     armature.manient.betas = [3.0, -3.0, 2.0, 2.0, -2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    turn = np.swapaxes(rest_frames(armature, "right"), -1, -2) @ old
+    turn = np.swapaxes(rig_of(armature).rest.frames, -1, -2) @ old
     after = corrections.corrections_of(armature).corrections[6]
     assert np.abs(before.start_rotation).max() > 0.01
     expected = (turn @ before.start_rotation[..., None])[..., 0]

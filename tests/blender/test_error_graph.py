@@ -85,6 +85,28 @@ def test_its_words_name_the_error_here_and_the_largest(armature):
     assert "here" not in error_graph.label(hand, errors, 1000.0)
 
 
+def test_editors_look_for_hands_only_while_one_is_shown(armature, tmp_path):
+    """In every redraw they look through the whole scene."""
+    assert not error_graph._handles
+    bpy.ops.ed.undo_push(message="before")
+    armature.manient.show_error = True
+    bpy.ops.ed.undo_push(message="shown")
+    assert set(error_graph._handles) == set(error_graph._SPACES.values())
+    bpy.ops.ed.undo()
+    assert not error_graph._handles
+    bpy.ops.ed.redo()
+    assert error_graph._handles
+    path = str(tmp_path / "shown.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert not error_graph._handles
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert error_graph._handles
+    for obj in bpy.data.objects:
+        obj.manient.show_error = False
+    assert not error_graph._handles
+
+
 def test_switching_it_on_changes_no_animation(armature, tmp_path):
     def animation():
         action = armature.animation_data.action

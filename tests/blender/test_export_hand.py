@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -13,11 +12,15 @@ from mathutils import Matrix
 
 import blender_manient
 from blender_manient.blender_versions import use_nodes
-from blender_manient.scene import export, proof
-from blender_manient.scene.armature import bone_names
+from blender_manient.exporters import EXPORTERS
+from blender_manient.panels.export import MANIENT_PT_export
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from handfit_core.take import Source, Take
+from handfit_core.media.source import Source
+from handfit_core.take import Take
+from tests.drawn import drawn
 
 from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world, write_png
 from .fbx_file import read_fbx
@@ -206,11 +209,11 @@ def test_gltf_comes_back_where_it_was(all_hands, tmp_path, preset):
 @pytest.mark.parametrize("fmt", ["usd", "abc"])
 def test_other_formats(all_hands, tmp_path, fmt):
     made, _ = all_hands
-    if not export.available(export.FORMATS[fmt]):
+    if EXPORTERS[fmt].why_not():
         pytest.skip(f"this Blender cannot write {fmt}")
     before = snapshot()
     path = write(tmp_path / "hand", file_format=fmt)
-    path = path.with_name("hand" + export.FORMATS[fmt].suffix)
+    path = path.with_name("hand" + EXPORTERS[fmt].suffix)
     assert path.is_file()
     assert snapshot() == before
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -235,9 +238,9 @@ def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
     armature = built.hands[0].armature
     bpy.context.view_layer.objects.active = armature
     frame = made.seen[2][1]
-    quats, locations = pose_at(armature, "right", np.array([float(frame)]))
+    quats, locations = pose_at(rig_of(armature), np.array([float(frame)]))
     write_pose_keys(
-        armature, "right", PoseKeys.everywhere(np.array([30.0]), quats, locations + [[0.0, 0.1, 0.0]])
+        rig_of(armature), PoseKeys.everywhere(np.array([30.0]), quats, locations + [[0.0, 0.1, 0.0]])
     )
     bpy.context.scene.frame_set(30)
     expected = joint_heads(armature, "right")
@@ -326,12 +329,12 @@ def test_the_take_has_the_artists_shape_and_keys(make_take, tmp_path):
     armature = built.hands[0].armature
     bpy.context.view_layer.objects.active = armature
     armature.manient.betas = BETAS
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     turned = keys.quats.copy()
     turned[:, 4] = (0.9, 0.3, 0.2, 0.1)
     turned[:, 4] /= np.linalg.norm(turned[:, 4], axis=-1, keepdims=True)
     moved = PoseKeys.everywhere(keys.frames, turned, keys.locations + [0.0, 0.02, 0.01])
-    write_pose_keys(armature, "right", moved)
+    write_pose_keys(rig_of(armature), moved)
     take = Take.load(write(tmp_path / "mine.npz", file_format="npz"))
     (track,) = take.hands
     np.testing.assert_allclose(track.betas, BETAS, atol=1e-6)
@@ -381,11 +384,17 @@ def test_pose_mode(hands, tmp_path):
 
 
 def test_a_format_that_this_blender_lacks_is_one_sentence(hands, tmp_path, monkeypatch):
-    formats = {**export.FORMATS, "usd": export.Format(".usdc", "wm.no_such_operator", export._usd)}
-    monkeypatch.setattr(export, "FORMATS", formats)
+    monkeypatch.setattr(EXPORTERS["usd"], "operator", "wm.no_such_operator", raising=False)
     with pytest.raises(RuntimeError, match="this Blender cannot write usd"):
         bpy.ops.manient.export_hand(filepath=str(tmp_path / "x"), file_format="usd")
     assert not list(tmp_path.iterdir())
+    others = [fmt for fmt, kind in EXPORTERS.items() if fmt != "usd" and kind.why_not()]
+    for chosen, grey in (("usd", ["usd", "Export"]), ("glb", ["usd"])):
+        bpy.context.scene.manient.export_format = chosen
+        panel = drawn(MANIENT_PT_export)
+        assert sorted(panel.grey) == sorted([*grey, *others])
+        assert "USD" in panel.said
+        assert "missing in this build of Blender" in panel.said
 
 
 def test_what_cannot_be_written_is_one_sentence(hands, tmp_path):
@@ -426,8 +435,8 @@ def test_what_hangs_on_a_hand_stays_behind(hands, tmp_path, capfd):
         assert len(content["meshes"]) == 2
         assert not names & {"A ring", "A glove"}
     for fmt in ("usd", "abc"):
-        if export.available(export.FORMATS[fmt]):
-            path = write(tmp_path / "a", file_format=fmt).with_name("a" + export.FORMATS[fmt].suffix)
+        if not EXPORTERS[fmt].why_not():
+            path = write(tmp_path / "a", file_format=fmt).with_name("a" + EXPORTERS[fmt].suffix)
             assert b"A ring" not in path.read_bytes()
             assert b"A_ring" not in path.read_bytes()
     write(tmp_path / "a.npz", file_format="npz")
@@ -491,10 +500,10 @@ def test_frames_that_the_artist_posed_count_as_filled(make_take, tmp_path):
     armature = built.hands[0].armature
     bpy.context.view_layer.objects.active = armature
     frame = float(made.take.frame_numbers[UNSEEN])
-    quats, locations = pose_at(armature, "right", np.array([frame]))
+    quats, locations = pose_at(rig_of(armature), np.array([frame]))
     quats[:, 4] = (0.8, 0.6, 0.0, 0.0)
     write_pose_keys(
-        armature, "right", PoseKeys.everywhere(np.array([frame, 10.0]), quats[[0, 0]], locations[[0, 0]])
+        rig_of(armature), PoseKeys.everywhere(np.array([frame, 10.0]), quats[[0, 0]], locations[[0, 0]])
     )
     take = Take.load(write(tmp_path / "a.take.npz", file_format="npz"))
     (track,) = take.hands
@@ -590,7 +599,7 @@ SECRET = "folder_of_a_secret_project"
 @pytest.mark.parametrize("preset", ["PLAIN", "UNREAL"])
 def test_no_folder_leaves_in_an_export(make_take, tmp_path, monkeypatch, fmt, preset):
     """Of the picture, the model, a texture, the open file and the file itself only names are told."""
-    if not export.available(export.FORMATS[fmt]):
+    if EXPORTERS[fmt].why_not():
         pytest.skip(f"this Blender cannot write {fmt}")
     secret = tmp_path / SECRET
     secret.mkdir()
@@ -610,11 +619,9 @@ def test_no_folder_leaves_in_an_export(make_take, tmp_path, monkeypatch, fmt, pr
     bpy.context.view_layer.objects.active = armature
     bpy.ops.wm.save_as_mainfile(filepath=str(secret / "scene of a hand.blend"))
     if fmt == "usd":  # the same as text, whose writer compresses nothing
-        monkeypatch.setitem(
-            export.FORMATS, "usd", replace(export.FORMATS["usd"], suffix=".usda", write=export._usd)
-        )
-        monkeypatch.setitem(proof._ENDS, ".usda", lambda _stream, _size: True)
-    path = write(secret / f"out{export.FORMATS[fmt].suffix}", file_format=fmt, preset=preset)
+        monkeypatch.setattr(EXPORTERS["usd"], "suffix", ".usda")
+        monkeypatch.setattr(EXPORTERS["usd"], "is_whole", lambda _stream, _size: True)
+    path = write(secret / f"out{EXPORTERS[fmt].suffix}", file_format=fmt, preset=preset)
     content = path.read_bytes()
     assert SECRET.encode() not in content
     assert str(tmp_path).encode() not in content
@@ -664,7 +671,7 @@ def view_state() -> list:
 @pytest.mark.parametrize("fmt", ["fbx", "glb", "usd", "bvh", "abc", "npz"])
 def test_no_view_is_changed(hands, tmp_path, fmt, local):
     """Through the scene's camera or one of the view's own, in a second view layer, with two cameras."""
-    if fmt != "npz" and not export.available(export.FORMATS[fmt]):
+    if EXPORTERS[fmt].why_not():
         pytest.skip(f"this Blender cannot write {fmt}")
     scene = bpy.context.scene
     other = bpy.data.objects.new("Another camera", bpy.data.cameras.new("Another camera"))

@@ -9,8 +9,9 @@ import sys
 
 import pytest
 
+from blender_manient.exporters import EXPORTERS
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import FORMATS, available, export_take
+from blender_manient.scene.export import export_take
 from blender_manient.scene.proof import prove_whole
 from handfit_core.errors import OutputError
 from tests.conftest import ROOT
@@ -43,7 +44,10 @@ def test_nothing_good_is_lost(make_take, tmp_path, kind):
     found = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
     assert done.returncode == 0, (done.returncode, found[-1:], done.stderr[-3000:])
     tried = {name for name, *_ in found}
-    assert tried == {name for name, fmt in FORMATS.items() if available(fmt)} | {"take", "preview"}
+    assert tried == {name for name, e in EXPORTERS.items() if e.writes != "captured" and not e.why_not()} | {
+        "take",
+        "preview",
+    }
     assert len(found) == 3 * len(tried)
     for name, room, message, as_it_should_be in found:
         assert as_it_should_be, (name, room, message)
@@ -54,30 +58,30 @@ def test_nothing_good_is_lost(make_take, tmp_path, kind):
             assert "free some space or choose another folder" in message
 
 
-@pytest.mark.parametrize("fmt", list(FORMATS))
+@pytest.mark.parametrize("fmt", [name for name, e in EXPORTERS.items() if e.writes != "captured"])
 def test_no_beginning_of_a_file_is_taken_for_the_whole(make_take, tmp_path, fmt):
-    if not available(FORMATS[fmt]):
+    if EXPORTERS[fmt].why_not():
         pytest.skip(f"this Blender cannot write {fmt}")
     made = make_take(sides=("right",))
     (path,) = export_take(build_take(made.take), made.take, tmp_path, "hand", fmt)
     content = path.read_bytes()
-    prove_whole(path, path)
+    prove_whole(path, path, EXPORTERS[fmt].is_whole)
     part = path.with_name("part" + path.suffix)
     step = max(1, len(content) // 200)
     for length in (*range(0, len(content), step), *(len(content) - less for less in (1, 2, 4, 8, 16))):
         part.write_bytes(content[:length])
         with pytest.raises(OutputError, match=r"hand.*(wrote nothing|only a part)"):
-            prove_whole(path, part)
+            prove_whole(path, part, EXPORTERS[fmt].is_whole)
     part.write_bytes(content + b"\0")  # and nothing may follow: it was no part of it
     with pytest.raises(OutputError):
-        prove_whole(path, part)
+        prove_whole(path, part, EXPORTERS[fmt].is_whole)
 
 
 @pytest.mark.parametrize("shading", ["smooth", "flat", "subdivided"])
 def test_what_alembic_needs_is_not_underestimated(make_take, imitation_mano, tmp_path, shading, monkeypatch):
-    if not available(FORMATS["abc"]):
+    if EXPORTERS["abc"].why_not():
         pytest.skip("this Blender cannot write abc")
-    from blender_manient.scene import export
+    from blender_manient.exporters import alembic
 
     made = make_take(model="open-hand" if shading == "subdivided" else str(imitation_mano))
     built = build_take(made.take)
@@ -88,7 +92,9 @@ def test_what_alembic_needs_is_not_underestimated(make_take, imitation_mano, tmp
             finer.levels, finer.render_levels = 0, 1
             hand.mesh.modifiers.new("Last", "SIMPLE_DEFORM")  # what is last is not subdivided by Alembic
     asked = []
-    check_room = export.check_room
-    monkeypatch.setattr(export, "check_room", lambda path, size: (asked.append(size), check_room(path, size)))
+    check_room = alembic.check_room
+    monkeypatch.setattr(
+        alembic, "check_room", lambda path, size: (asked.append(size), check_room(path, size))
+    )
     (path,) = export_take(built, made.take, tmp_path, "hand", "abc")
     assert path.stat().st_size <= asked[0] <= 3 * path.stat().st_size

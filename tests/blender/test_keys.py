@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from blender_manient.blender_versions import action_curves
-from blender_manient.scene.armature import bone_names
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import (
     PoseKeys,
@@ -59,18 +60,18 @@ def contents(armature) -> dict:
 
 
 def test_read_what_was_captured(armature):
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(keys.frames, SEEN)
     assert keys.rotation_keyed.all()
     assert keys.location_keyed.all()
-    some = read_pose_keys(armature, "right", 5, 13)
+    some = read_pose_keys(rig_of(armature), 5, 13)
     np.testing.assert_array_equal(some.frames, SEEN[(SEEN >= 5) & (SEEN <= 13)])
     same_rotation(some.quats, keys.quats[(SEEN >= 5) & (SEEN <= 13)])
 
 
 def test_writing_back_what_was_read_changes_nothing(armature):
     before = contents(armature)
-    write_pose_keys(armature, "right", read_pose_keys(armature, "right"))
+    write_pose_keys(rig_of(armature), read_pose_keys(rig_of(armature)))
     after = contents(armature)
     assert after.keys() == before.keys()
     for name, points in before.items():
@@ -85,22 +86,22 @@ def test_only_the_written_keys_change(armature):
     keyed = np.zeros((1, 16), dtype=bool)
     keyed[0, 5] = True
     keys = PoseKeys(SEEN[[3]], quats, np.zeros((1, 3)), keyed, np.zeros(1, dtype=bool))
-    write_pose_keys(armature, "right", keys)
+    write_pose_keys(rig_of(armature), keys)
     own = bone_names("right")[5]
     for name, points in contents(armature).items():
         for one, other in zip(points, before[name], strict=True):
             if f'"{own}"' not in name[0] or one[0][0] != SEEN[3]:
                 # Automatic handles next to the key may turn; keys do not.
                 assert one[0] == other[0]
-    same_rotation(pose_at(armature, "right", SEEN[[3]])[0][:, 5], quats[:, 5])
+    same_rotation(pose_at(rig_of(armature), SEEN[[3]])[0][:, 5], quats[:, 5])
 
 
 def test_insert_between_before_and_after(armature):
     frames = np.array([1.0, 4.5, 10.0, 30.0])
-    before = read_pose_keys(armature, "right")
+    before = read_pose_keys(rig_of(armature))
     quats, places = random_quats(4), np.arange(12.0).reshape(4, 3)
-    write_pose_keys(armature, "right", PoseKeys.everywhere(frames, quats, places))
-    keys = read_pose_keys(armature, "right")
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(frames, quats, places))
+    keys = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(keys.frames, np.sort(np.concatenate([SEEN, frames])))
     new = np.isin(keys.frames, frames)
     same_rotation(keys.quats[new], quats)
@@ -114,7 +115,7 @@ def test_insert_between_before_and_after(armature):
 def test_new_keys_go_on_like_the_key_before(armature):
     curve = curve_of(armature, 2, 1)
     curve.keyframe_points[2].interpolation = "BEZIER"
-    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([5.5]), random_quats(1)))
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([5.5]), random_quats(1)))
     kinds = {round(k.co[0], 1): k.interpolation for k in curve_of(armature, 2, 1).keyframe_points}
     assert kinds[5.0] == kinds[5.5] == "BEZIER"
     assert kinds[6.0] == "LINEAR"
@@ -126,9 +127,9 @@ def test_free_handles_move_with_their_key(armature):
     point.handle_left_type = point.handle_right_type = "FREE"
     point.handle_right = (point.co[0] + 0.4, point.co[1] + 0.3)
     offset = point.handle_right[1] - point.co[1]
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     write_pose_keys(
-        armature, "right", PoseKeys.everywhere(keys.frames, keys.quats, keys.locations + [0.0, 0.5, 0.0])
+        rig_of(armature), PoseKeys.everywhere(keys.frames, keys.quats, keys.locations + [0.0, 0.5, 0.0])
     )
     point = curve_of(armature, 0, 1, "location").keyframe_points[4]
     assert point.handle_right[1] - point.co[1] == pytest.approx(offset, abs=1e-5)
@@ -141,8 +142,8 @@ def test_other_rotation_modes(armature, mode):
     bone.rotation_mode = mode
     quats = random_quats(3)
     frames = np.array([3.0, 5.0, 9.0])
-    write_pose_keys(armature, "right", PoseKeys.everywhere(frames, quats))
-    keys = read_pose_keys(armature, "right")
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(frames, quats))
+    keys = read_pose_keys(rig_of(armature))
     rows = np.isin(keys.frames, frames)
     same_rotation(keys.quats[rows], quats)
     np.testing.assert_array_equal(keys.rotation_keyed[:, 4], rows)
@@ -153,25 +154,25 @@ def test_other_rotation_modes(armature, mode):
 
 def test_without_an_action_one_is_made(armature):
     armature.animation_data_clear()
-    assert not keyed_bones(armature, "right").any()
+    assert not keyed_bones(rig_of(armature)).any()
     quats = random_quats(2)
-    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([1.0, 2.0]), quats, np.ones((2, 3))))
-    assert keyed_bones(armature, "right").all()
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([1.0, 2.0]), quats, np.ones((2, 3))))
+    assert keyed_bones(rig_of(armature)).all()
     bpy.context.scene.frame_set(2)
-    same_rotation(displayed_pose(armature, "right"), quats[1])
+    same_rotation(displayed_pose(rig_of(armature)), quats[1])
 
 
 def test_written_keys_show_at_once(armature):
     bpy.context.scene.frame_set(5)
     quats = random_quats(1)
-    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([5.0]), quats))
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([5.0]), quats))
     bpy.context.view_layer.update()
-    same_rotation(displayed_pose(armature, "right"), quats[0])
+    same_rotation(displayed_pose(rig_of(armature)), quats[0])
 
 
 def test_remove(armature):
-    remove_pose_keys(armature, "right", 5, 12, joints=[3, 4], location=False)
-    keys = read_pose_keys(armature, "right")
+    remove_pose_keys(rig_of(armature), 5, 12, joints=[3, 4], location=False)
+    keys = read_pose_keys(rig_of(armature))
     inside = (keys.frames >= 5) & (keys.frames <= 12)
     assert not keys.rotation_keyed[inside][:, [3, 4]].any()
     assert keys.rotation_keyed[~inside][:, [3, 4]].all()
@@ -188,16 +189,16 @@ def test_missing_curves_are_made_without_moving_anything(armature):
         holder = holder.layers[0].strips[0].channelbag(holder.slots[0])
     holder.fcurves.remove(curve)
     armature.pose.bones[bone_names("right")[7]].rotation_quaternion[2] = value
-    before, _ = pose_at(armature, "right", SEEN)
-    write_pose_keys(armature, "right", PoseKeys.everywhere(np.array([40.0]), random_quats(1)))
-    after, _ = pose_at(armature, "right", SEEN)
+    before, _ = pose_at(rig_of(armature), SEEN)
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([40.0]), random_quats(1)))
+    after, _ = pose_at(rig_of(armature), SEEN)
     same_rotation(after, before)
     assert len(list(action_curves(armature.animation_data.action))) == count
 
 
 def test_signs(armature):
     quats = np.zeros((1, 16, 4))
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     # A turn of more than half a circle in the middle: what follows has the other sign then.
     quats = keys.quats.copy()
     quats[5:, 9] *= -1.0
@@ -205,7 +206,7 @@ def test_signs(armature):
         curve = curve_of(armature, 9, index)
         for row in range(5, len(quats)):
             curve.keyframe_points[row].co[1] *= -1.0
-    align_signs(armature, "right")
+    align_signs(rig_of(armature))
     parts = [[k.co[1] for k in curve_of(armature, 9, i).keyframe_points] for i in range(4)]
     found = np.array(parts).T
     assert (np.sum(found[1:] * found[:-1], axis=-1) > 0).all()
@@ -217,12 +218,12 @@ def test_set_pose(armature):
     names = bone_names("right")
     armature.pose.bones[names[2]].rotation_mode = "YXZ"
     armature.pose.bones[names[3]].rotation_mode = "AXIS_ANGLE"
-    before = displayed_pose(armature, "right")
+    before = displayed_pose(rig_of(armature))
     quats = random_quats(1)[0]
     wanted = quats.copy()
     quats[6] = np.nan
     wanted[6] = before[6]
-    set_pose(armature, "right", quats, np.array([1.0, 2.0, 3.0]))
+    set_pose(rig_of(armature), quats, np.array([1.0, 2.0, 3.0]))
     bpy.context.view_layer.update()
-    same_rotation(displayed_pose(armature, "right"), wanted)
+    same_rotation(displayed_pose(rig_of(armature)), wanted)
     assert tuple(armature.pose.bones[names[0]].location) == (1.0, 2.0, 3.0)

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient import source_info, sources
+from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.matching import Footage, matches, said, why_kept
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH
 
@@ -103,7 +105,7 @@ def test_what_tells_of_a_shot_keeps_the_scene(clip, tmp_path, sign):
     assert told.startswith(f"Hand comes at frame 41, {scene.render.fps} fps: the scene stays, as ")
     armature = brought_in(clip, tmp_path)
     assert state() == before
-    keyed = read_pose_keys(armature, "right").frames
+    keyed = read_pose_keys(rig_of(armature)).frames
     expected = 41 + (np.delete(FRAMES, UNSEEN) - FRAMES[0]) * scene.render.fps / 30
     np.testing.assert_allclose(keyed, expected, atol=1e-4)
 
@@ -112,7 +114,9 @@ def test_the_start_up_scene_is_matched(clip, tmp_path):
     scene = bpy.context.scene
     scene.frame_set(41)
     told = said(scene, "AUTO", Footage.of_take(clip), 41)
-    assert told == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}, {WIDTH}×{HEIGHT}"
+    assert (
+        told == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}, {WIDTH}×{HEIGHT}, with the footage's camera"
+    )
     armature = brought_in(clip, tmp_path)
     assert (scene.render.fps, scene.frame_start, scene.frame_end) == (30, FRAMES[0], FRAMES[-1])
     assert (scene.render.resolution_x, scene.render.resolution_y) == (WIDTH, HEIGHT)
@@ -145,7 +149,7 @@ def test_the_same_clip_again_lies_on_the_same_frames(clip, tmp_path):
     first = brought_in(clip, tmp_path)
     bpy.context.scene.frame_set(10)
     second = brought_in(clip, tmp_path)
-    frames = [read_pose_keys(armature, "right").frames.tolist() for armature in (first, second)]
+    frames = [read_pose_keys(rig_of(armature)).frames.tolist() for armature in (first, second)]
     assert frames[0] == frames[1]
     # But not before a camera of the artist's.
     own_camera(bpy.context.scene)
@@ -172,7 +176,7 @@ def test_a_picture_does_not_enter_a_shot_of_its_size(make_take, tmp_path):
         tmp_path,
     )
     assert state() == before
-    assert read_pose_keys(armature, "right").frames.tolist() == [1040]
+    assert read_pose_keys(rig_of(armature)).frames.tolist() == [1040]
 
 
 def test_a_scene_whose_captures_were_deleted_is_nobodys_again(clip, make_take, picture, tmp_path):
@@ -191,6 +195,37 @@ def test_a_rate_that_no_whole_number_tells_is_known_again(make_take, fps):
     take = make_take(sides=("right",), fps=fps).take
     build_take(take)
     assert Footage.of_take(take).is_that_of(bpy.context.scene)
+
+
+def test_a_pictures_shot_keeps_the_range_that_the_artist_set(make_take, clip, tmp_path):
+    """Matched to a picture, which has no time, and brought a clip later."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1001, 1120
+    brought_in(make_take(sides=("right",), frame_numbers=np.array([7])).take, tmp_path, matching="MATCH")
+    assert scene.render.resolution_x == WIDTH
+    assert why_kept(scene, Footage.of_take(clip)) == "it has settings of its own"
+    brought_in(clip, tmp_path)
+    assert (scene.frame_start, scene.frame_end) == (1001, 1120)
+
+
+def test_all_that_matching_changes_is_said(clip):
+    scene = bpy.context.scene
+    told = said(scene, "MATCH", Footage.of_take(clip), 1, render_setup=True)
+    for word in ("30 fps", f"{FRAMES[0]}-{FRAMES[-1]}", f"{WIDTH}×{HEIGHT}", "camera", "suns", "Standard"):
+        assert word in told
+    own = Footage.of_take(clip, own_camera=True)
+    assert (
+        said(scene, "MATCH", own, 1, render_setup=True) == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}"
+    )
+
+
+def test_one_frame_of_a_clip_has_no_time(clip):
+    scene = bpy.context.scene
+    info = source_info.SourceInfo("", False, sources.SourceFiles("video", ("a.mp4",)), width=64, height=48)
+    info.fps, info.first, info.last = 25.0, 1, 60
+    whole, one = (source_info.footage(scene.manient, info, only=only) for only in (None, 7))
+    assert said(scene, "AUTO", whole, 7) == "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"
+    assert said(scene, "AUTO", one, 7) == "Scene becomes 64×48, with the footage's camera"
 
 
 def test_nothing_known_of_the_footage_is_said_without_figures():

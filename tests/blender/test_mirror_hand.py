@@ -8,7 +8,8 @@ import pytest
 
 import blender_manient
 from blender_manient.blender_versions import action_curves
-from blender_manient.scene.armature import bone_names
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, read_pose_keys, remove_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
@@ -60,11 +61,11 @@ def test_it_is_the_mirror_image_on_every_frame(make_take, model, side):
 def test_the_artists_keys_are_mirrored(make_take):
     source = build_take(aside(make_take(sides=("right",))).take).hands[0]
     armature = source.armature
-    keys = read_pose_keys(armature, "right")
+    keys = read_pose_keys(rig_of(armature))
     write_pose_keys(
-        armature, "right", PoseKeys.everywhere(np.array([25.0]), keys.quats[:1], keys.locations[:1])
+        rig_of(armature), PoseKeys.everywhere(np.array([25.0]), keys.quats[:1], keys.locations[:1])
     )
-    remove_pose_keys(armature, "right", 5, 9, joints=[3], location=True)
+    remove_pose_keys(rig_of(armature), 5, 9, joints=[3], location=True)
     armature.pose.bones[bone_names("right")[4]].rotation_mode = "YXZ"
     path = f'pose.bones["{bone_names("right")[1]}"].rotation_quaternion'
     for curve in action_curves(armature.animation_data.action):
@@ -74,14 +75,14 @@ def test_the_artists_keys_are_mirrored(make_take):
             point.handle_left_type = point.handle_right_type = "FREE"
             point.handle_right = (point.co[0] + 0.3, point.co[1] + 0.1)
             curve.update()
-    before = read_pose_keys(armature, "right")
+    before = read_pose_keys(rig_of(armature))
     other = mirrored(source)
-    after = read_pose_keys(other, "left")
+    after = read_pose_keys(rig_of(other))
     np.testing.assert_array_equal(after.frames, before.frames)
     np.testing.assert_array_equal(after.rotation_keyed, before.rotation_keyed)
     np.testing.assert_array_equal(after.location_keyed, before.location_keyed)
     # The source is as it was.
-    np.testing.assert_allclose(read_pose_keys(armature, "right").quats, before.quats, atol=1e-7)
+    np.testing.assert_allclose(read_pose_keys(rig_of(armature)).quats, before.quats, atol=1e-7)
     assert other.pose.bones[bone_names("left")[4]].rotation_mode == "YXZ"
     for frame in (4, 5, 7, 20, 25):
         bpy.context.scene.frame_set(frame)

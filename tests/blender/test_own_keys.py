@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.correction_field import changed_quats
-from blender_manient.operators.refit_range import replaced, suggested_range
+from blender_manient.operators.refit_range import MANIENT_OT_refit_range, replaced, suggested_range
+from blender_manient.rigs import rig_of
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, write_pose_keys
 from blender_manient.scene.own_keys import keyed_by_hand, note_fitted
 from blender_manient.scene.store import hand_of
+from handfit_core.edit.corrections import changed_quats
+from handfit_core.media.source import Source
 from handfit_core.skeleton import NUM_JOINTS
-from handfit_core.take import Source
+from tests.drawn import drawn
 
 from .conftest import FRAMES, UNSEEN
 
@@ -50,10 +52,10 @@ def place(armature, row: int = ROW) -> float:
 def turned(armature, row: int = ROW, joints: tuple[int, ...] = (5,), by: float = 0.2) -> np.ndarray:
     """Rotate bones and key them, as an artist does."""
     frame = np.array([place(armature, row)])
-    quats, locations = pose_at(armature, "right", frame)
+    quats, locations = pose_at(rig_of(armature), frame)
     keyed = np.isin(np.arange(NUM_JOINTS), joints)[None]
     quats = changed_quats(quats, np.zeros((1, 16, 3)), np.full((1, 16, 3), by))
-    write_pose_keys(armature, "right", PoseKeys(frame, quats, locations, keyed, np.array([False])))
+    write_pose_keys(rig_of(armature), PoseKeys(frame, quats, locations, keyed, np.array([False])))
     return quats
 
 
@@ -77,7 +79,7 @@ def test_keys_that_were_changed_or_set_where_there_were_none_are_the_artists(arm
 
 def test_a_correction_and_its_fading_are_no_keys_by_hand(armature):
     frame = np.array([place(armature)])
-    quats, locations = pose_at(armature, "right", frame)
+    quats, locations = pose_at(rig_of(armature), frame)
     dragged = changed_quats(quats[0], np.zeros((16, 3)), np.full((16, 3), 0.2))
     corrections.correct_frame(armature, FRAMES[ROW], {8: (1.0, 2.0)}, dragged, locations[0] + 0.01, 4)
     assert own(armature) == []
@@ -93,7 +95,7 @@ def test_other_proportions_make_no_key_the_artists(armature):
 def test_what_was_fitted_again_is_nobodys_own_until_it_is_changed(armature):
     quats = turned(armature, joints=tuple(range(16)))
     assert len(own(armature)) == 16
-    _, locations = pose_at(armature, "right", np.array([place(armature)]))
+    _, locations = pose_at(rig_of(armature), np.array([place(armature)]))
     note_fitted(armature, [int(FRAMES[ROW])], quats, locations)
     assert own(armature) == []
     armature.manient.betas[0] += 1.0
@@ -115,6 +117,9 @@ def test_the_words_follow_the_range(armature):
     said, alert = replaced(bpy.context, frames[0], frames[-1])
     assert said == "Fits 12 frames again. Replaces 3 keys set by hand, on 2 frames"
     assert alert
+    dialog = drawn(MANIENT_OT_refit_range, first=frames[0], last=frames[-1])
+    # Without a window a dialog's lines have no room, and break after each letter.
+    assert "".join(dialog.said.split()) == "".join(f"first last {said}".split())
     said, alert = replaced(bpy.context, frames[5], frames[-1])
     assert said == "Fits 7 frames again. Replaces no key set by hand"
     assert not alert
@@ -128,7 +133,7 @@ def test_corrections_are_named_too(armature):
     bpy.context.scene.frame_set(round(place(armature, 0)))
     assert bpy.ops.manient.relax_pose() == {"FINISHED"}
     frame = place(armature, 8)
-    quats, locations = pose_at(armature, "right", np.array([frame]))
+    quats, locations = pose_at(rig_of(armature), np.array([frame]))
     corrections.correct_frame(armature, FRAMES[8], {8: (1.0, 2.0)}, quats[0], locations[0], 2)
     said, alert = replaced(bpy.context, round(place(armature, 0)), round(place(armature, 11)))
     assert said == "Fits 12 frames again. Replaces 1 relaxed pose. The points of 1 corrected frame stay"
@@ -148,7 +153,7 @@ def test_the_range_that_is_offered_is_never_everything(make_take):
     assert suggested_range(bpy.context) == (16, 18), "as far as it was captured"
     scene.frame_set(99)
     assert suggested_range(bpy.context) == (16, 18)
-    quats, locations = pose_at(armature, "right", np.array([14.0]))
+    quats, locations = pose_at(rig_of(armature), np.array([14.0]))
     corrections.correct_frame(armature, 14, {8: (1.0, 2.0)}, quats[0], locations[0], 3)
     scene.frame_set(12)
     assert suggested_range(bpy.context) == (11, 17), "the correction's reach"

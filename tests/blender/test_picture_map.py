@@ -8,8 +8,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
-from blender_manient.picture_map import mapped, picture_to_region
 from blender_manient.scene.build import build_take
+from handfit_core.geometry.picture_map import mapped, picture_to_region
 from handfit_core.skeleton import FINGER_JOINTS
 
 from .conftest import HEIGHT, WIDTH, joint_heads

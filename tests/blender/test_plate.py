@@ -9,7 +9,7 @@ import pytest
 from blender_manient.scene.build import build_take
 from blender_manient.scene.plate import load_plate
 from blender_manient.scene.preview import render_plate
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import HEIGHT, OFF_CENTRE, WIDTH, write_png
 

@@ -13,7 +13,7 @@ import pytest
 
 from blender_manient import source_info, sources
 from blender_manient.scene.build import build_take
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 from tests.bombs import clip, with_claimed_size
 from tests.child import peak_megabytes
 from tests.listener import listening

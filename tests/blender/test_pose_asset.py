@@ -8,7 +8,8 @@ import pytest
 
 import blender_manient
 from blender_manient.blender_versions import action_curves
-from blender_manient.scene.armature import bone_names
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import displayed_pose
 
@@ -51,7 +52,7 @@ def test_one_key_per_bone(hands, wrist):
     assert len(curves) == 4 * (15 + wrist)
     assert all(len(c.keyframe_points) == 1 for c in curves)
     values = np.array([c.keyframe_points[0].co[1] for c in curves]).reshape(-1, 4)
-    same_rotation(values, displayed_pose(first, "right")[0 if wrist else 1 :])
+    same_rotation(values, displayed_pose(rig_of(first))[0 if wrist else 1 :])
 
 
 @pytest.mark.parametrize("wrist", [False, True])
@@ -60,12 +61,12 @@ def test_the_pose_librarys_own_way_of_applying(hands, wrist):
     first, second = hands
     bpy.ops.manient.save_pose_asset(asset_name="Wave", wrist=wrist)
     action = bpy.data.actions["Wave"]
-    wanted = displayed_pose(first, "right")
-    before = displayed_pose(second, "right")
+    wanted = displayed_pose(rig_of(first))
+    before = displayed_pose(rig_of(second))
     second.animation_data_clear()
     second.pose.apply_pose_from_action(action, evaluation_time=0.0)
     bpy.context.view_layer.update()
-    found = displayed_pose(second, "right")
+    found = displayed_pose(rig_of(second))
     same_rotation(found[1:], wanted[1:])
     if wrist:
         same_rotation(found[0], wanted[0])
@@ -76,12 +77,12 @@ def test_the_pose_librarys_own_way_of_applying(hands, wrist):
 def test_half_of_a_pose_can_be_blended(hands):
     first, second = hands
     bpy.ops.manient.save_pose_asset(asset_name="Wave")
-    wanted = displayed_pose(first, "right")
+    wanted = displayed_pose(rig_of(first))
     second.animation_data_clear()
-    before = displayed_pose(second, "right")
+    before = displayed_pose(rig_of(second))
     second.pose.blend_pose_from_action(bpy.data.actions["Wave"], blend_factor=0.5, evaluation_time=0.0)
     bpy.context.view_layer.update()
-    found = displayed_pose(second, "right")
+    found = displayed_pose(rig_of(second))
     towards = np.abs(np.sum(found * wanted, axis=-1))[1:]
     assert (towards >= np.abs(np.sum(before * wanted, axis=-1))[1:] - 1e-6).all()
     assert towards.mean() > np.abs(np.sum(before * wanted, axis=-1))[1:].mean()

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 
 import blender_manient
 from blender_manient import cache, preferences
 from blender_manient.operators import check_mano
-from tests.blender.conftest import write_png
+from blender_manient.panels.refine import MANIENT_PT_refine
+from blender_manient.scene.build import build_take
+from tests.blender.conftest import FRAMES, write_png
+from tests.drawn import drawn
 
 
 @pytest.fixture
@@ -72,6 +77,15 @@ def test_the_default_quality_is_for_scenes_without_one(entry):
     assert other.manient.preset == "FAST"
     bpy.ops.wm.read_homefile(use_empty=True)
     assert bpy.context.scene.manient.preset == "FAST"
+
+
+def test_how_opaque_the_hand_is_can_be_set_where_keypoints_are_edited(entry, make_take):
+    take = make_take(sides=("right",)).take
+    detected = {"keypoints_depth": np.zeros((len(FRAMES), 21)), "world_landmarks": take.hands[0].joints_3d}
+    take = replace(take, hands=(replace(take.hands[0], **detected),))
+    bpy.context.view_layer.objects.active = build_take(take).hands[0].armature
+    assert "hand_opacity" in drawn(MANIENT_PT_refine).said
+    assert 0.0 < entry.preferences.hand_opacity < 1.0, "the hand starts see-through"
 
 
 # MANO

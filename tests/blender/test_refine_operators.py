@@ -17,17 +17,18 @@ import pytest
 
 import blender_manient
 from blender_manient import preferences
-from blender_manient.correction_field import changed_quats, correction_between
 from blender_manient.keypoint_mode.mode import KeypointMode
 from blender_manient.operators import edit_keypoints
 from blender_manient.operators.refit_range import replaced
 from blender_manient.refiner import BonePoses, Refiner
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
-from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
 from blender_manient.worker import shared
 from blender_manient.worker.client import Worker
+from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
 from handfit_core.worker.protocol import PROTOCOL
@@ -74,7 +75,7 @@ def armature(take_file):
 
 
 def all_keys(armature) -> PoseKeys:
-    return read_pose_keys(armature, armature.manient.side)
+    return read_pose_keys(rig_of(armature))
 
 
 def landmarks(armature, frame: int = FRAME) -> np.ndarray:
@@ -258,7 +259,7 @@ def test_what_a_range_was_fitted_to_is_no_key_by_hand(armature):
     keys = all_keys(armature)
     here = keys.frames == FRAME
     moved = changed_quats(keys.quats[here], np.zeros((1, 16, 3)), np.full((1, 16, 3), 0.2))
-    write_pose_keys(armature, armature.manient.side, PoseKeys.everywhere(keys.frames[here], moved))
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(keys.frames[here], moved))
     assert "Replaces 16 keys set by hand, on 1 frame" in replaced(bpy.context, 9, 15)[0]
     assert bpy.ops.manient.refit_range(scope="CUSTOM", first=9, last=15) == {"FINISHED"}
     assert differing(keys, all_keys(armature))[keys.frames == FRAME].any()
@@ -321,10 +322,9 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, tmp
 def test_in_pose_mode_with_another_rotation_mode(armature):
     """Bones that the artist switched to Euler angles are corrected too."""
     bone = armature.pose.bones[bone_names(armature.manient.side)[2]]
-    refiner = Refiner(armature)
     keys = all_keys(armature)
     bone.rotation_mode = "XYZ"
-    write_pose_keys(armature, refiner.side, keys)
+    write_pose_keys(rig_of(armature), keys)
     before = landmarks(armature)
     bpy.ops.object.mode_set(mode="POSE")
     place = drag(armature)
@@ -355,7 +355,7 @@ def until_answered(mode: KeypointMode) -> None:
 def test_another_frame_while_dragging_shows_its_own_pose(armature):
     mode, scene = mode_without_a_window(armature), bpy.context.scene
     scene.frame_set(FRAME + 4)
-    expected = displayed_pose(armature, armature.manient.side)
+    expected = displayed_pose(rig_of(armature))
     scene.frame_set(FRAME)
     before = all_keys(armature)
     mode.drag = mode._begun(TIP, mode.row(), (0, 0), np.zeros(2))
@@ -364,7 +364,7 @@ def test_another_frame_while_dragging_shows_its_own_pose(armature):
     scene.frame_set(FRAME + 4)
     mode.tick(bpy.context)
     assert mode.drag is None
-    np.testing.assert_allclose(displayed_pose(armature, armature.manient.side), expected, atol=1e-6)
+    np.testing.assert_allclose(displayed_pose(rig_of(armature)), expected, atol=1e-6)
     np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
 
 

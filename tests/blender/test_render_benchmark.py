@@ -12,9 +12,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from blender_manient import axes  # noqa: E402
-from blender_manient.scene.armature import bone_names  # noqa: E402
-from handfit_core.hand_model import load_model  # noqa: E402
+from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
+from handfit_core.hand_model import axes, load_model  # noqa: E402
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS  # noqa: E402
 from scripts.benchmark import drawing  # noqa: E402
 from scripts.benchmark.clips import clip_shot  # noqa: E402

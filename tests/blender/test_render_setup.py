@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+import blender_manient
 from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
 from blender_manient.scene.export import export_take
 from blender_manient.scene.surroundings import clear_view
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import HEIGHT, WIDTH, world, write_png
 
@@ -181,6 +182,71 @@ def test_a_later_capture_shows_its_own_picture(make_take, start_up):
     lights = [own(b.collection, "LIGHT") for b in (first, second)]
     assert [len(each) for each in lights] == [len(render_setup.SUNS)] * 2, "each can stand alone"
     assert [{light.hide_render for light in each} for each in lights] == [{True}, {False}]
+
+
+@pytest.fixture
+def registered(start_up):
+    blender_manient.register()
+    yield
+    blender_manient.unregister()
+
+
+def shown_of(built) -> set[bool]:
+    """Whether renders show a capture's card and suns."""
+    ours = [o for o in built.collection.all_objects if render_setup._OURS in o]
+    assert len(ours) == 1 + len(render_setup.SUNS)
+    return {not o.hide_render for o in ours}
+
+
+def test_renders_follow_the_scenes_camera(make_take, registered):
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    first, second = (build_take(make_take(seed=seed).take) for seed in (1, 2))
+    for camera, shown in ((first.camera, [True, False]), (second.camera, [False, True])):
+        scene.camera = camera
+        layer.update()
+        assert [shown_of(first), shown_of(second)] == [{each} for each in shown]
+    scene.camera = bpy.data.objects["Camera"]
+    layer.update()
+    assert [shown_of(first), shown_of(second)] == [{False}, {True}], "a camera of the artist's has none"
+    scene.camera = first.camera
+    bpy.ops.ed.undo_push(message="before its turn has come")
+    layer.update()
+    bpy.ops.ed.undo_push(message="afterwards")
+    names = [o.name for o in first.collection.all_objects if render_setup._OURS in o]
+    bpy.ops.ed.undo()
+    assert not any(bpy.data.objects[name].hide_render for name in names)
+
+
+@pytest.mark.parametrize("camera", ["the capture's", "the artist's"])
+def test_a_deleted_capture_gives_way_to_the_one_before(make_take, registered, camera):
+    first, second = (build_take(make_take(seed=seed).take) for seed in (1, 2))
+    if camera == "the artist's":
+        bpy.context.scene.camera = bpy.data.objects["Camera"]
+    bpy.context.view_layer.update()
+    assert [shown_of(first), shown_of(second)] == [{False}, {True}]
+    bpy.ops.object.select_all(action="DESELECT")
+    deleted = list(second.collection.all_objects)
+    for thing in deleted:
+        thing.hide_viewport = thing.hide_select = False
+    bpy.context.view_layer.update()
+    for thing in deleted:
+        thing.select_set(True)
+    bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+    assert len(second.collection.all_objects) == 0
+    assert shown_of(first) == {True}
+
+
+def test_what_the_artist_hides_stays_hidden(make_take, registered):
+    scene = bpy.context.scene
+    built = build_take(make_take().take)
+    for thing in list(built.collection.all_objects):
+        thing.hide_render = True
+    scene.collection.objects.link(bpy.data.objects.new("another", None))
+    for camera in (bpy.data.objects["Camera"], built.camera):
+        scene.camera = camera
+        bpy.context.view_layer.update()
+        assert shown_of(built) == {False}
 
 
 @pytest.mark.parametrize("how", ["hidden from renders", "excluded"])

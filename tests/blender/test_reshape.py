@@ -9,19 +9,22 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.axes import REST_FROM_MODEL, points_to_rest
 from blender_manient.blender_versions import channels
-from blender_manient.correction_field import Correction, CorrectionField
+from blender_manient.panels.shape import MANIENT_PT_shape
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import reshape
-from blender_manient.scene.armature import bone_names, rest_frames
 from blender_manient.scene.build import BuiltHand, BuiltTake, build_take
 from blender_manient.scene.corrections import clear_corrections, correct_frame, corrections_of, keep_field
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.store import hand_of
+from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import HandModelError
 from handfit_core.hand_model import load_model
+from handfit_core.hand_model.axes import REST_FROM_MODEL, points_to_rest
 from handfit_core.hand_model.forearm import with_wrist
+from tests.drawn import drawn
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 
@@ -94,7 +97,7 @@ def test_undo_and_redo_bring_back_everything_together(make_take):
         heads = [list(bone.head_local) for bone in hand.data.bones]
         vertices = np.empty((len(bpy.data.objects[mesh_name].data.vertices), 3), dtype=np.float32)
         bpy.data.objects[mesh_name].data.vertices.foreach_get("co", vertices.ravel())
-        keys = read_pose_keys(hand, "right")
+        keys = read_pose_keys(rig_of(hand))
         return [np.array(v) for v in (hand.manient.betas, hand["betas"], heads, vertices, keys.quats)]
 
     def assert_same(one, other):
@@ -222,7 +225,7 @@ def test_each_bone_keeps_its_own_keys(make_take):
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take).hands
     armature = hand.armature
-    remove_pose_keys(armature, "right", 5, 14, joints=[2, 3], location=True)
+    remove_pose_keys(rig_of(armature), 5, 14, joints=[2, 3], location=True)
     bones = bone_names("right")
     armature.pose.bones[bones[6]].rotation_mode = "XYZ"  # its quaternion curves no longer count
     curve = (
@@ -231,11 +234,11 @@ def test_each_bone_keeps_its_own_keys(make_take):
         else channels(armature.animation_data.action, armature.animation_data.action_slot).fcurves[4]
     )
     curve.keyframe_points[3].interpolation = "BEZIER"
-    before = read_pose_keys(armature, "right")
+    before = read_pose_keys(rig_of(armature))
     rotations = _rest_rotations(armature, before.quats)
     place = _places(armature, before.locations)
     armature.manient.betas = BETAS
-    after = read_pose_keys(armature, "right")
+    after = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(after.frames, before.frames)
     np.testing.assert_array_equal(after.rotation_keyed, before.rotation_keyed)
     np.testing.assert_array_equal(after.location_keyed, before.location_keyed)
@@ -249,13 +252,13 @@ def test_each_bone_keeps_its_own_keys(make_take):
 def _rest_rotations(armature, quats) -> np.ndarray:
     from handfit_core.geometry.rotations import quat_to_rotmat
 
-    frames = rest_frames(armature, "right")
+    frames = rig_of(armature).rest.frames
     return frames @ quat_to_rotmat(quats) @ np.swapaxes(frames, -1, -2)
 
 
 def _places(armature, locations) -> np.ndarray:
     wrist = np.array(armature.data.bones[bone_names("right")[0]].head_local)
-    return wrist + locations @ rest_frames(armature, "right")[0].T
+    return wrist + locations @ rig_of(armature).rest.frames[0].T
 
 
 def test_actions_in_the_nla_follow_too(make_take):
@@ -277,7 +280,7 @@ def test_a_pose_without_keys_stays(make_take):
     built = build_take(made.take)
     armature = built.hands[0].armature
     row, frame = made.seen[3]
-    quats, locations = pose_at(armature, "right", np.array([frame]))
+    quats, locations = pose_at(rig_of(armature), np.array([frame]))
     armature.animation_data_clear()
     for name, quat in zip(bone_names("right"), quats[0], strict=True):
         armature.pose.bones[name].rotation_quaternion = quat
@@ -291,9 +294,9 @@ def test_a_pose_without_keys_stays(make_take):
 def test_corrections_can_still_be_taken_out(make_take):
     made = make_take(sides=("right",))
     armature = build_take(made.take).hands[0].armature
-    captured = read_pose_keys(armature, "right")
+    captured = read_pose_keys(rig_of(armature))
     frame = int(made.seen[2][1])
-    quats, locations = pose_at(armature, "right", np.array([float(frame)]))
+    quats, locations = pose_at(rig_of(armature), np.array([float(frame)]))
     turned = quats[0].copy()
     turned[:, 1] += 0.2
     turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
@@ -302,7 +305,7 @@ def test_corrections_can_still_be_taken_out(make_take):
     armature.manient.betas = BETAS
     clear_corrections(armature)
     armature.manient.betas = start
-    restored = read_pose_keys(armature, "right")
+    restored = read_pose_keys(rig_of(armature))
     np.testing.assert_allclose(restored.quats, captured.quats, atol=1e-4)
     np.testing.assert_allclose(restored.locations, captured.locations, atol=1e-5)
 
@@ -383,9 +386,9 @@ def test_fields_of_corrections_turn_with_the_bones(make_take):
     rotation = np.zeros((16, 3))
     rotation[5] = (0.3, -0.2, 0.1)
     keep_field(armature, CorrectionField({4: Correction({}, rotation, np.array([0.01, 0.0, 0.02]))}))
-    old = rest_frames(armature, "right")
+    old = rig_of(armature).rest.frames
     armature.manient.betas = BETAS
-    new = rest_frames(armature, "right")
+    new = rig_of(armature).rest.frames
     assert np.abs(old - new).max() > 1e-3
     found = corrections_of(armature).corrections[4]
     np.testing.assert_allclose(new[5] @ found.rotation[5], old[5] @ rotation[5], atol=1e-6)
@@ -398,6 +401,7 @@ def test_the_forearm_can_be_hidden(make_take, with_correctives):
     as it was."""
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take).hands
+    assert "forearm" in drawn(MANIENT_PT_shape).said
     if with_correctives:  # shape keys are moved along
         hand.mesh.shape_key_add(name="Basis")
         hand.mesh.shape_key_add(name="mine").value = 1.0
@@ -425,10 +429,17 @@ def test_hands_with_an_open_wrist_stay_open(make_take):
     """As every hand of a file from before there were forearms."""
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take, wrist="open").hands
+    assert "forearm" not in drawn(MANIENT_PT_shape).said
     hand.armature.manient.forearm = True
     hand.armature.manient.betas = BETAS
     assert reshape.is_current(hand.armature)
     assert len(hand.mesh.data.vertices) == len(load_model("open-hand", "right").v_template)
+
+
+def test_a_model_without_an_edge_at_its_wrist_has_no_forearm(make_take, imitation_mano):
+    """The panel shows no box where there is no wrist to close."""
+    (hand,) = build_take(make_take(sides=("right",), model=str(imitation_mano)).take).hands
+    assert (hand.armature.manient.wrist, hand.armature.manient.forearm) == ("open", False)
 
 
 def test_the_mirror_image_has_the_wrist_that_is_shown(make_take):

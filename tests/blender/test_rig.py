@@ -8,7 +8,7 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Quaternion, Vector
 
-from blender_manient.scene.armature import bone_names
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from handfit_core.hand_model import load_model
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, PARENTS
@@ -146,7 +146,7 @@ def test_the_left_hands_bones_are_the_right_hands_mirrored(make_take):
     """So that Paste Pose Flipped works: Blender mirrors rest matrices as B -> S B S, S = diag(-1, 1, 1)."""
     made = make_take()
     right, left = (load_model(made.take.model, side).shaped() for side in ("right", "left"))
-    from blender_manient.axes import bone_frames
+    from handfit_core.hand_model.axes import bone_frames
 
     if not np.allclose(right.joints * [-1, 1, 1], left.joints, atol=1e-4):
         pytest.skip("this model's hands are no mirror images")

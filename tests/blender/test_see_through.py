@@ -105,6 +105,19 @@ def test_a_picture_that_is_hidden_meanwhile_leaves_no_copy(camera):
     assert not camera.background_images[0].show_background_image
 
 
+@pytest.mark.parametrize("how", ["removed", "another picture"])
+def test_a_picture_that_is_taken_away_meanwhile_leaves_no_copy(camera, how):
+    over = SeeThrough(camera, lambda: 0.4)
+    original = camera.background_images[0]
+    if how == "removed":
+        camera.background_images.remove(original)
+    else:
+        original.image = bpy.data.images.new("another", 4, 4)
+    left = described(camera)[:-1]
+    over.leave()
+    assert described(camera) == left
+
+
 def test_an_undo_afterwards_brings_no_copy_back(camera):
     before, name = described(camera), camera.name
     bpy.ops.ed.undo_push(message="Before")
@@ -144,7 +157,7 @@ def test_a_file_saved_meanwhile_has_none(camera, tmp_path):
         wanted.cameras = [name]
     saved = wanted.cameras[0]
     assert len(saved.background_images) == len(before)
-    assert saved.manient_see_through == 0
+    assert len(saved.manient_see_through) == 0
     over.leave()
 
 

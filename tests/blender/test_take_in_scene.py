@@ -11,13 +11,13 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from blender_manient.blender_versions import action_curves
+from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.animation import CURVES
-from blender_manient.scene.armature import bone_names
 from blender_manient.scene.build import build_take
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
-from handfit_core.take import Source
+from handfit_core.media.source import Source
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, evaluated_vertices, joint_heads, world
 

@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import bpy
+import numpy as np
 import pytest
 
 import blender_manient
 from blender_manient import jobs, refiner
 from blender_manient.jobs import Building, Job
-from blender_manient.operators.jump_worst import MANIENT_OT_jump_worst
+from blender_manient.operators.doubtful_frames import MANIENT_OT_jump_worst
+from blender_manient.panels.capture import MANIENT_PT_capture
+from blender_manient.panels.refine import MANIENT_PT_refine
+from blender_manient.panels.result import MANIENT_PT_result
+from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_PT_proportions
 from blender_manient.remembered import Remembered
-from blender_manient.scene import store
+from blender_manient.scene import reshape, store
 from blender_manient.scene.build import build_take
 from blender_manient.selection import active_hand
 from blender_manient.wording import (
@@ -23,9 +28,10 @@ from blender_manient.wording import (
     shortened_name,
     without_name,
 )
-from blender_manient.worker.client import CaptureOptions
-from handfit_core.fit_quality import relative_errors
-from handfit_core.take import Source
+from handfit_core.fit_quality import mean_relative_error, relative_errors
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
+from tests.drawn import drawn
 
 LONG = "entrevista con la señora Muñoz en el taller, segunda toma, cámara B, mano izquierda"
 
@@ -142,6 +148,44 @@ def test_a_failed_capture_takes_no_failure_away(registered):
     assert jobs.jobs() == (old, new)
 
 
+def test_the_list_says_what_was_undone_and_which_hands_were_left_out(registered):
+    job = a_job("new.mp4")
+    job.warnings = ["4 hands were seen, and the 2 surest were captured"]
+    jobs.submit(job)
+    bpy.ops.ed.undo_push(message="Before")
+    succeeds(job)
+    captured = "new.mp4: 1 hand in 1 frame 4 hands were seen, and the 2 surest were captured"
+    for step, said in ((None, captured), (bpy.ops.ed.undo, "new.mp4: Undone"), (bpy.ops.ed.redo, captured)):
+        if step is not None:
+            step()
+        assert drawn(MANIENT_PT_capture).said.endswith(f"{said} Clear List")
+
+
+@pytest.mark.parametrize(("count", "pixels", "word"), [(0, 0.1, "good"), (1, 2.1, "fair"), (3, 9.0, "poor")])
+def test_a_hands_block_has_units_and_a_word(registered, make_take, count, pixels, word):
+    take = make_take(sides=("right",)).take
+    track = take.hands[0]
+    flags = np.arange(len(track.detected)) < count
+    track = replace(track, doubtful=flags, reprojection_error=np.where(track.detected, pixels, np.nan))
+    hand = store.hand_of(build_take(replace(take, hands=(track,))).hands[0].armature)
+    share = mean_relative_error(hand.track, hand.take.intrinsics)
+    block = drawn(MANIENT_PT_result).said
+    assert f"Error {100 * share:.1f} % of the hand: {word} " in block
+    assert f" {count or 'No'} doubtful frame{'' if count == 1 else 's'} " in block
+    assert "px" not in block
+
+
+def test_proportions_without_a_name_are_folded_away(registered, make_take):
+    hand = store.hand_of(build_take(make_take(sides=("right",)).take).hands[0].armature)
+    bpy.context.view_layer.objects.active = hand.armature
+    names = reshape.shape_names_of(hand)
+    named = " ".join(name for name in names if name)
+    others = " ".join(f"Shape {number}" for number, name in enumerate(names, start=1) if name is None)
+    assert drawn(MANIENT_PT_proportions).said == f"{named} manient.reset_shape"
+    assert drawn(MANIENT_PT_other_proportions).said == others
+    assert "DEFAULT_CLOSED" in MANIENT_PT_other_proportions.bl_options
+
+
 def test_a_mirrored_hand_is_not_told_to_be_captured_again(registered, make_take):
     made = make_take(sides=("right",))
     made.take.hands[0].transl[:, 0] += 0.4
@@ -151,6 +195,8 @@ def test_a_mirrored_hand_is_not_told_to_be_captured_again(registered, make_take)
     why = refiner.why_not(bpy.context, active_hand(bpy.context))
     assert why.startswith("A mirrored hand is not in the picture")
     assert "capture" not in why
+    assert drawn(MANIENT_PT_refine).said.startswith(why)
+    assert "Mirrored: it is not in the picture itself" in drawn(MANIENT_PT_result).said
 
 
 def test_the_tooltip_has_the_pixels_and_the_button_goes_to_the_worst_frame(registered, make_take):

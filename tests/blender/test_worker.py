@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import stat
 import subprocess
@@ -19,7 +18,6 @@ import blender_manient
 from blender_manient import preferences
 from blender_manient.worker import client, pipes, process, shared
 from blender_manient.worker.client import (
-    CaptureOptions,
     Worker,
     WorkerError,
     as_error,
@@ -117,31 +115,6 @@ def test_the_real_worker_answers_and_stays(start, tmp_path):
     assert not worker.alive
     assert pid is not None
     assert not exists(pid)
-
-
-def test_the_real_worker_understands_every_option(start, tmp_path):
-    """The names of the options, in two places; a missing input is noticed after they were read."""
-    worker = start(threads=1)
-    options = CaptureOptions(
-        frames="1-9",
-        hands="left",
-        solver="fast",
-        model="open-hand",
-        threshold=0.3,
-        intrinsics=(500.0, 500.0, 320.0, 240.0),
-        landmark_model=str(tmp_path / "landmarks.task"),
-        smoothing=0.0,
-        plain_detection=True,
-        hand_length=0.19,
-    )
-    request = worker.request(
-        "capture",
-        input=[str(tmp_path / "gone.jpg")],
-        output=str(tmp_path / "t.npz"),
-        options=options.to_message(),
-    )
-    with pytest.raises(InputError, match=r"gone\.jpg"):
-        worker.wait(request, timeout=60)
 
 
 def test_the_real_worker_ends_with_its_client(tmp_path):
@@ -659,22 +632,6 @@ def test_debug_repeats_what_it_says(peer, start, capfd):
     worker.stop()
     assert "launch.py" in (said := capfd.readouterr().err)
     assert "handfit_core worker --threads 3 --debug" in said
-
-
-# Settings
-
-
-def test_options():
-    assert CaptureOptions().to_message() == {}
-    given = CaptureOptions(
-        smoothing=0.0, intrinsics=(1.0, 2.0, 3.0, 4.0), plain_detection=False, hand_length=0.18
-    )
-    assert json.loads(json.dumps(given.to_message())) == {
-        "smoothing": 0.0,
-        "intrinsics": [1.0, 2.0, 3.0, 4.0],
-        "plain_detection": False,
-        "hand_length": 0.18,
-    }
 
 
 # The shared worker

@@ -41,6 +41,37 @@ def test_addon_has_no_threads(path: Path) -> None:
         assert module.split(".")[0] not in THREADED
 
 
+ARROWS = {
+    "doors": ("errors", "doors"),
+    "geometry": ("errors", "geometry"),
+    "media": ("errors", "doors", "files", "geometry", "media"),
+    "detect": (
+        *("detect", "doors", "errors", "files", "geometry", "hand_model", "media"),
+        *("options", "registry", "skeleton"),
+    ),
+}
+"""What the rooms at the beginning of the path may know of the core"""
+
+
+@pytest.mark.parametrize("room", ARROWS)
+def test_rooms_know_only_what_comes_before_them(room: str) -> None:
+    known: set[str] = set()
+    for path in (ROOT / "handfit_core" / room).rglob("*.py"):
+        names = (m.split(".") for m in imported_modules(path))
+        known |= {name[1] for name in names if name[0] == "handfit_core" and len(name) > 1}
+    assert known <= set(ARROWS[room])
+
+
+@pytest.mark.parametrize(
+    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("bpy.ops.export_", "exporters")]
+)
+def test_bones_and_formats_are_known_in_one_place(word: str, room: str) -> None:
+    """Everything else asks a rig, or a format, whatever else is added to the two folders."""
+    addon = ROOT / "blender_manient"
+    knowing = {p.relative_to(addon).parts[0] for p in addon.rglob("*.py") if word in p.read_text("utf-8")}
+    assert knowing == {room}
+
+
 def test_light_half_is_light() -> None:
     code = (
         "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media.opening, "

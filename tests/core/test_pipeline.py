@@ -212,17 +212,9 @@ def test_hand_length_decides_size_and_distance(caplog: pytest.LogCaptureFixture)
     assert "paper-a takes no notice of the hand's length" in caplog.text
 
 
-@pytest.mark.parametrize("length", [0.049, 0.31, 18.0, float("nan")])
-def test_hand_length_out_of_range(length: float) -> None:
-    with pytest.raises(OptionError, match="between 50 and 300 mm"):
-        capture(PATTERN, hand_length=length)
-
-
 def test_lens_is_in_parts_of_the_picture() -> None:
     photo = SAMPLE / "hand.0001.jpg"
     assert capture(photo, lens=(1.5, 0.5, 0.25)).intrinsics == Intrinsics(960.0, 960.0, 320.0, 120.0)
-    with pytest.raises(OptionError, match="not both"):
-        capture(photo, lens=(1.5, 0.5, 0.5), intrinsics=Intrinsics(1.0, 1.0, 0.0, 0.0))
 
 
 def test_camera_is_assumed_when_none_is_given() -> None:
@@ -296,12 +288,6 @@ def test_summaries_hold_no_nan(take: Take) -> None:
         replace(take, hands=(huge,))
 
 
-@pytest.mark.parametrize("smoothing", [-1.0, 11.0])
-def test_smoothing_out_of_range(smoothing: float) -> None:
-    with pytest.raises(OptionError, match="smoothing must lie between 0 and 10"):
-        capture(PATTERN, smoothing=smoothing)
-
-
 def test_hand_choice() -> None:
     assert [t.side for t in capture(SAMPLE / "hand.0001.jpg", hands="right").hands] == ["right"]
     with pytest.raises(NoHandFoundError, match="no left hand was found, only a right one"):
@@ -319,8 +305,8 @@ def test_own_model_and_bad_options(tmp_path: Path) -> None:
         capture(SAMPLE / "hand.0001.jpg", model=left)
     with pytest.raises(OptionError, match="no solver"):
         capture(SAMPLE / "hand.0001.jpg", solver="magic")
-    with pytest.raises(OptionError, match="auto, left, right, both"):
-        capture(SAMPLE / "hand.0001.jpg", hands="any")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(OptionError, match="no detector"):
+        capture(SAMPLE / "hand.0001.jpg", detector="magic")
     with pytest.raises(OptionError, match="threshold"):
         capture(SAMPLE / "hand.0001.jpg", threshold=2.0)
 

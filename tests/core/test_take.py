@@ -16,7 +16,8 @@ import pytest
 
 from handfit_core.errors import OutputError, TakeError
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.take import FORMAT_VERSION, HandTrack, Source, Take
+from handfit_core.media.source import Source
+from handfit_core.take import FORMAT_VERSION, HandTrack, Take
 
 FRAMES = 4
 SHAPES = {
@@ -159,7 +160,7 @@ def test_a_filled_frame_has_a_pose(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["filled", "doubtful"])
 def test_flags_are_one_a_frame(tmp_path: Path, name: str) -> None:
-    with pytest.raises(TakeError, match=f"right hand's {name} has the wrong shape"):
+    with pytest.raises(TakeError, match=f"right hand's {name} has shape"):
         take(hands=(bridged(**{name: np.zeros(FRAMES + 1, dtype=bool)}),))
     path = edited(take(hands=(bridged(),)).save(tmp_path / "t.npz"), **{f"hand0_{name}": np.zeros((2, 2))})
     assert "capture it again" in message_of(path)
@@ -223,7 +224,7 @@ def test_older_takes_cannot_be_fitted_again(tmp_path: Path) -> None:
         ({"world_landmarks": np.full((FRAMES, 21, 3), np.inf)}, "world_landmarks is not finite"),
         ({"right_side": np.zeros((FRAMES, 1))}, "right_side has shape"),
         ({"right_side": np.full(FRAMES, 1.5)}, "right_side must lie between 0 and 1"),
-        ({"other_side": np.zeros(2, dtype=bool)}, "other_side has the wrong shape"),
+        ({"other_side": np.zeros(2, dtype=bool)}, "other_side has shape"),
     ],
     ids=str,
 )
@@ -450,6 +451,14 @@ def test_a_take_that_is_no_file(tmp_path: Path) -> None:
     assert "cannot be read" in message_of(tmp_path)
     with pytest.raises(TakeError, match="cannot be read"):
         Take.load("a" * 5000)
+
+
+def test_what_is_saved_of_a_very_long_sequence_can_be_read() -> None:
+    files = tuple(f"/shots/{'a long folder name ' * 9}/frame.{number:08d}.png" for number in range(150_000))
+    source = Source("sequence", files)
+    assert Take.from_bytes(take(source=source).to_bytes()).source == source
+    with pytest.raises(TakeError, match=r"the paths of 70000 pictures have .* capture fewer frames at once"):
+        Source("sequence", ("a" * 1000,) * 70_000)
 
 
 def test_a_small_file_takes_no_more_memory_than_small_takes(tmp_path: Path) -> None:

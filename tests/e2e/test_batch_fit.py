@@ -18,7 +18,8 @@ pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.media.source import Source
+from handfit_core.take import HandTrack, Take
 from tests.capturing import can_capture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -358,7 +359,11 @@ def test_ctrl_c_ends_the_worker_too(peer, tmp_path):
 
 @pytest.mark.parametrize(
     ("option", "expected"),
-    [("--hand-length=5", "between 50 and 300 mm"), ("--intrinsics=1,2,3", "FX,FY,CX,CY")],
+    [
+        ("--hand-length=5", "between 50 and 300 mm"),
+        ("--intrinsics=1,2,3", "FX,FY,CX,CY"),
+        ("--detector=x", "no detector 'x'"),
+    ],
 )
 def test_wrong_numbers_are_refused_before_any_work(batch, tmp_path, option, expected):
     done = batch("a.jpg", "-o", tmp_path / "out", option)

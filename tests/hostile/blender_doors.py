@@ -7,29 +7,29 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import functools
 import hashlib
 import io
 import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import bpy
 
 import blender_manient
-from blender_manient import jobs, panels, source_info
+from blender_manient import jobs, parts, source_info
 from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
 from blender_manient.worker import shared
-from blender_manient.worker.client import CaptureOptions, Worker, WorkerError, as_error
-from handfit_core.errors import HandfitError
+from blender_manient.worker.client import Worker, WorkerError, as_error
 from handfit_core.edit import result_from_message
-from handfit_core.take import Source
+from handfit_core.errors import HandfitError
+from handfit_core.media.source import Source
+from handfit_core.options import CaptureOptions
 from scripts import batch_fit
+from tests.drawn import drawn
 from tests.hostile.core_doors import check_ending, check_take
 from tests.hostile.takes import good_take
 
@@ -114,33 +114,6 @@ def blend(changes: list[tuple[str, str, Any]], take: str = "") -> None:
     _work_on()
 
 
-class _Layout:
-    """Draws nothing, but reads what a real layout would read."""
-
-    def prop(self, data: Any, name: str, **_: Any) -> None:
-        getattr(data, name)
-
-    def operator(self, name: str, **_: Any) -> SimpleNamespace:
-        assert hasattr(bpy.ops, name.partition(".")[0])
-        return SimpleNamespace()
-
-    def label(self, text: str = "", **_: Any) -> None:
-        assert isinstance(text, str)
-
-    def __getattr__(self, _: str) -> Callable[..., _Layout]:
-        return lambda *_, **__: _Layout()
-
-
-class _Shown:
-    """A panel that no window shows: its methods, and our layout."""
-
-    def __init__(self, cls: Any) -> None:
-        self._cls, self.layout = cls, _Layout()
-
-    def __getattr__(self, name: str) -> Any:
-        return functools.partial(getattr(self._cls, name), self)
-
-
 OPERATORS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("lock_joints", {"lock": True}),
     ("jump_doubtful", {"hand": "?"}),
@@ -191,9 +164,9 @@ def _work_on() -> None:
 
 
 def _draw() -> None:
-    for cls in panels._CLASSES:
-        if not hasattr(cls, "poll") or cls.poll(bpy.context):
-            cls.draw(_Shown(cls), bpy.context)
+    for cls in (c for part in parts.PARTS for c in part.classes):
+        if issubclass(cls, bpy.types.Panel):
+            drawn(cls)
 
 
 def client(peer: str, kind: str) -> None:

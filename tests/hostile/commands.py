@@ -23,6 +23,7 @@ OPTIONS: dict[str, list[str]] = {
     "intrinsics": ["--intrinsics", "nan,inf,1e999,0"], "intrinsics-few": ["--intrinsics", ",,,"], "solver": ["--solver", "../x"],
     "solver-long": ["--solver", "x" * 5000], "model": ["--model", "/dev/zero"], "landmarks": ["--landmark-model", "kept.npz"],
     "surrogate": ["--model", "\udcff"], "nul": ["--model", "a\0b"], "unknown": ["--__class__", "x"], "hands": ["--hands", "\u202e"],
+    "detector": ["--detector", "../x" * 2000], "lens": ["--lens", "nan,1,1e999"], "most-hands": ["--max-hands", "9" * 400],
 }  # fmt: skip
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from handfit_core import errors
 from handfit_core.__main__ import main
 from handfit_core.hand_model import load_model
-from handfit_core.media.lens import known_intrinsics
+from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import open_media
 from handfit_core.pipeline import hand_summaries
 from handfit_core.skeleton import SIDES

@@ -11,8 +11,9 @@ import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
+from handfit_core.media.source import Source
 from handfit_core.skeleton import SIDES
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.take import HandTrack, Take
 from tests.hostile.engine import Case
 from tests.hostile.mutations import mutants
 from tests.hostile.npz import header_lies, lies

@@ -9,8 +9,9 @@ import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
+from handfit_core.media.source import Source
 from handfit_core.skeleton import SIDES
-from handfit_core.take import HandTrack, Source, Take
+from handfit_core.take import HandTrack, Take
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 

@@ -122,8 +122,8 @@ def test_a_shot_keeps_its_time_size_and_camera(blender, make_clip):
 
 def test_the_start_up_scene_is_matched_as_the_panel_says(blender, make_clip):
     played = blender.play("capture.into_the_start_up_scene", source=make_clip(CLIP), timeout=240).value
-    assert played["told"] == f"Scene becomes 25 fps, 1-{CLIP}, 640×480"
-    assert played["said"] == f"Scene became 25 fps, 1-{CLIP}, 640×480"
+    assert played["told"] == f"Scene becomes 25 fps, 1-{CLIP}, 640×480, with the footage's camera"
+    assert played["said"] == f"Scene became 25 fps, 1-{CLIP}, 640×480, with the footage's camera"
     assert played["scene"] == [25, 1, CLIP, 640, 480]
     assert played["camera"]
 

@@ -7,16 +7,24 @@ from pathlib import Path
 from typing import Final
 
 from handfit_core.errors import DatasetError, OptionError
-from handfit_core.evaluate.datasets import dexter_object, egodexter, freihand, ho3d, plain, rhd
-from handfit_core.evaluate.labels import Dataset
+from handfit_core.evaluate.labels import Dataset, Reader
+from handfit_core.registry import Registry
 
-__all__ = ["DATASET_KINDS", "open_dataset"]
+__all__ = ["READERS", "open_dataset"]
 
-DATASET_KINDS: Final = (plain.KIND, freihand.KIND, ho3d.KIND, rhd.KIND, egodexter.KIND, dexter_object.KIND)
-"""The readers' names on the command line."""
-
-_WITH_SPLITS = {freihand.KIND: freihand, ho3d.KIND: ho3d, rhd.KIND: rhd}
-_OF_TIPS = {egodexter.KIND: egodexter.EGODEXTER, dexter_object.KIND: dexter_object.DEXTER_OBJECT}
+_HERE = "handfit_core.evaluate.datasets"
+READERS: Final = Registry(
+    "handfit.readers",
+    "data set kind",
+    Reader,
+    # HO-3D before FreiHAND: both may hold an evaluation_xyz.json, and the first that recognises it reads it.
+    {
+        **{kind: f"{_HERE}.{kind}:READER" for kind in ("plain", "rhd", "ho3d", "freihand")},
+        "egodexter": f"{_HERE}.tips:EGODEXTER_READER",
+        "dexter-object": f"{_HERE}.tips:DEXTER_OBJECT_READER",
+    },
+)
+"""The readers by their names on the command line; installed packages may add to them"""
 
 
 def open_dataset(
@@ -30,7 +38,7 @@ def open_dataset(
     """List a data set on disk.
 
     kind
-        One of DATASET_KINDS; None recognises it from the folder's layout.
+        A name in READERS; None recognises it from the folder's layout.
     split
         FreiHAND and RHD: `training` or `evaluation`; HO-3D: `train` or `evaluation`. None is the
         evaluation where its labels are there, else the training set.
@@ -45,34 +53,18 @@ def open_dataset(
     OptionError for a kind, split or labels that does not exist.
     """
     root = Path(root).expanduser()
-    if kind is not None and kind not in DATASET_KINDS:
-        raise OptionError(f"there is no data set kind {kind!r}; choose from {', '.join(DATASET_KINDS)}")
+    readers = READERS.all() if kind is None else {kind: READERS.get(kind)}
     if not root.is_dir():
         raise DatasetError(f"{root}: there is no such folder; give the folder of a labelled data set")
-    kind = kind or _recognised(root)
-    if split is not None and kind not in _WITH_SPLITS:
+    kind = kind or next((kind for kind, reader in readers.items() if reader.recognises(root)), None)
+    if kind is None:
+        layouts = ", or ".join(reader.layout for reader in readers.values())
+        raise DatasetError(f"{root}: this folder fits no layout that is known. Expected {layouts}")
+    reader = readers[kind]
+    if split is not None and not reader.has_splits:
         raise OptionError(f"a {kind} data set has no splits; leave the split {split!r} out")
-    if labels is not None and kind not in _OF_TIPS:
+    if labels is not None and not reader.has_label_variants:
         raise OptionError(f"a {kind} data set has one set of labels; leave the labels {labels!r} out")
-    if kind in _WITH_SPLITS:
-        return _WITH_SPLITS[kind].read(root, split)
-    if kind in _OF_TIPS:
-        return _OF_TIPS[kind].read(root, labels, published_frame=published_frame)
-    return plain.read(root)
-
-
-def _recognised(root: Path) -> str:
-    # HO-3D before FreiHAND: both may hold an evaluation_xyz.json.
-    tests = {
-        plain.KIND: plain.recognises,
-        rhd.KIND: rhd.recognises,
-        ho3d.KIND: ho3d.recognises,
-        freihand.KIND: freihand.recognises,
-        egodexter.KIND: egodexter.EGODEXTER.recognises,
-        dexter_object.KIND: dexter_object.DEXTER_OBJECT.recognises,
-    }
-    for kind, recognises in tests.items():
-        if recognises(root):
-            return kind
-    layouts = (m.LAYOUT for m in (plain, freihand, ho3d, rhd, egodexter, dexter_object))
-    raise DatasetError(f"{root}: this folder fits no layout that is known. Expected {', or '.join(layouts)}")
+    chosen = {"split": split} if reader.has_splits else {}
+    variant = {"labels": labels, "published_frame": published_frame} if reader.has_label_variants else {}
+    return reader.read(root, **chosen, **variant)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from handfit_core.errors import DatasetError
-from handfit_core.evaluate.datasets import orders, reading
-from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel
+from handfit_core.evaluate.datasets import reading
+from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
@@ -41,13 +42,7 @@ def read(root: Path, split: str | None = None) -> Dataset:
     Only K is read now: it is small, and tells how many labels there are. Raises DatasetError,
     OptionError.
     """
-    with_labels = [name for name in SPLITS if (root / f"{name}_xyz.json").is_file()]
-    if split is None and not with_labels:
-        shown = [name for name in SPLITS if (root / name / "rgb").is_dir()] or ["training"]
-        raise reading.lacks(root, f"{shown[0]}_xyz.json", LAYOUT)
-    if split in SPLITS and split not in with_labels:
-        raise reading.lacks(root, f"{split}_xyz.json", LAYOUT)
-    split = reading.choice(root, "split", split, with_labels, SPLITS)
+    split = reading.split_of(root, split, SPLITS, "{0}_xyz.json", "{0}/rgb", LAYOUT)
     folder = root / split / "rgb"
     if not folder.is_dir() and (root / "rgb").is_dir():
         folder = root / "rgb"
@@ -65,27 +60,17 @@ def read(root: Path, split: str | None = None) -> Dataset:
         if number is None or number >= limit:
             lonely.append(picture)
             continue
-        index, where = number % count, str(picture)
+        index = number % count
         unused.discard(index)
-        entries.append(
-            Entry(
-                f"{split}/{picture.stem}",
-                picture,
-                lambda index=index, where=where: labels.of(index, where),
-            )
-        )
-    problems = [
-        *reading.unpaired(reading.NO_LABEL, lonely),
-        *reading.unpaired(
-            reading.UNPAIRED_LABEL, (f"{root / f'{split}_xyz.json'}: label {i}" for i in sorted(unused))
-        ),
-    ]
+        read_labels = partial(labels.of, index, str(picture))
+        entries.append(Entry(f"{split}/{picture.stem}", picture, read_labels))
+    problems = reading.unpaired(lonely, root / f"{split}_xyz.json", unused)
     return Dataset(
         name=f"FreiHAND ({split})",
         kind=KIND,
         root=root,
         entries=entries,
-        problems=tuple(problems),
+        problems=problems,
         notes=(
             "FreiHAND's labels are MANO's joints, inside the hand; a detector's landmarks sit on the skin.",
             "Where its *_verts.json is there, meshes are MANO's (778 vertices).",
@@ -129,9 +114,13 @@ class _Labels:
         intrinsics = reading.intrinsics_of(where, self.cameras[index])
         joints = reading.shaped(where, "xyz", self._joints()[index], (NUM_KEYPOINTS, 3))
         mesh = MeshLabel(lambda: self._mesh(index, where)) if self._files["verts"].is_file() else None
-        hand = reading.hand_label("right", joints[list(orders.FREIHAND)], intrinsics, mesh=mesh)
+        # Its points are in MediaPipe's own order.
+        hand = reading.hand_label("right", joints, intrinsics, mesh=mesh)
         return Labels((hand,), intrinsics)
 
     def _mesh(self, index: int, where: str) -> np.ndarray:
         meshes = self._vertices()
         return reading.vertices(where, meshes[index] if index < len(meshes) else None)
+
+
+READER = Reader(LAYOUT, recognises, read, has_splits=True)

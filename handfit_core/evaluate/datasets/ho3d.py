@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from handfit_core.errors import DatasetError
-from handfit_core.evaluate.datasets import orders, reading
-from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Problem
+from handfit_core.evaluate.datasets import reading
+from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Problem, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_KEYPOINTS
 
 KIND = "ho3d"
 LAYOUT = (
@@ -183,5 +183,9 @@ def _labels(meta: Path, row: int | None, hidden: _Hidden | None) -> Labels:
         joints = np.full((NUM_KEYPOINTS, 3), np.nan)
     else:
         joints = reading.pickled_array(where, content, "handJoints3D", (NUM_KEYPOINTS, 3))
-    joints = (joints * OPENGL_TO_CAMERA)[list(orders.HO3D)]
+    # MANO's 16 joints, then the fingertips from thumb to little finger.
+    joints = (joints * OPENGL_TO_CAMERA)[list(KEYPOINT_SOURCE)]
     return Labels((reading.hand_label("right", joints, intrinsics, mesh=mesh),), intrinsics)
+
+
+READER = Reader(LAYOUT, recognises, read, has_splits=True)

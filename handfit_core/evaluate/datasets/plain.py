@@ -12,7 +12,7 @@ import numpy as np
 
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, MeshLabel, Problem
+from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, MeshLabel, Problem, Reader
 from handfit_core.files import written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, load_model
@@ -235,3 +235,6 @@ def _mesh(hand: dict[str, Any], side: Side | None, file: str) -> MeshLabel | Non
     # The left hand is the right one's mirror image, vertex by vertex.
     digests = frozenset(load_model(OPEN_HAND, each).digest for each in SIDES)
     return MeshLabel(lambda: model.posed(**found).vertices, digests)
+
+
+READER = Reader(LAYOUT, recognises, read)

@@ -70,6 +70,20 @@ def choice(root: Path, word: str, value: str | None, available: Iterable[str], k
     return value if value is not None else available[0]
 
 
+def split_of(
+    root: Path, split: str | None, splits: tuple[str, ...], labels: str, pictures: str, layout: str
+) -> str:
+    """The split asked for, or the first that has labels; `labels` and `pictures` are places with {0} for a
+    split. Raises OptionError for an unknown split, DatasetError where its labels are missing."""
+    available = [name for name in splits if (root / labels.format(name)).is_file()]
+    if split is None and not available:
+        shown = [name for name in splits if (root / pictures.format(name)).is_dir()] or ["training"]
+        raise lacks(root, labels.format(shown[0]), layout)
+    if split in splits and split not in available:
+        raise lacks(root, labels.format(split), layout)
+    return choice(root, "split", split, available, splits)
+
+
 def read_bytes(path: Path, layout: str, limit: int | None = None) -> bytes:
     """A file's bytes. Raises DatasetError where it is missing, unreadable or larger than `limit`."""
     try:
@@ -246,6 +260,13 @@ def _whole_points(points: np.ndarray | None, dimensions: int) -> np.ndarray:
     return np.where(np.all(np.isfinite(points), axis=1, keepdims=True), points, np.nan)
 
 
-def unpaired(kind: str, names: Iterable[object]) -> list[Problem]:
-    """One problem of that kind for each name."""
-    return [Problem(kind, str(name)) for name in names]
+def unpaired(pictures: Iterable[Path], file: Path, labels: Iterable[object]) -> tuple[Problem, ...]:
+    """A problem for each of these pictures, which have no label, and of a file's labels without a picture."""
+    return (
+        *(Problem(NO_LABEL, str(picture)) for picture in pictures),
+        *(Problem(UNPAIRED_LABEL, f"{file}: label {name}") for name in sorted(labels, key=_in_order)),
+    )
+
+
+def _in_order(name: object) -> tuple[bool, int, str]:
+    return (False, name, "") if isinstance(name, int) else (True, 0, str(name))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handfit_core.evaluate.datasets import orders, reading
-from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels
+from handfit_core.evaluate.datasets import reading
+from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
 KIND = "rhd"
 LAYOUT = (
@@ -18,6 +19,11 @@ LAYOUT = (
     "the same for evaluation"
 )
 SPLITS = ("evaluation", "training")
+
+_HANDS: dict[Side, slice] = {"left": slice(0, 21), "right": slice(21, 42)}
+"""Which of RHD's 42 points belong to which hand"""
+_ORDER = [0, *(1 + 4 * finger + 3 - joint for finger in range(5) for joint in range(4))]
+"""keypoints[k] = points[_ORDER[k]]: the wrist, then thumb to little finger, each from the tip to the palm"""
 
 
 def recognises(root: Path) -> bool:
@@ -34,17 +40,12 @@ def read(root: Path, split: str | None = None) -> Dataset:
     The split's pickle is read now, as it alone says which labels there are; the arrays in it only when
     asked for. Raises DatasetError, OptionError.
     """
-    available = [name for name in SPLITS if (root / name / f"anno_{name}.pickle").is_file()]
-    if split is None and not available:
-        shown = [name for name in SPLITS if (root / name).is_dir()] or ["training"]
-        raise reading.lacks(root, f"{shown[0]}/anno_{shown[0]}.pickle", LAYOUT)
-    if split in SPLITS and split not in available:
-        raise reading.lacks(root, f"{split}/anno_{split}.pickle", LAYOUT)
-    split = reading.choice(root, "split", split, available, SPLITS)
+    split = reading.split_of(root, split, SPLITS, "{0}/anno_{0}.pickle", "{0}", LAYOUT)
     folder = root / split / "color"
     if not folder.is_dir():
         raise reading.lacks(root, f"{split}/color", LAYOUT)
-    annotations = reading.read_pickle(root / split / f"anno_{split}.pickle", LAYOUT)
+    path = root / split / f"anno_{split}.pickle"
+    annotations = reading.read_pickle(path, LAYOUT)
 
     entries: list[Entry] = []
     lonely: list[Path] = []
@@ -55,26 +56,14 @@ def read(root: Path, split: str | None = None) -> Dataset:
             lonely.append(picture)
             continue
         unused.discard(number)
-        annotation, where = annotations[number], str(picture)
-        entries.append(
-            Entry(
-                f"{split}/{picture.stem}",
-                picture,
-                lambda annotation=annotation, where=where: _labels(annotation, where),
-            )
-        )
-    path = root / split / f"anno_{split}.pickle"
+        read_labels = partial(_labels, annotations[number], str(picture))
+        entries.append(Entry(f"{split}/{picture.stem}", picture, read_labels))
     return Dataset(
         name=f"RHD ({split})",
         kind=KIND,
         root=root,
         entries=entries,
-        problems=(
-            *reading.unpaired(reading.NO_LABEL, lonely),
-            *reading.unpaired(
-                reading.UNPAIRED_LABEL, (f"{path}: label {key}" for key in sorted(unused, key=str))
-            ),
-        ),
+        problems=reading.unpaired(lonely, path, unused),
         notes=(
             "RHD is rendered: labels are exact, those of hidden points too, and are all scored.",
             "A hand of which RHD marks no point as visible is no labelled hand.",
@@ -90,7 +79,10 @@ def _labels(annotation: Any, where: str) -> Labels:
     intrinsics = reading.intrinsics_of(where, camera)
     hands: list[HandLabel] = []
     for side in SIDES:
-        own, order = orders.RHD_HANDS[side], list(orders.RHD)
+        own = _HANDS[side]
         if np.any(pixels[own, 2] > 0.5):
-            hands.append(reading.hand_label(side, joints[own][order], intrinsics, pixels[own, :2][order]))
+            hands.append(reading.hand_label(side, joints[own][_ORDER], intrinsics, pixels[own, :2][_ORDER]))
     return Labels(tuple(hands), intrinsics)
+
+
+READER = Reader(LAYOUT, recognises, read, has_splits=True)

@@ -2,7 +2,7 @@
 
 Both sets were filmed with a depth camera and labelled in its pictures. The pictures that are evaluated
 are the colour camera's, so labels are taken over to its frame with the sets' own calibration, as in
-`DepthToColor`.
+`DepthToColor`, which is published with each set.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from handfit_core.errors import DatasetError
-from handfit_core.evaluate.datasets import orders, reading
-from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem
+from handfit_core.evaluate.datasets import reading
+from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem, Reader
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.opening import pictures_in, sequence_numbers
+from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
 FPS = 30.0
 LABELS = ("cleaned", "original")
@@ -151,11 +152,13 @@ class TipSet:
                 )
             )
         lonely = sorted(set(range(len(lines))) - set(rows))
-        problems += reading.unpaired(reading.UNPAIRED_LABEL, (f"{path}: line {row + 1}" for row in lonely))
+        problems += [Problem(reading.UNPAIRED_LABEL, f"{path}: line {row + 1}") for row in lonely]
 
     def _labels(self, line: str, where: str, published_frame: bool) -> Labels:
         tips = self.clean(parse_line(line, where))
-        joints = orders.keypoints_of_tips(tips / _MM if published_frame else self.calibration(tips))
+        # Both sets name the tips from thumb to little finger, as MediaPipe does.
+        joints = np.full((NUM_KEYPOINTS, 3), np.nan)
+        joints[list(TIP_KEYPOINTS)] = tips / _MM if published_frame else self.calibration(tips)
         intrinsics = self.calibration.color
         return Labels((reading.hand_label("left", joints, intrinsics),), intrinsics)
 
@@ -195,3 +198,77 @@ def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
         return None
     first = 0 if 0 in numbers else 1
     return [number - first for number in numbers]
+
+
+def _egodexter_files(folder: Path, sequence: str, labels: str) -> tuple[Path, ...]:
+    names = {
+        "cleaned": ("my_annotation.txt_3D.txt",),
+        # annotation.txt itself holds pixels of the depth picture in the released set.
+        "original": ("annotation.txt_3D.txt", "annotation_3D.txt", "annotation.txt"),
+    }[labels]
+    return tuple(folder / sequence / name for name in names)
+
+
+def _egodexter_tips(tips: np.ndarray) -> np.ndarray:
+    """Missing tips are written as zeros."""
+    given = np.isfinite(tips) & (np.abs(tips) >= 1e-6)
+    return np.where(np.all(given, axis=1, keepdims=True), tips, np.nan)
+
+
+EGODEXTER = TipSet(
+    kind="egodexter",
+    title="EgoDexter",
+    layout="EgoDexter's layout: data/Desk/color/*.png and data/Desk/annotation.txt_3D.txt (original labels) "
+    "or data/Desk/my_annotation.txt_3D.txt (cleaned), likewise Fruits, Kitchen, Rotunda",
+    sequences=("Desk", "Fruits", "Kitchen", "Rotunda"),
+    candidates=_egodexter_files,
+    clean=_egodexter_tips,
+    calibration=DepthToColor(
+        Intrinsics(617.173, 617.173, 315.453, 242.259),
+        np.array([[1.0, 0.00090442, -0.0074], [-0.00071933, 0.9997, 0.0248], [0.0075, -0.0248, 0.9997]]),
+        np.array([20.2365, 1.2846, 5.7360]),
+    ),
+    notes=(),
+)
+"""Mueller et al. 2017: left hands with objects, seen from the wearer's shoulder, 640x480"""
+
+_MISSING_DEPTH = 32001.0
+"""What Dexter+Object's depth camera gives where it sees nothing"""
+
+
+def _dexter_files(folder: Path, sequence: str, labels: str) -> tuple[Path, ...]:
+    name = f"{sequence}3D.txt" if labels == "original" else f"my_{sequence}3D.txt"
+    root = folder.parent if folder.name == "data" else folder
+    places = folder / sequence / "annotations", root / "annotations", folder / sequence
+    return tuple(place / name for place in places)
+
+
+def _dexter_tips(tips: np.ndarray) -> np.ndarray:
+    """x and y are written with the opposite sign."""
+    depth = tips[:, 2:]
+    given = np.all(np.isfinite(tips), axis=1, keepdims=True) & (depth >= 1e-6) & (depth < _MISSING_DEPTH)
+    return np.where(given, tips * np.array([-1.0, -1.0, 1.0]), np.nan)
+
+
+DEXTER_OBJECT = TipSet(
+    kind="dexter-object",
+    title="Dexter+Object",
+    layout="Dexter+Object's layout: data/Grasp1/color/*.png and data/Grasp1/annotations/Grasp13D.txt "
+    "(original labels) or my_Grasp13D.txt (cleaned), or all of them in annotations/, likewise Grasp2, "
+    "Occlusion, Rigid, Pinch, Rotate",
+    sequences=("Grasp1", "Grasp2", "Occlusion", "Rigid", "Pinch", "Rotate"),
+    candidates=_dexter_files,
+    clean=_dexter_tips,
+    calibration=DepthToColor(
+        Intrinsics(587.45209, 600.67456, 325.0, 249.0),
+        np.array([[0.9999, 0.0034, 0.0161], [-0.0033, 1.0, -0.0079], [-0.0162, 0.0079, 0.9998]]),
+        np.array([19.0473, -1.8514, -4.7501]),
+    ),
+    notes=("Its *2D.txt files hold pixels of the depth picture and are not used.",),
+)
+"""Sridhar et al. 2016: a left hand with a box, seen from the front, 640x480"""
+
+EGODEXTER_READER, DEXTER_OBJECT_READER = (
+    Reader(tip_set.layout, tip_set.recognises, tip_set.read, has_label_variants=True)
+    for tip_set in (EGODEXTER, DEXTER_OBJECT)
+)

@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
+from dataclasses import asdict
+from importlib import resources
 from pathlib import Path
 
-from handfit_core.evaluate.report.focus import focus_of
-from handfit_core.evaluate.report.groups import group_table
-from handfit_core.evaluate.report.layout import markdown
-from handfit_core.evaluate.report.page import headline, write_page
-from handfit_core.evaluate.report.plots import INSTALL_HINT, Plot, can_plot, write_plots
-from handfit_core.evaluate.report.sheets import write_sheets
-from handfit_core.evaluate.report.tables import markdown_table, write_csv, write_hands_csv, write_table_csv
-from handfit_core.evaluate.report.verdicts import write_comparisons_csv
-from handfit_core.evaluate.scores import Evaluation
-from handfit_core.files import written_whole
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
 
-log = logging.getLogger("handfit")
+from handfit_core.evaluate.report.plots import Plot, write_plots
+from handfit_core.evaluate.report.published import experiments_table, others_table, published_note
+from handfit_core.evaluate.report.sheets import write_sheets
+from handfit_core.evaluate.report.tables import (
+    best_method,
+    comparison_tables,
+    count,
+    error_metric,
+    focus_of,
+    group_table,
+    main_table,
+    methods_of,
+    metrics_shown,
+    numbers_of,
+    text_of,
+)
+from handfit_core.evaluate.scores import Evaluation
+from handfit_core.evaluate.summary import hands_table
+from handfit_core.files import written_whole
 
 REPORT_FILES = (
     *("index.html", "table.md", "table.csv", "per_hand.csv", "comparisons.csv", "by_tag.md", "problems.csv"),
@@ -26,74 +37,114 @@ REPORT_FILES = (
     *("worst.jpg", "best.jpg", "missed.jpg"),
 )
 """Every name that a report may use. Those that one does not need are removed, so that none is from before"""
+EXAMPLES = 10
+"""Examples of each kind of problem on the page; `problems.csv` has them all"""
 
 
 def write_report(folder: Path, evaluation: Evaluation, *, focus: str | None = None) -> list[Path]:
     """Write the report into a folder and return its files, `index.html` first.
 
-    focus: the method whose hands the picture sheets show; the last one by default. Without matplotlib
-    there are no plots; the page and a warning say so. Each file is written whole, and REPORT_FILES that
-    an earlier report left are replaced or removed; other files of the folder stay.
+    focus: the method whose hands the picture sheets show; the last one by default. Each file is written
+    whole, and REPORT_FILES that an earlier report left are replaced or removed; other files stay.
 
     Raises OptionError where `focus` is not among the methods, OutputError where the folder cannot be
     written.
     """
     focus_of(evaluation, focus)  # before anything is written
-    files = [
-        _write(
-            folder / "table.md",
-            f"# {evaluation.dataset}, {evaluation.protocol} protocol\n\n"
-            f"{headline(evaluation)}\n\n{markdown_table(evaluation)}",
-        ),
-        write_table_csv(folder / "table.csv", evaluation),
-        write_hands_csv(folder / "per_hand.csv", evaluation),
-        _write_setup(folder / "setup.json", evaluation),
-    ]
+    about = f"# {evaluation.dataset}, {evaluation.protocol} protocol\n\n{headline(evaluation)}\n\n"
+    files = {
+        "table.md": about + main_table(evaluation).markdown(),
+        "table.csv": _csv(_main_numbers(evaluation)),
+        "per_hand.csv": _csv(pd.concat([hands_table(s) for s in evaluation.scores])),
+        "setup.json": json.dumps(_setup(evaluation), indent=2, ensure_ascii=False) + "\n",
+    }
     if evaluation.comparisons:
-        files.append(write_comparisons_csv(folder / "comparisons.csv", evaluation))
+        compared = pd.DataFrame([asdict(c) for c in evaluation.comparisons])
+        compared.insert(0, "metric", compared.pop("metric"))
+        compared["is_significant"] = [int(c.is_significant) for c in evaluation.comparisons]
+        files["comparisons.csv"] = _csv(compared)
     if groups := group_table(evaluation):
-        files.append(_write(folder / "by_tag.md", markdown(groups)))
+        files["by_tag.md"] = groups.markdown()
     if evaluation.problems:
-        rows = ((kind, where) for kind, places in evaluation.problems.items() for where in places)
-        files.append(write_csv(folder / "problems.csv", ("kind", "where"), rows))
-    numbers = [path.name for path in files]
+        places = pd.Series(evaluation.problems).explode()
+        files["problems.csv"] = _csv(places.rename_axis("kind").reset_index(name="where"))
+    numbers = list(files)
 
-    plots: list[Plot] = []
-    if possible := can_plot():
-        plots = write_plots(folder, evaluation, focus)
-    else:
-        log.warning("the report has no plots. %s", INSTALL_HINT)
+    plots = write_plots(folder, evaluation, focus)
     sheets = write_sheets(folder, evaluation, focus)
-    files += [folder / made.file for made in (*plots, *sheets)]
-    page = write_page(
-        folder / "index.html", evaluation, plots, sheets, numbers, focus=focus, plots_are_possible=possible
-    )
-    files = [page, *files]
-    for name in set(REPORT_FILES) - {path.name for path in files}:
+    files["index.html"] = _page(evaluation, focus, numbers, plots, sheets=sheets)
+    for name, text in files.items():
+        with written_whole(folder / name) as beside:
+            beside.write_text(text, encoding="utf-8", newline="")
+    names = ["index.html", *numbers, *(made.file for made in (*plots, *sheets))]
+    for name in set(REPORT_FILES) - set(names):
         with contextlib.suppress(OSError):
             (folder / name).unlink(missing_ok=True)
-    return files
+    return [folder / name for name in names]
 
 
-def _write_setup(path: Path, evaluation: Evaluation) -> Path:
-    setup = {
-        "dataset": evaluation.dataset,
-        "kind": evaluation.kind,
-        "root": str(evaluation.root),
-        "protocol": evaluation.protocol,
-        "pictures": evaluation.pictures,
-        "labelled_hands": evaluation.labelled_hands,
-        "extra_hands": evaluation.extra_hands,
-        "notes": list(evaluation.notes),
-        "setup": dict(evaluation.setup),
-    }
-    return _write(path, json.dumps(setup, indent=2, ensure_ascii=False) + "\n")
+def headline(evaluation: Evaluation) -> str:
+    """Pictures, hands, how many of them were found, and the best method: one or two sentences."""
+    methods, metric = methods_of(evaluation), error_metric(evaluation)
+    text = f"{count(evaluation.pictures, 'picture')}, {count(evaluation.labelled_hands, 'labelled hand')}"
+    found = {f"{100.0 * s.detected.mean():.1f} %" for s in methods if len(s.detected)}
+    if found:
+        text += f", {' to '.join(sorted(found))} of them detected"
+    best = best_method(evaluation, metric)
+    if best is None:
+        return f"{text}. No method has an error to show."
+    value = text_of(float(numbers_of(evaluation)[metric.key][best.method]), metric, with_unit=True)
+    if len(methods) == 1:
+        return f"{text}. {best.method} has {metric.title} {value}."
+    return f"{text}. Best of {len(methods)} methods: {best.method}, {metric.title} {value}."
 
 
-def _write(path: Path, text: str) -> Path:
-    with written_whole(path) as beside:
-        beside.write_text(text, encoding="utf-8")
-    return path
+def _main_numbers(evaluation: Evaluation) -> pd.DataFrame:
+    """The main table's numbers in full precision, in METRICS's units; empty where there is none."""
+    about = {key: getattr(evaluation, key) for key in ("dataset", "kind", "protocol")}
+    rows = [
+        {**about, "method": s.method, "title": s.title, "is_baseline": int(s.is_baseline)}
+        for s in evaluation.scores
+    ]
+    numbers = numbers_of(evaluation)[[metric.key for metric in metrics_shown(evaluation)]]
+    return pd.DataFrame(rows).join(numbers.reset_index(drop=True))
+
+
+def _csv(frame: pd.DataFrame) -> str:
+    return frame.to_csv(index=False, lineterminator="\r\n")
+
+
+def _setup(evaluation: Evaluation) -> dict[str, object]:
+    plain = ("dataset", "kind", "protocol", "pictures", "labelled_hands", "extra_hands", "notes")
+    setup = {key: getattr(evaluation, key) for key in plain}
+    return {**setup, "root": str(evaluation.root), "setup": dict(evaluation.setup)}
+
+
+def _page(
+    evaluation: Evaluation, focus: str | None, numbers: list[str], plots: list[Plot], **shown: object
+) -> str:
+    """One HTML file beside its pictures, that opens offline."""
+    template = resources.files("handfit_core.evaluate.report").joinpath("page.html.j2")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(template.read_text(encoding="utf-8")).render(
+        **shown,
+        evaluation=evaluation,
+        headline=headline(evaluation),
+        count=count,
+        problems=sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1])),
+        examples=EXAMPLES,
+        main=main_table(evaluation),
+        published=experiments_table(evaluation),
+        others=others_table(evaluation, focus),
+        published_note=published_note(evaluation),
+        comparisons=comparison_tables(evaluation),
+        groups=group_table(evaluation),
+        metric=error_metric(evaluation),
+        plots={plot.file: plot for plot in plots},
+        files=numbers,
+    )
 
 
 __all__ = ["REPORT_FILES", "write_report"]

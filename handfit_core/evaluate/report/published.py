@@ -6,49 +6,42 @@ of experiments A-H and the results of others that it lists. Nobody ran them agai
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
-from handfit_core.evaluate.report.focus import best_method, focus_of, methods_of, value_of
-from handfit_core.evaluate.report.layout import Cell, Column, Table, name, words
-from handfit_core.evaluate.report.numbers import text_of
+import pandas as pd
+
+from handfit_core.evaluate.report.tables import (
+    Table,
+    best_method,
+    focus_of,
+    methods_of,
+    numbers_of,
+    text_of,
+)
 from handfit_core.evaluate.scores import Evaluation, Scores
 from handfit_core.evaluate.summary import METRICS
 
 SOURCE: Final = "arXiv 2506.11133"
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """One row of the paper's table."""
-
-    solver: str
-    """Our name for it"""
-    optimiser: str
-    loss: str
-    results: Mapping[str, tuple[float, float]]
-    """kind of data set -> (EPE in mm, AUC of PCK 20-50 mm)"""
-
-
-def _experiment(
-    letter: str, optimiser: str, loss: str, egodexter: tuple[float, float], dexter: tuple[float, float]
-) -> Experiment:
-    return Experiment(f"paper-{letter}", optimiser, loss, {"egodexter": egodexter, "dexter-object": dexter})
-
-
-EXPERIMENTS: Final = (
-    _experiment("a", "L-BFGS", "MSE + tips", (17.724, 0.883), (13.985, 0.946)),
-    _experiment("b", "L-BFGS", "MSE", (19.642, 0.859), (14.859, 0.943)),
-    _experiment("c", "L-BFGS", "Geman-McClure + tips", (17.729, 0.883), (13.980, 0.946)),
-    _experiment("d", "L-BFGS", "Geman-McClure", (19.648, 0.859), (14.878, 0.942)),
-    _experiment("e", "L-BFGS", "Huber + tips", (17.864, 0.882), (13.978, 0.946)),
-    _experiment("f", "L-BFGS", "Huber", (19.963, 0.855), (15.279, 0.939)),
-    _experiment("g", "BFGS", "MSE + tips", (17.787, 0.883), (13.975, 0.946)),
-    _experiment("h", "L-BFGS", "MSE, then anatomical + 2D MSE", (42.833, 0.492), (24.574, 0.784)),
-)
-"""The paper's experiments A-H"""
+EXPERIMENTS: Final = pd.DataFrame(
+    [
+        ("paper-a", "L-BFGS", "MSE + tips", 17.724, 0.883, 13.985, 0.946),
+        ("paper-b", "L-BFGS", "MSE", 19.642, 0.859, 14.859, 0.943),
+        ("paper-c", "L-BFGS", "Geman-McClure + tips", 17.729, 0.883, 13.980, 0.946),
+        ("paper-d", "L-BFGS", "Geman-McClure", 19.648, 0.859, 14.878, 0.942),
+        ("paper-e", "L-BFGS", "Huber + tips", 17.864, 0.882, 13.978, 0.946),
+        ("paper-f", "L-BFGS", "Huber", 19.963, 0.855, 15.279, 0.939),
+        ("paper-g", "BFGS", "MSE + tips", 17.787, 0.883, 13.975, 0.946),
+        ("paper-h", "L-BFGS", "MSE, then anatomical + 2D MSE", 42.833, 0.492, 24.574, 0.784),
+    ],
+    columns=[
+        *("Solver", "Optimiser", "Loss"),
+        *("egodexter epe", "egodexter auc", "dexter-object epe", "dexter-object auc"),
+    ],
+).set_index("Solver", drop=False)
+"""The paper's experiments A-H by our names: for each kind of data set EPE in mm and AUC of PCK 20-50 mm"""
 
 OTHERS_AUC: Final[Mapping[str, Mapping[str, float]]] = {
     "dexter-object": {
@@ -86,33 +79,20 @@ def experiments_table(evaluation: Evaluation) -> Table | None:
     """The paper's A-H beside our runs of the same solvers; None on other data sets."""
     if not has_published(evaluation):
         return None
-    epe, auc = METRICS["epe"], METRICS["auc"]
-    columns = (
-        *(Column("Solver", is_number=False), Column("Optimiser", is_number=False)),
-        *(Column("Loss", is_number=False), Column("EPE published, mm"), Column("EPE here, mm")),
-        *(Column("Difference, mm"), Column("AUC published"), Column("AUC here"), Column("Difference")),
-    )
-    rows = []
-    for experiment in EXPERIMENTS:
-        their_epe, their_auc = experiment.results[evaluation.kind]
-        our_epe = value_of(evaluation, experiment.solver, "epe")
-        our_auc = value_of(evaluation, experiment.solver, "auc")
-        numbers = (
-            *((their_epe, epe), (our_epe, epe), (our_epe - their_epe, epe)),
-            *((their_auc, auc), (our_auc, auc), (our_auc - their_auc, auc)),
-        )
-        rows.append(
-            (
-                *(name(experiment.solver), words(experiment.optimiser), words(experiment.loss)),
-                *(Cell(text_of(value, metric)) for value, metric in numbers),
-            )
-        )
-    return Table(columns, tuple(rows))
+    cells = EXPERIMENTS[["Solver", "Optimiser", "Loss"]].copy()
+    here = numbers_of(evaluation).reindex(EXPERIMENTS.index)
+    for key, title, unit in (("epe", "EPE", ", mm"), ("auc", "AUC", "")):
+        published = EXPERIMENTS[f"{evaluation.kind} {key}"]
+        difference = f"{title}, difference{unit}"
+        columns = (f"{title} published{unit}", published), (f"{title} here{unit}", here[key])
+        for name, values in (*columns, (difference, here[key] - published)):
+            cells[name] = [text_of(value, METRICS[key]) for value in values]
+    return Table(cells, words=3)
 
 
 def beside_published(evaluation: Evaluation, focus: str | None = None) -> tuple[Scores, ...]:
     """Our methods that stand beside others' results: the best by AUC, and the one in focus."""
-    chosen = {s.method for s in (best_method(evaluation, "auc"), focus_of(evaluation, focus)) if s}
+    chosen = {s.method for s in (best_method(evaluation, METRICS["auc"]), focus_of(evaluation, focus)) if s}
     return tuple(s for s in methods_of(evaluation) if s.method in chosen)
 
 
@@ -120,20 +100,14 @@ def others_table(evaluation: Evaluation, focus: str | None = None) -> Table | No
     """AUC of others' methods and of `beside_published`, best first, ours bold; None on other data sets."""
     if not has_published(evaluation):
         return None
-    auc = METRICS["auc"]
-    results = [(value, method, False) for method, value in OTHERS_AUC[evaluation.kind].items()]
-    results += [(e.results[evaluation.kind][1], f"{e.solver}, as published", False) for e in EXPERIMENTS[:1]]
-    results += [
-        (value, f"{s.method}, here", True)
-        for s in beside_published(evaluation, focus)
-        if math.isfinite(value := value_of(evaluation, s.method, "auc"))
-    ]
-    results.sort(key=lambda result: -result[0])
-    rows = tuple(
-        (Cell(method, is_best=ours, is_number=False), Cell(text_of(value, auc), is_best=ours))
-        for value, method, ours in results
-    )
-    return Table((Column("Method", is_number=False), Column("AUC 20-50 mm")), rows)
+    here = numbers_of(evaluation)["auc"]
+    results = {**OTHERS_AUC[evaluation.kind]}
+    results["paper-a, as published"] = float(EXPERIMENTS[f"{evaluation.kind} auc"]["paper-a"])
+    ours = {f"{s.method}, here": here[s.method] for s in beside_published(evaluation, focus)}
+    ranked = pd.Series({**results, **ours}).dropna().sort_values(ascending=False, kind="stable")
+    texts = [text_of(value, METRICS["auc"]) for value in ranked]
+    cells = pd.DataFrame({"Method": ranked.index, "AUC 20-50 mm": texts})
+    return Table(cells, best=pd.DataFrame(dict.fromkeys(cells, ranked.index.isin(list(ours)))))
 
 
 def published_note(evaluation: Evaluation) -> str:

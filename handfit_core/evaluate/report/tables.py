@@ -1,22 +1,29 @@
-"""The main table, one row a method, for people (Markdown, HTML) and for programs (CSV)."""
+"""The report's tables: one for all methods, by group, and of paired comparisons, as text for people."""
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
-from handfit_core.evaluate.report.focus import methods_of, value_of
-from handfit_core.evaluate.report.layout import Cell, Column, Table, markdown, name
-from handfit_core.evaluate.report.numbers import text_of
-from handfit_core.evaluate.scores import Evaluation
-from handfit_core.evaluate.summary import HAND_METRICS, METRICS, Metric, hand_means
-from handfit_core.files import written_whole
+from handfit_core.errors import OptionError
+from handfit_core.evaluate.metrics import labelled_points
+from handfit_core.evaluate.scores import Comparison, Evaluation, Scores
+from handfit_core.evaluate.summary import METRICS, Metric, hand_means
+from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
+MISSING = "–"
+"""What stands where there is no number"""
+MAX_VALUES = 20
+"""A tag with more values than that is a name or a number, not a group"""
+FEW_UNITS = 10
+"""With fewer stills and clips than that, a bootstrap interval is too narrow"""
+VIEWS = ("palm", "back", "edge", "unknown")
+
+_INNER_POINTS = sorted(set(range(NUM_KEYPOINTS)) - set(TIP_KEYPOINTS))
+_DIGITS = {"": 3, "%": 1, "ms": 1}
 _PAPER_ALIGNMENTS = {
     "epe": "as the paper's code: fingertips; true camera and true mean depth given, centroids made to meet; "
     "the mean of each 'joint', then over 'joints'; misses are left out",
@@ -24,124 +31,245 @@ _PAPER_ALIGNMENTS = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Cells as unescaped text, and what is shown with them."""
+
+    cells: pd.DataFrame
+    """Text, under the columns' titles"""
+    words: int = 1
+    """Columns on the left that hold words; all others hold numbers"""
+    best: pd.DataFrame | None = None
+    """bool, of the same shape: cells to show bold; None for no such cell"""
+    notes: tuple[str, ...] = ()
+    """One for each column of numbers, or none"""
+    names: tuple[tuple[str, str], ...] = ()
+    """Names of methods and what they are, told below"""
+    muted: tuple[int, ...] = ()
+    """Rows that are only there to compare with"""
+
+    def rows(self) -> list[list[tuple[str, bool]]]:
+        """Each row's cells, and whether they are bold."""
+        bold = np.zeros(self.cells.shape, dtype=bool) if self.best is None else self.best.to_numpy()
+        return [list(zip(*row, strict=True)) for row in zip(self.cells.to_numpy(), bold, strict=True)]
+
+    def titles(self) -> list[tuple[str, int]]:
+        """Each column's title and the number of its footnote, 0 for none."""
+        first = self.words if self.notes else len(self.cells.columns)
+        return [(str(name), max(0, i - first + 1)) for i, name in enumerate(self.cells)]
+
+    def markdown(self) -> str:
+        """The table in GitHub's Markdown, names and footnotes as lists below."""
+        lines = [
+            [_escaped(title) + (f" [{note}]" if note else "") for title, note in self.titles()],
+            ["---" if i < self.words else "---:" for i in range(self.cells.shape[1])],
+            *([f"**{_escaped(text)}**" if bold else _escaped(text) for text, bold in r] for r in self.rows()),
+        ]
+        text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        if self.names:
+            text += "\n" + "".join(f"* {_escaped(who)}: {_escaped(what)}\n" for who, what in self.names)
+        if self.notes:
+            text += "\n" + "".join(f"{i}. {_escaped(note)}\n" for i, note in enumerate(self.notes, 1))
+        return text
+
+
+def _escaped(text: str) -> str:
+    """Names of files and tags may hold what Markdown takes for markup."""
+    text = " ".join(text.split())
+    for character in "\\|<*_`[":
+        text = text.replace(character, "\\" + character)
+    return text
+
+
+def text_of(value: float, metric: Metric, *, with_unit: bool = False) -> str:
+    """The value with as many digits as it is worth, as in `8.99` or `8.99 mm`; a dash where there is none."""
+    if not math.isfinite(value):
+        return MISSING
+    text = f"{value:.{_DIGITS.get(metric.unit, 2)}f}"
+    text = text.replace("-", "−") if float(text) else text.lstrip("-")
+    return f"{text} {metric.unit}" if with_unit and metric.unit else text
+
+
+def count(number: int, thing: str) -> str:
+    """`1 picture`, `2 pictures`."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def methods_of(evaluation: Evaluation) -> tuple[Scores, ...]:
+    """All methods but the null baselines, in the order asked for."""
+    return tuple(s for s in evaluation.scores if not s.is_baseline)
+
+
+def focus_of(evaluation: Evaluation, focus: str | None = None) -> Scores | None:
+    """The method whose hands the sheets show: the one named, or the last; None where there is none.
+
+    Raises OptionError where no method has that name.
+    """
+    methods = {s.method: s for s in methods_of(evaluation)}
+    if focus is None:
+        return list(methods.values())[-1] if methods else None
+    if focus not in methods:
+        raise OptionError(
+            f"the report cannot show '{focus}': it is not among the evaluated solvers ({', '.join(methods)})"
+        )
+    return methods[focus]
+
+
+def error_metric(evaluation: Evaluation) -> Metric:
+    """PA-MPJPE where it was measured on hands with more than fingertips labelled, else EPE.
+
+    A similarity that is free to fit five tips hides most of what is wrong with them.
+    """
+    measured = any(np.isfinite(s.pa_error).any() for s in methods_of(evaluation))
+    inner = any(labelled_points(s.labels_3d)[:, _INNER_POINTS].any() for s in evaluation.scores[:1])
+    return METRICS["pa_mpjpe" if measured and inner else "epe"]
+
+
+def numbers_of(evaluation: Evaluation) -> pd.DataFrame:
+    """The summaries: a row for each method, baselines first; a column for each of METRICS, NaN for none."""
+    found = pd.DataFrame(dict(evaluation.summaries), dtype=float).T
+    return found.reindex(index=[s.method for s in evaluation.scores], columns=list(METRICS))
+
+
+def best_method(evaluation: Evaluation, metric: Metric) -> Scores | None:
+    """The method with the best value, baselines aside; the first of equals, None where none has one."""
+    methods = {s.method: s for s in methods_of(evaluation)}
+    values = numbers_of(evaluation).loc[list(methods), metric.key].dropna()
+    if values.empty:
+        return None
+    return methods[str(values.idxmin() if metric.lower_is_better else values.idxmax())]
+
+
 def metrics_shown(evaluation: Evaluation) -> list[Metric]:
     """The metrics that at least one method has a value of, in the order of display.
 
     Under the paper's protocol their alignment tells what the paper's code does.
     """
-    shown = [
-        metric
-        for metric in METRICS.values()
-        if any(math.isfinite(value_of(evaluation, s.method, metric.key)) for s in evaluation.scores)
-    ]
+    shown = [METRICS[str(key)] for key in numbers_of(evaluation).dropna(axis="columns", how="all")]
     if evaluation.protocol == "paper":
         shown = [replace(m, alignment=_PAPER_ALIGNMENTS.get(m.key, m.alignment)) for m in shown]
     return shown
 
 
-def best_methods(evaluation: Evaluation, metric: Metric) -> frozenset[str]:
-    """The methods whose value, as shown, is the best of a column.
-
-    Baselines know the truth and are never among them. Empty where fewer than two methods have a value
-    or all have the same: then nothing is best.
-    """
-    values = {
-        s.method: value
-        for s in methods_of(evaluation)
-        if math.isfinite(value := value_of(evaluation, s.method, metric.key))
-    }
-    texts = {method: text_of(value, metric) for method, value in values.items()}
-    if len(set(texts.values())) < 2:
-        return frozenset()
-    best = (min if metric.lower_is_better else max)(values, key=values.__getitem__)
-    return frozenset(method for method, text in texts.items() if text == texts[best])
-
-
 def main_table(evaluation: Evaluation) -> Table:
-    """One row per method, baselines marked; one column per metric, with its alignment as a footnote."""
-    metrics = metrics_shown(evaluation)
-    best = {metric.key: best_methods(evaluation, metric) for metric in metrics}
-    columns = [Column("Method", is_number=False)]
-    for i, metric in enumerate(metrics, 1):
-        unit = f", {metric.unit}" if metric.unit else ""
-        arrow = "↓" if metric.lower_is_better else "↑"
-        columns.append(Column(f"{metric.title}{unit} {arrow}", note=i))
-    rows = []
-    for scores in evaluation.scores:
-        cells = [name(scores.method, "(baseline)" if scores.is_baseline else "")]
-        for metric in metrics:
-            text = text_of(value_of(evaluation, scores.method, metric.key), metric)
-            cells.append(Cell(text, is_best=scores.method in best[metric.key]))
-        rows.append(tuple(cells))
+    """One row per method, baselines marked; one column per metric, with its alignment as a footnote.
+
+    The best method of a column is bold. Baselines know the truth and never are.
+    """
+    metrics, numbers = metrics_shown(evaluation), numbers_of(evaluation)
+    muted = tuple(i for i, s in enumerate(evaluation.scores) if s.is_baseline)
+    judged = [s.method for s in methods_of(evaluation)]
+    cells = {"Method": [s.method + (" (baseline)" if s.is_baseline else "") for s in evaluation.scores]}
+    best: dict[str, object] = {"Method": False}
+    for metric in metrics:
+        title = f"{metric.title}{metric.unit and ', ' + metric.unit} {'↓' if metric.lower_is_better else '↑'}"
+        cells[title] = [text_of(value, metric) for value in numbers[metric.key]]
+        best[title] = _best(numbers.loc[judged, metric.key], metric).reindex(numbers.index, fill_value=False)
     return Table(
-        columns=tuple(columns),
-        rows=tuple(rows),
+        pd.DataFrame(cells),
+        best=pd.DataFrame(best, index=numbers.index),
         notes=tuple(f"{metric.title}: {metric.alignment}" for metric in metrics),
         names=tuple(
             (s.method, s.title + (" (knows the truth)" if s.is_baseline else ""))
             for s in evaluation.scores
             if s.title != s.method
         ),
-        muted=frozenset(i for i, s in enumerate(evaluation.scores) if s.is_baseline),
+        muted=muted,
     )
 
 
-def markdown_table(evaluation: Evaluation) -> str:
-    """The main table in Markdown, with the alignments below it; the best method of a column is bold."""
-    return markdown(main_table(evaluation))
+def _best(values: pd.Series, metric: Metric) -> pd.Series:
+    """(N,) bool: the values that show as the best one does; none where fewer than two show differently."""
+    known = values.dropna()
+    texts = values.map(lambda value: text_of(value, metric))
+    if texts[known.index].nunique() < 2:
+        return pd.Series(False, index=values.index)
+    return texts == texts[known.idxmin() if metric.lower_is_better else known.idxmax()]
 
 
-def write_table_csv(path: Path, evaluation: Evaluation) -> Path:
-    """The main table's numbers in full precision, in METRICS's units; empty where there is none.
+def groups_of(scores: Scores) -> pd.DataFrame:
+    """(N, groups) what each hand's picture is: its view, and every tag with 2 to MAX_VALUES values."""
+    groups = pd.DataFrame([{"view": view} for view in scores.views], columns=["view"])
+    tags = (
+        pd.DataFrame([dict(tags) for tags in scores.tags]).fillna("").rename(columns={"view": "view (tag)"})
+    )
+    groups = groups.join(tags)
+    return groups.loc[:, [2 <= groups[name].nunique() <= MAX_VALUES for name in groups]]
 
-    Raises OutputError.
+
+def sorted_values(values: pd.Series) -> list[str]:
+    """Every value once: views in their own order, everything else by name."""
+    return sorted(set(values), key=lambda v: (VIEWS.index(v) if v in VIEWS else -1, v))
+
+
+def group_table(evaluation: Evaluation) -> Table | None:
+    """Hands, detection rate and each method's mean error by group; None where there is no group.
+
+    The error is `error_metric`, averaged over the detected hands of the group.
     """
-    keys = [metric.key for metric in metrics_shown(evaluation)]
-    header = ["dataset", "kind", "protocol", "method", "title", "is_baseline", *keys]
-    rows = (
-        [
-            *(evaluation.dataset, evaluation.kind, evaluation.protocol),
-            *(s.method, s.title, int(s.is_baseline)),
-            *(number(value_of(evaluation, s.method, key)) for key in keys),
+    methods, metric = methods_of(evaluation), error_metric(evaluation)
+    if not methods or (groups := groups_of(methods[0])).empty:
+        return None
+    # All methods mostly share one detector, and one column then says it.
+    detectors = list({s.detected.tobytes(): s for s in reversed(methods)}.values())[::-1]
+    rates = pd.DataFrame(
+        {"Detected, %" + f" ({d.method})" * (len(detectors) > 1): 100.0 * d.detected for d in detectors}
+    )
+    errors = pd.DataFrame({f"{s.method}, {metric.unit}": hand_means(s, metric.key) for s in methods})
+    cells, best = [], []
+    for group, values in groups.items():
+        of_group = [frame.groupby(values) for frame in (rates, errors)]
+        means = [frame.mean().reindex(sorted_values(values)) for frame in of_group]
+        text = [
+            *(means[0].apply(lambda c: c.map(lambda v: text_of(v, METRICS["detection_rate"]))),),
+            *(means[1].apply(lambda c: c.map(lambda v: text_of(v, metric))),),
         ]
-        for s in evaluation.scores
-    )
-    return write_csv(path, header, rows)
+        head = pd.DataFrame({"Group": group, "Value": [value or "not said" for value in means[0].index]})
+        hands = of_group[0].size().reindex(means[0].index).astype(str).rename("Hands")
+        body = pd.concat([hands, *text], axis="columns").reset_index(drop=True)
+        cells.append(head.join(body))
+        best.append(means[1].apply(_best, axis="columns", metric=metric))
+    whole = pd.concat(cells, ignore_index=True)
+    bold = pd.concat(best, ignore_index=True).reindex(columns=whole.columns, fill_value=False)
+    return Table(whole, words=2, best=bold)
 
 
-def write_hands_csv(path: Path, evaluation: Evaluation) -> Path:
-    """One row per method and labelled hand, with that hand's mean errors, for plots of one's own.
-
-    Raises OutputError.
-    """
-    tags = sorted({tag for s in evaluation.scores[:1] for row in s.tags for tag in row})
-    header = ["method", "sample", "hand", "clip", "time", "view", "detected", *HAND_METRICS]
-    header += ["detect_ms", "fit_ms", *(f"tag_{tag}" for tag in tags)]
-    return write_csv(path, header, _hand_rows(evaluation, tags))
-
-
-def _hand_rows(evaluation: Evaluation, tags: Sequence[str]) -> Iterator[list[object]]:
-    for s in evaluation.scores:
-        errors = [hand_means(s, metric) for metric in HAND_METRICS]
-        for i, sample in enumerate(s.samples):
-            yield [
-                *(s.method, sample, int(s.hands[i]), s.clips[i] or "", number(s.times[i])),
-                *(s.views[i], int(s.detected[i])),
-                *(number(error[i]) for error in errors),
-                *(number(s.detect_ms[i]), number(s.fit_ms[i])),
-                *(s.tags[i].get(tag, "") for tag in tags),
-            ]
+def verdict(comparison: Comparison) -> str:
+    """`a is 0.36 mm better than b (0.20 to 0.50)`, or that no difference is shown, and on how few units."""
+    c, metric = comparison, METRICS[comparison.metric]
+    if c.hands == 0:
+        return "no hand has a result of both"
+    if not (math.isfinite(c.low) and math.isfinite(c.high)):
+        return "no interval: only one still or clip has results of both"
+    few = f"; only {c.units} stills or clips, so the interval is too narrow" if c.units < FEW_UNITS else ""
+    if not c.is_significant:
+        return f"no difference shown ({_interval(c.low, c.high, metric)}{few})"
+    better = "better" if (c.difference < 0.0) == metric.lower_is_better else "worse"
+    interval = _interval(min(abs(c.low), abs(c.high)), max(abs(c.low), abs(c.high)), metric)
+    amount = text_of(abs(c.difference), metric, with_unit=True)
+    return f"{c.first} is {amount} {better} than {c.second} ({interval}{few})"
 
 
-def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    """Write a CSV file in UTF-8. Raises OutputError."""
-    with written_whole(path) as beside, open(beside, "w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(header)
-        writer.writerows(rows)
-    return path
+def _interval(low: float, high: float, metric: Metric) -> str:
+    return f"{text_of(low, metric)} to {text_of(high, metric)}" if math.isfinite(low + high) else MISSING
 
 
-def number(value: float | np.floating) -> str:
-    """All digits of a number; empty where there is none."""
-    return repr(float(value)) if math.isfinite(value) else ""
+def comparison_tables(evaluation: Evaluation) -> list[tuple[Metric, Table]]:
+    """Every comparison with its verdict, one table for each metric; `error_metric`'s first."""
+    first = error_metric(evaluation).key
+    keys = sorted(dict.fromkeys(c.metric for c in evaluation.comparisons), key=lambda key: key != first)
+    tables = []
+    for metric in (METRICS[key] for key in keys):
+        rows = [
+            {
+                "Verdict": ("" if c.is_significant else f"{c.first} and {c.second}: ") + verdict(c),
+                f"Difference, {metric.unit}": text_of(c.difference, metric),
+                "95 % interval": _interval(c.low, c.high, metric),
+                "Hands": str(c.hands),
+                "Stills and clips": str(c.units),
+            }
+            for c in evaluation.comparisons
+            if c.metric == metric.key
+        ]
+        tables.append((metric, Table(pd.DataFrame(rows))))
+    return tables

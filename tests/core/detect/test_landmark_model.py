@@ -71,10 +71,11 @@ def test_entries_are_stored_aligned_and_reproducible(tmp_path: Path, monkeypatch
 
 
 def test_damaged_file_is_one_line(tmp_path: Path) -> None:
+    from handfit_core.detect.detector import DetectorSettings
     from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 
     broken = tmp_path / "broken.task"
     broken.write_bytes(b"PK nonsense")
     with pytest.raises(LandmarkModelError, match="assemble it again") as caught:
-        MediaPipeHands(landmark_model=broken)
+        MediaPipeHands(DetectorSettings(landmark_model=broken))
     assert "\n" not in str(caught.value)

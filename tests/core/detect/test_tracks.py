@@ -5,7 +5,7 @@ import pytest
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.tracks import link_tracks
-from handfit_core.errors import NoHandFoundError, OptionError
+from handfit_core.errors import NoHandFoundError
 from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
@@ -183,5 +183,3 @@ def test_nothing_found() -> None:
         link_tracks([[], []])
     with pytest.raises(NoHandFoundError, match="only a left one"):
         link_tracks([[hand(1, "left")]], "right")
-    with pytest.raises(OptionError, match="auto, left, right, both"):
-        link_tracks([[hand(1)]], "lefty")  # pyright: ignore[reportArgumentType]

@@ -76,6 +76,13 @@ def test_a_header_is_one_json_object() -> None:
         NpzArchive(npz(header=np.array(["{}", "{}"])), ENOUGH).header()
 
 
+def test_a_header_is_long_by_its_texts_alone() -> None:
+    name = 'a "quoted" name, [1, {}] ' * 400_000
+    assert NpzArchive(npz(header=np.array(json.dumps({name: 1}))), 0).header() == {name: 1}
+    with pytest.raises(NotNpz, match="very many parts"):
+        NpzArchive(npz(header=np.array(json.dumps({"a": [[]] * 1_500_000}))), ENOUGH).header()
+
+
 NUMBERS = np.arange(4.0)
 
 FALSE_MEMBERS: dict[str, bytes] = {

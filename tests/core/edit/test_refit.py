@@ -29,7 +29,6 @@ from handfit_core.edit import (
     to_message,
     warm_up,
 )
-from handfit_core.edit.models import hand_model
 from handfit_core.edit.recent import Recent
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
 from handfit_core.fit.fast import fit_frames, fit_track
@@ -37,6 +36,7 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.chain import Chain
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.landmarks import detector_landmarks
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.worker.protocol import pack
@@ -740,16 +740,16 @@ def test_bad_requests_are_named(message: dict[str, Any], named: str) -> None:
 
 def test_a_model_is_read_once_until_it_changes(tmp_path: Path) -> None:
     path = save_model_npz(model_of("right"), tmp_path / "MANO_RIGHT.npz")
-    first = hand_model(str(path), "right")
-    assert hand_model(str(path), "right") is first
-    assert hand_model(str(tmp_path), "right").digest == first.digest
+    first = kept_model(str(path), "right")
+    assert kept_model(str(path), "right") is first
+    assert kept_model(str(tmp_path), "right").digest == first.digest
     other = replace(model_of("right"), v_template=model_of("right").v_template * 1.1)
     save_model_npz(other, path)
     os.utime(path, ns=(1, 1))
-    assert hand_model(str(path), "right").digest != first.digest
+    assert kept_model(str(path), "right").digest != first.digest
     shutil.rmtree(tmp_path)
     with pytest.raises(HandModelError, match="MANO_RIGHT"):
-        hand_model(str(path), "right")
+        kept_model(str(path), "right")
 
 
 def test_warming_up(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from handfit_core.evaluate.compare import compare
-from handfit_core.evaluate.scores import Evaluation, ProtocolName, Scores
+from handfit_core.evaluate.scores import Evaluation, ProtocolName
 from handfit_core.evaluate.summary import summarise
 from tests.core.evaluate.factory import CENTRE, make_hands, make_scores
 
@@ -37,30 +37,22 @@ def make_evaluation(
     names: Sequence[str] | None = None,
 ) -> Evaluation:
     """A baseline that is exactly right, `good` (1 mm of noise per axis), and `poor` (8 mm), on six stills."""
-    picture = write_picture(folder / "picture.png")
-    detected = np.ones(COUNT, dtype=bool)
-    detected[list(missed)] = False
-    min_points = 1 if protocol == "paper" else 2
+    detected = ~np.isin(np.arange(COUNT), list(missed))
     shared = {
-        "pictures": (picture,) * COUNT,
+        "min_points": 1 if protocol == "paper" else 2,
+        "pictures": (write_picture(folder / "picture.png"),) * COUNT,
         "samples": tuple(names or (f"Desk/{i:05}" for i in range(COUNT))),
         "views": ("palm", "palm", "back", "back", "edge", "unknown"),
         "tags": tuple({"pose": "fist" if i % 2 else "open", "frame": str(i)} for i in range(COUNT)),
     }
-    truth = make_scores(
-        points_3d=make_hands(COUNT),
-        n=COUNT,
-        method="null-truth",
-        title="the truth",
-        is_baseline=True,
-        min_points=min_points,
-        **shared,
+    truth = {"method": "null-truth", "title": "the truth", "is_baseline": True}
+    scores = (
+        make_scores(COUNT, points_3d=make_hands(COUNT), **truth, **shared),
+        *(
+            make_scores(COUNT, noise=noise, method=name, title=name, detected=detected, **shared)
+            for name, noise in (("good", 0.001), ("poor", 0.008))
+        ),
     )
-    methods = [
-        made(name, noise, seed, detected, min_points, shared)
-        for name, noise, seed in (("good", 0.001, 0), ("poor", 0.008, 0))
-    ]
-    scores = (truth, *methods)
     return Evaluation(
         dataset=dataset,
         kind=kind,
@@ -68,26 +60,11 @@ def make_evaluation(
         protocol=protocol,
         scores=scores,
         summaries={s.method: summarise(s, protocol) for s in scores},
-        comparisons=(compare(methods[1], methods[0], "epe"),),
+        comparisons=(compare(scores[2], scores[1], "epe"),),
         pictures=COUNT,
         labelled_hands=COUNT,
         extra_hands=1,
         problems=problems,
         notes=("A note.",),
         setup={"machine": "a test's"},
-    )
-
-
-def made(
-    name: str, noise: float, seed: int, detected: np.ndarray, min_points: int, shared: Mapping
-) -> Scores:
-    return make_scores(
-        COUNT,
-        noise=noise,
-        seed=seed,
-        method=name,
-        title=name,
-        detected=detected,
-        min_points=min_points,
-        **shared,
     )

@@ -43,12 +43,6 @@ def test_bone_variation_by_a_loop() -> None:
     assert bone_length_variation(points) == pytest.approx(100.0 * float(np.mean(ratios)))
 
 
-def test_a_breathing_hand_has_the_variation_of_its_scale() -> None:
-    hand = make_hands(1)[0]
-    scale = np.tile([0.9, 1.1], 10)
-    assert bone_length_variation(scale[:, None, None] * hand) == pytest.approx(10.0)
-
-
 @pytest.mark.parametrize("valid", [0, 1])
 def test_bone_variation_needs_two_frames(valid: int) -> None:
     points = moving_hand(5)
@@ -112,13 +106,6 @@ def test_jitter_of_white_noise_has_its_share_of_the_spectrum() -> None:
     noise[:, 0] = 0.0
     expected = 0.002 * math.sqrt(3 * 7.5 / 12.5)
     assert jitter_spectrum(truth + noise, truth, FPS) == pytest.approx(expected, rel=0.05)
-
-
-def test_jitter_of_a_fast_wave_is_its_rms() -> None:
-    truth = moving_hand()
-    assert jitter_spectrum(truth + swaying(8.0, 3.0), truth, FPS) == pytest.approx(
-        0.003 / math.sqrt(2), rel=0.02
-    )
 
 
 def test_jitter_rises_with_noise_and_not_with_a_smooth_error() -> None:

@@ -9,10 +9,10 @@ import pytest
 
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import LandmarkModelError
-from handfit_core.evaluate.detections import Detector, DetectorSettings, UnitDetections
-from handfit_core.evaluate.labels import Entry, Labels
-from handfit_core.evaluate.units import Unit
-from handfit_core.media.opening import read_picture
+from handfit_core.evaluate.detections import UnitDetections, UnitDetector
+from handfit_core.evaluate.labels import Entry, Labels, Unit
+from handfit_core.media.pictures import read_picture
+from handfit_core.options import CaptureOptions
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 
@@ -33,10 +33,10 @@ def still(picture: Path) -> Unit:
     return Unit(entries(picture), is_clip=False)
 
 
-def detect(unit: Unit, folder: Path, settings: DetectorSettings | None = None) -> tuple[UnitDetections, int]:
+def detect(unit: Unit, folder: Path, options: CaptureOptions | None = None) -> tuple[UnitDetections, int]:
     """And how often the caller was told of a picture."""
     told: list[None] = []
-    with Detector(settings or DetectorSettings(), folder) as detector:
+    with UnitDetector(options or CaptureOptions(), folder) as detector:
         return detector.detect(unit, lambda: told.append(None)), len(told)
 
 
@@ -90,10 +90,10 @@ def test_content_counts_and_not_the_name(tmp_path: Path) -> None:
 def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
     picture = SAMPLE / "hand.0001.jpg"
     detect(still(picture), tmp_path)
-    detect(still(picture), tmp_path, DetectorSettings(threshold=0.7))
-    detect(still(picture), tmp_path, DetectorSettings(max_hands=1))
+    detect(still(picture), tmp_path, CaptureOptions(threshold=0.7))
+    detect(still(picture), tmp_path, CaptureOptions(max_hands=1))
     detect(replace(still(picture), is_clip=True), tmp_path)
-    detect(still(picture), tmp_path, DetectorSettings(persistent=False))
+    detect(still(picture), tmp_path, CaptureOptions(plain_detection=True))
     assert len(kept(tmp_path)) == 5
 
 
@@ -102,7 +102,7 @@ def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:
     found, _ = detect(unit, tmp_path)
     assert found.frames[0][0].spread is not None
     assert_same(found, detect(unit, tmp_path)[0])
-    once = DetectorSettings(persistent=False)
+    once = CaptureOptions(plain_detection=True)
     found, _ = detect(unit, tmp_path, once)
     assert found.frames[0][0].spread is None
     assert_same(found, detect(unit, tmp_path, once)[0])
@@ -127,12 +127,3 @@ def test_pictures_are_taken_as_stored_like_their_labels(tmp_path: Path) -> None:
     assert read_picture(turned)[1] == 6  # a viewer turns it
     found, _ = detect(still(turned), tmp_path / "cache")
     assert found.sizes.tolist() == [[640, 480]]
-
-
-def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
-    picture = still(SAMPLE / "hand.0001.jpg")
-    found, _ = detect(picture, tmp_path)
-    (file,) = kept(tmp_path)
-    file.write_bytes(file.read_bytes()[:100])
-    again, _ = detect(picture, tmp_path)
-    np.testing.assert_array_equal(again.frames[0][0].keypoints, found.frames[0][0].keypoints)

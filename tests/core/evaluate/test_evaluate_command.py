@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from handfit_core import Take
+from handfit_core.__main__ import main
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.errors import LandmarkModelError
 from tests.conftest import ROOT
@@ -87,16 +88,6 @@ def test_a_report_with_numbers_that_follow_from_the_truth(labelled: Path, tmp_pa
     assert (report / "index.html").is_file()
 
 
-def test_a_second_run_fits_nothing_again_and_prints_the_same(labelled: Path, tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    first = run(labelled, "--solvers", "paper-b", "-o", report, cwd=tmp_path)
-    fits = {p: p.stat().st_mtime_ns for p in (report / "fits").rglob("*.npz")}
-    assert len(fits) == 3  # two stills and a clip
-    second = run(labelled, "--solvers", "paper-b", "-o", report, cwd=tmp_path)
-    assert first.stdout == second.stdout
-    assert {p: p.stat().st_mtime_ns for p in (report / "fits").rglob("*.npz")} == fits
-
-
 def test_the_papers_protocol_as_json(labelled: Path, tmp_path: Path) -> None:
     result = run(labelled, "--solvers", "raw", "--protocol", "paper", "--progress", "json", cwd=tmp_path)
     events = [json.loads(line) for line in result.stdout.splitlines()]
@@ -137,3 +128,14 @@ def test_errors_are_one_sentence(labelled: Path, tmp_path: Path, arguments: list
     assert result.returncode == 1
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_what_reports_lack_is_said_before_anything_is_fitted(
+    labelled: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)  # as where it is not installed
+    monkeypatch.chdir(labelled)
+    assert main(["evaluate", str(labelled)]) == 1
+    error = capsys.readouterr().err
+    assert "report needs pandas, which this Python lacks" in error
+    assert not (labelled / "out").exists()

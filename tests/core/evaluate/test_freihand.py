@@ -80,14 +80,6 @@ def test_counts_that_do_not_fit_pair_no_picture_with_anothers_label(tmp_path: Pa
     assert "label 1" in dataset.problems[-1].where
 
 
-def test_evaluation_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
-    root = write_split(tmp_path, "evaluation", 2, [0, 1, 2])
-    touch(root / "evaluation" / "rgb" / "sheet.jpg")
-    dataset = open_dataset(root)
-    assert [e.picture.name for e in dataset.entries] == ["00000000.jpg", "00000001.jpg"]
-    assert sorted(Path(p.where).name for p in dataset.problems) == ["00000002.jpg", "sheet.jpg"]
-
-
 def test_one_damaged_label_harms_no_other(tmp_path: Path) -> None:
     xyz = [hand(0).tolist(), hand(1)[:20].tolist(), None, hand(3).tolist()]
     cameras = [K, K, K, None]
@@ -152,13 +144,6 @@ def test_labels_and_cameras_of_different_number(tmp_path: Path) -> None:
     root = write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
     with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
         open_dataset(root).entries[0].read_labels()
-
-
-@pytest.mark.parametrize("name", ["K", "xyz"])
-def test_a_missing_file_is_named_with_the_layout(tmp_path: Path, name: str) -> None:
-    root = write_split(tmp_path, "training", 1, [0], **{name: None})
-    with pytest.raises(DatasetError, match=rf"training_{name}\.json is missing; expected FreiHAND's layout"):
-        open_dataset(root)
 
 
 def test_other_missing_things(tmp_path: Path) -> None:

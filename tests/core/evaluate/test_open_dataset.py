@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.errors import DatasetError, OptionError
-from handfit_core.evaluate.datasets import DATASET_KINDS, open_dataset
+from handfit_core.evaluate.datasets import READERS, open_dataset
 from tests.core.evaluate.dataset_files import touch, write_json
 
 
@@ -52,7 +52,7 @@ def test_a_part_of_a_layout_is_enough_to_name_what_is_missing(tmp_path: Path, ki
         assert "is missing; expected" in messages[0]
 
 
-@pytest.mark.parametrize("kind", DATASET_KINDS)
+@pytest.mark.parametrize("kind", READERS.names())
 def test_an_empty_folder_of_a_named_kind(tmp_path: Path, kind: str) -> None:
     with pytest.raises(DatasetError, match="is missing; expected"):
         open_dataset(tmp_path, kind)
@@ -60,7 +60,7 @@ def test_an_empty_folder_of_a_named_kind(tmp_path: Path, kind: str) -> None:
 
 def test_options_that_do_not_exist(tmp_path: Path) -> None:
     write_json(tmp_path / "index.json", [])
-    with pytest.raises(OptionError, match="there is no data set kind 'stb'; choose from plain, freihand"):
+    with pytest.raises(OptionError, match="there is no data set kind 'stb'; choose one of plain, rhd"):
         open_dataset(tmp_path, "stb")
     with pytest.raises(OptionError, match="a plain data set has no splits"):
         open_dataset(tmp_path, split="training")

@@ -193,11 +193,6 @@ def test_a_damaged_index(tmp_path: Path, content: str, says: str) -> None:
         open_dataset(tmp_path)
 
 
-def test_no_index(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"index\.json is missing; expected the plain layout"):
-        open_dataset(tmp_path, "plain")
-
-
 # Meshes
 
 

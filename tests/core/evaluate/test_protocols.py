@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry
+from handfit_core.evaluate.labels import Entry, units_of
 from handfit_core.evaluate.rows import Rows, rows_of
 from handfit_core.evaluate.scores import ProtocolName, Scores
 from handfit_core.evaluate.scoring import RowResult, baselines, score
 from handfit_core.evaluate.summary import summarise
-from handfit_core.evaluate.units import units_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, seen

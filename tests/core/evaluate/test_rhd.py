@@ -103,14 +103,3 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         stream.truncate(2_000_000_000)  # sparse, takes no room
     with pytest.raises(DatasetError, match=r"2000 MB is too large"):
         open_dataset(tmp_path)
-
-
-def test_missing_files_are_named(tmp_path: Path) -> None:
-    touch(tmp_path / "training" / "color" / "00000.png")
-    with pytest.raises(DatasetError, match=r"training/anno_training\.pickle is missing; expected RHD's"):
-        open_dataset(tmp_path)
-    write(tmp_path / "b", "training", {}, [])
-    with pytest.raises(DatasetError, match=r"training/color is missing"):
-        open_dataset(tmp_path / "b")
-    with pytest.raises(DatasetError, match=r"evaluation/anno_evaluation\.pickle is missing"):
-        open_dataset(tmp_path / "b", split="evaluation")

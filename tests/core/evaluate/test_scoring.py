@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import DatasetError
-from handfit_core.evaluate.labels import HandLabel, MeshLabel, Problem
+from handfit_core.evaluate.labels import HandLabel, MeshLabel, Problem, units_of
 from handfit_core.evaluate.rows import Row, rows_of
 from handfit_core.evaluate.scoring import RowResult, score
-from handfit_core.evaluate.units import units_of
 from handfit_core.hand_model import load_model
 from tests.core.evaluate.hands import entry, found, joints, label, seen
 

@@ -1,11 +1,15 @@
+import math
 import struct
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from handfit_core.media.exif import read_focal_35mm, read_orientation, upright
+from handfit_core.media.exif import known_intrinsics, read_focal_35mm, read_orientation, upright
+from handfit_core.media.opening import open_media
+from handfit_core.media.pictures import read_picture
 
 
 def tiff_block(orientation: int, order: str) -> bytes:
@@ -72,8 +76,6 @@ def test_upright_agrees_with_opencv(tmp_path) -> None:
 
 def test_tiff_is_turned_once(tmp_path) -> None:
     """OpenCV turns TIFFs whatever one asks for."""
-    from handfit_core.media.opening import read_picture
-
     pixels = np.zeros((12, 20, 3), dtype=np.uint8)
     pixels[0, 0] = 255  # top left as stored
     params = [cv2.IMWRITE_TIFF_COMPRESSION, 1]
@@ -109,20 +111,30 @@ def with_tiff_orientation(data: bytes, orientation: int) -> bytes:
     return data[:4] + struct.pack("<I", len(data)) + data[8:] + directory
 
 
-def tiff_with_focal_length(millimetres: int, order: str, kind: int = 3) -> bytes:
-    """A first directory that names EXIF's own one, which names the focal length behind another tag."""
+def lens_block(millimetres: int, order: str = "<", kind: int = 3, orientation: int = 1) -> bytes:
+    """A first directory that names EXIF's own one, which names the focal length; each behind another tag."""
     mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
-    first = struct.pack(order + "HHHII", 1, 0x8769, 4, 1, 26) + struct.pack(order + "I", 0)
+    first = struct.pack(order + "HHHIHH", 2, 0x0112, 3, 1, orientation, 0)
+    first += struct.pack(order + "HHIII", 0x8769, 4, 1, 38, 0)
     entries = struct.pack(order + "HHIHH", 0xA402, 3, 1, 1, 0)
     entries += struct.pack(order + "HHIHH", 0xA405, kind, 1, millimetres, 0)
     return mark + struct.pack(order + "I", 8) + first + struct.pack(order + "H", 2) + entries + bytes(4)
 
 
+def photo(path: Path, block: bytes | None, width: int = 60, height: int = 40) -> Path:
+    data = cv2.imencode(".jpg", np.full((height, width, 3), 90, dtype=np.uint8))[1].tobytes()
+    if block is not None:
+        segment = b"Exif\0\0" + block
+        data = data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:]
+    path.write_bytes(data)
+    return path
+
+
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
 def test_reads_the_focal_length(suffix: str, order: str) -> None:
-    assert read_focal_35mm(with_exif(suffix, tiff_with_focal_length(26, order))) == 26.0
-    assert read_focal_35mm(tiff_with_focal_length(300, order)) == 300.0
+    assert read_focal_35mm(with_exif(suffix, lens_block(26, order))) == 26.0
+    assert read_focal_35mm(lens_block(300, order)) == 300.0
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp"])
@@ -133,13 +145,13 @@ def test_no_focal_length(suffix: str) -> None:
 
 def test_focal_lengths_that_are_none() -> None:
     """Zero means unknown (EXIF 2.32); a value of another type is not taken, nor another directory's."""
-    assert read_focal_35mm(with_exif(".jpg", tiff_with_focal_length(0, "<"))) is None
-    assert read_focal_35mm(with_exif(".jpg", tiff_with_focal_length(26, "<", kind=5))) is None
+    assert read_focal_35mm(with_exif(".jpg", lens_block(0, "<"))) is None
+    assert read_focal_35mm(with_exif(".jpg", lens_block(26, "<", kind=5))) is None
     assert read_focal_35mm(with_exif(".jpg", tiff_block(6, "<"))) is None
 
 
 def test_damaged_focal_lengths() -> None:
-    data = with_exif(".jpg", tiff_with_focal_length(26, ">"))
+    data = with_exif(".jpg", lens_block(26, ">"))
     start = data.index(b"MM\0*")
     for end in range(2, start + 60):
         assert read_focal_35mm(data[:end]) in (None, 26.0)
@@ -149,3 +161,64 @@ def test_damaged_focal_lengths() -> None:
             damaged[spot] ^= flip
             focal = read_focal_35mm(bytes(damaged))
             assert focal is None or focal > 0
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_focal_length_in_pixels(tmp_path: Path, order: str) -> None:
+    """A 26 mm lens sees 2 atan(43.27 / 52) across the diagonal, on any sensor."""
+    found = known_intrinsics(open_media(photo(tmp_path / "a.jpg", lens_block(26, order))))
+    assert found is not None
+    half_angle = math.atan(math.hypot(36, 24) / 2 / 26)
+    expected = math.hypot(60, 40) / 2 / math.tan(half_angle)
+    assert found.fx == found.fy == pytest.approx(expected)
+    assert (found.cx, found.cy) == (30.0, 20.0)
+
+
+def test_a_full_frame_picture_is_exact(tmp_path: Path) -> None:
+    """36 x 24 mm: 50 mm are 50/36 of the width."""
+    found = known_intrinsics(open_media(photo(tmp_path / "a.jpg", lens_block(50), 360, 240)))
+    assert found is not None
+    assert (found.fx, found.cx, found.cy) == pytest.approx((500.0, 180.0, 120.0))
+
+
+def test_a_picture_on_its_side(tmp_path: Path) -> None:
+    """The principal point is of the upright picture; the diagonal stays."""
+    plain = known_intrinsics(open_media(photo(tmp_path / "a.jpg", lens_block(26))))
+    turned = known_intrinsics(open_media(photo(tmp_path / "b.jpg", lens_block(26, orientation=6))))
+    assert plain is not None
+    assert turned is not None
+    assert turned.fx == pytest.approx(plain.fx)
+    assert (turned.cx, turned.cy) == (20.0, 30.0)
+
+
+def test_a_sequence_goes_by_its_first_picture(tmp_path: Path) -> None:
+    for i, focal in enumerate((35, 85), start=1):
+        photo(tmp_path / f"shot_{i:04d}.jpg", lens_block(focal))
+    found = known_intrinsics(open_media(str(tmp_path / "shot_%04d.jpg")))
+    assert found is not None
+    assert found.fx == pytest.approx(35 / math.hypot(36, 24) * math.hypot(60, 40))
+
+
+@pytest.mark.parametrize(
+    "block",
+    [None, lens_block(0), lens_block(26)[:20], b"no tiff"],
+    ids=["none", "zero", "cut", "junk"],
+)
+def test_pictures_that_do_not_tell(tmp_path: Path, block: bytes | None) -> None:
+    assert known_intrinsics(open_media(photo(tmp_path / "a.jpg", block))) is None
+
+
+def test_a_file_that_is_gone(tmp_path: Path) -> None:
+    media = open_media(photo(tmp_path / "a.jpg", lens_block(26)))
+    (tmp_path / "a.jpg").unlink()
+    assert known_intrinsics(media) is None
+
+
+def test_videos_do_not_tell(tmp_path: Path) -> None:
+    path = tmp_path / "clip.avi"
+    fourcc = cv2.VideoWriter.fourcc(*"MJPG")
+    writer = cv2.VideoWriter(str(path), fourcc, 25.0, (60, 40))
+    for _ in range(3):
+        writer.write(np.full((40, 60, 3), 90, dtype=np.uint8))
+    writer.release()
+    assert known_intrinsics(open_media(path)) is None

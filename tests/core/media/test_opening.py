@@ -8,7 +8,8 @@ import pytest
 
 from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import open_media, read_picture, sequence_numbers
+from handfit_core.media.opening import open_media, sequence_numbers
+from handfit_core.media.pictures import read_picture
 from tests.core.media.test_exif import tiff_block
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.media.picture_header import PictureHeader, read_picture_header
+from handfit_core.media.headers import Header, read_picture_header
 from tests.bombs import with_app_segments, with_claimed_size
 
 SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".jp2", ".ppm", ".pgm", ".hdr")
@@ -20,7 +20,7 @@ def encoded(suffix: str, pixels: np.ndarray, *options: int) -> bytes:
     return cv2.imencode(suffix, pixels, list(options))[1].tobytes()
 
 
-def read(data: bytes) -> PictureHeader | None:
+def read(data: bytes) -> Header | None:
     return read_picture_header(io.BytesIO(data))
 
 
@@ -55,7 +55,7 @@ def test_size(suffix: str) -> None:
 )
 def test_cost(suffix: str, pixels: type, options: tuple[int, ...], cost: float) -> None:
     found = read(encoded(suffix, np.zeros((48, 80, 3), dtype=pixels), *options))
-    assert found == PictureHeader(80, 48, cost)
+    assert found == Header(80, 48, cost)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -68,8 +68,8 @@ def test_a_changed_claim_is_read(suffix: str) -> None:
 def test_size_behind_large_metadata() -> None:
     data = with_app_segments(encoded(".jpg", picture(".jpg")), 40)
     assert len(data) > 2_000_000
-    assert read(data) == PictureHeader(80, 48)
-    assert read(data[:2] + b"\xff\xff\xff" + data[3:]) == PictureHeader(80, 48)  # padding before a marker
+    assert read(data) == Header(80, 48)
+    assert read(data[:2] + b"\xff\xff\xff" + data[3:]) == Header(80, 48)  # padding before a marker
 
 
 def test_a_large_tile_counts() -> None:
@@ -82,7 +82,7 @@ def test_a_large_tile_counts() -> None:
         for tag, kind, value in tags
     )
     data = b"MM\0*" + struct.pack(">IH", 8, len(tags)) + entries + bytes(4)
-    assert read(data) == PictureHeader(30000, 29000)
+    assert read(data) == Header(30000, 29000)
 
 
 def test_many_channels_count() -> None:
@@ -93,10 +93,10 @@ def test_many_channels_count() -> None:
         else struct.pack("<HHII", tag, kind, 1, value)
         for tag, kind, value in tags
     )
-    assert read(b"II*\0" + struct.pack("<IH", 8, 4) + entries) == PictureHeader(80, 48, 300)
+    assert read(b"II*\0" + struct.pack("<IH", 8, 4) + entries) == Header(80, 48, 300)
     whole = encoded(".jp2", picture(".jp2"))
     at = whole.index(b"\xff\x4f\xff\x51") + 40
-    assert read(whole[:at] + struct.pack(">H", 4000) + whole[at + 2 :]) == PictureHeader(80, 48, 4000)
+    assert read(whole[:at] + struct.pack(">H", 4000) + whole[at + 2 :]) == Header(80, 48, 4000)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError
-from handfit_core.media.opening import Frame, open_media
+from handfit_core.media.opening import open_media
 from handfit_core.media.read_ahead import read_ahead
+from handfit_core.media.source import Frame
 from tests.core.media.test_opening import grey, write
 
 

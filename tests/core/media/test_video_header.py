@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.media.video_header import VideoHeader, read_video_header
+from handfit_core.media.headers import Header, read_video_header
 from tests.bombs import clip, with_sample_count
 from tests.playlists import playlists
 
 
-def read(data: bytes) -> VideoHeader | None:
+def read(data: bytes) -> Header | None:
     return read_video_header(io.BytesIO(data))
 
 
@@ -30,32 +30,32 @@ FILES = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_size(tmp_path: Path, name: str) -> None:
-    assert read(clip(tmp_path / name, FILES[name])) == VideoHeader(64, 48)
+    assert read(clip(tmp_path / name, FILES[name])) == Header(64, 48)
 
 
 def test_a_gifs_size() -> None:
-    assert read(b"GIF89a" + struct.pack("<HH", 64, 48) + bytes(20)) == VideoHeader(64, 48)
+    assert read(b"GIF89a" + struct.pack("<HH", 64, 48) + bytes(20)) == Header(64, 48)
     assert read(b"GIF89a" + bytes(20)) is None  # FFmpeg would look for what else it may be
 
 
 def test_streams_without_a_header(tmp_path: Path) -> None:
     sequence = b"\0\0\1\xb3" + (720 << 12 | 576).to_bytes(3, "big") + bytes(20)
-    assert read(b"\0\0\1\xba" + bytes(40) + sequence) == VideoHeader(720, 576)
-    assert read(sequence) == VideoHeader(720, 576)
+    assert read(b"\0\0\1\xba" + bytes(40) + sequence) == Header(720, 576)
+    assert read(sequence) == Header(720, 576)
     packet = b"G\x40\0\x10" + bytes(184)
-    assert read(packet * 5) == VideoHeader()
-    assert read((bytes(4) + packet) * 5) == VideoHeader()  # as cameras write it
+    assert read(packet * 5) == Header()
+    assert read((bytes(4) + packet) * 5) == Header()  # as cameras write it
     by_chance = b"G\x40\0\x10" + b"<mPd" + bytes(180)
-    assert read(by_chance * 5) == VideoHeader()  # compressed data, in which any four bytes may stand
+    assert read(by_chance * 5) == Header()  # compressed data, in which any four bytes may stand
     theora = b"\x80theora\3\2\1" + struct.pack(">HH", 20, 15)
-    assert read(b"OggS\0\2" + bytes(22) + theora) == VideoHeader(320, 240)
+    assert read(b"OggS\0\2" + bytes(22) + theora) == Header(320, 240)
 
 
 def test_dv_with_its_sound_in_one_stream() -> None:
     header = b"strh" + struct.pack("<I", 8) + b"iavsdvsd" + b"strf" + struct.pack("<I", 32) + bytes(32)
     listed = b"LIST" + struct.pack("<I", 4 + len(header)) + b"strl" + header
     data = b"RIFF" + struct.pack("<I", 4 + len(listed) + 12) + b"AVI " + listed + b"LIST\4\0\0\0movi"
-    assert read(data) == VideoHeader()
+    assert read(data) == Header()
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -67,7 +67,7 @@ def test_a_changed_claim_is_read(tmp_path: Path, name: str) -> None:
         for at in rng.integers(0, len(data), 3):
             damaged[at] = rng.integers(256)
         found.add(read(bytes(damaged)))
-    assert VideoHeader(64, 48) in found
+    assert Header(64, 48) in found
     for end in range(0, len(data), max(1, len(data) // 300)):
         read(data[:end])
 
@@ -82,7 +82,7 @@ def test_playlists_are_none() -> None:
 
 def test_more_frames_than_bytes_is_none(tmp_path: Path) -> None:
     whole = clip(tmp_path / "a.mp4")
-    assert read(with_sample_count(whole, len(whole) - 1)) == VideoHeader(64, 48)
+    assert read(with_sample_count(whole, len(whole) - 1)) == Header(64, 48)
     assert read(with_sample_count(whole, len(whole) + 1)) is None
     fragment = b"trun" + struct.pack(">II", 0, 1 << 20)
     part = struct.pack(">I", len(fragment) + 4) + fragment

@@ -145,7 +145,7 @@ def hands() -> list[bpy.types.Object]:
 def hand(armature: bpy.types.Object) -> dict[str, Any]:
     """What there is of a captured hand."""
     found = module("scene.store").hand_of(armature)
-    keys = module("scene.keys").read_pose_keys(armature, found.side)
+    keys = module("scene.keys").read_pose_keys(found.rig)
     seen = found.track.detected
     pictures = found.camera.data.background_images if found.camera else ()
     return {

@@ -149,10 +149,9 @@ def _browser(stage):
 
 def _export(stage, path: Path, fmt: str):
     """The files that were written; none where this Blender lacks the format."""
-    from blender_manient.scene.export import FORMATS as writers
-    from blender_manient.scene.export import available
+    from blender_manient.exporters import EXPORTERS
 
-    if fmt in writers and not available(writers[fmt]):
+    if EXPORTERS[fmt].why_not():
         return []
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
     yield from stage.invoke("manient.export_hand", file_format=fmt)

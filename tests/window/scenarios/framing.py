@@ -19,12 +19,13 @@ def whole_picture(stage, source):
 
     yield from stage.open_sidebar()
     view = stage.area().spaces[0].region_3d
-    view.view_camera_zoom, view.view_camera_offset = 50.0, (0.3, 0.2)
+    _zoom_into(view)
     yield from capture(stage, source)
     yield 0.3
     yield from stage.screenshot("framed-with-sidebar")
     found["with sidebar"] = _seen(stage)
 
+    _zoom_into(view)
     view.view_perspective = "PERSP"
     bpy.context.view_layer.objects.active = hands()[-1]
     operator = part("operators.edit_keypoints")
@@ -46,19 +47,25 @@ def whole_picture(stage, source):
     return found
 
 
+def _zoom_into(view: bpy.types.RegionView3D) -> None:
+    view.view_camera_zoom, view.view_camera_offset = 50.0, (0.3, 0.2)
+
+
 def _seen(stage) -> dict:
     """Where the picture, its view, and what lies over that are, each as left, bottom, right, top."""
+    from handfit_core.geometry.picture_map import mapped, picture_to_region
+
     area, camera = stage.area(), bpy.context.scene.camera
     hand = part("scene.store").hand_of(hands()[-1])
     space, region = area.spaces[0], [r for r in area.regions if r.type == "WINDOW"][-1]
     assert space.region_3d.view_perspective == "CAMERA"
-    matrix = part("picture_map").picture_to_region(
+    matrix = picture_to_region(
         hand.take.intrinsics,
         np.array(camera.matrix_world),
         np.array(space.region_3d.perspective_matrix),
         (region.width, region.height),
     )
-    corners = part("picture_map").mapped(matrix, np.array([(0, 0), (hand.take.width, hand.take.height)]))
+    corners = mapped(matrix, np.array([(0, 0), (hand.take.width, hand.take.height)]))
     corners += [region.x, region.y]
     over = [r for r in area.regions if r.type in ("HEADER", "TOOL_HEADER", "TOOLS", "UI") and r.width > 1]
     return {

@@ -18,7 +18,7 @@ def built_in_slices(stage, take, source):
 
     from blender_manient import jobs
     from blender_manient.remembered import Remembered
-    from blender_manient.worker.client import CaptureOptions
+    from handfit_core.options import CaptureOptions
 
     yield from stage.open_sidebar()
     scene = bpy.context.scene

@@ -58,16 +58,17 @@ def preferences(stage):
     yield 0.2
 
 
-def _sections() -> list[type]:
-    from blender_manient import panels
+def sections() -> list[type]:
+    """All sections of the sidebar, parents before children."""
+    from blender_manient import parts
 
-    return list(panels._CLASSES)
+    return [c for part in parts.PARTS for c in part.classes if issubclass(c, bpy.types.Panel)]
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
     """Open all sections of new files, `but` for some: a section's state comes from its class when it is
     first drawn. Returns what `closed_again` wants."""
-    before = {cls: set(getattr(cls, "bl_options", ())) for cls in _sections()}
+    before = {cls: set(getattr(cls, "bl_options", ())) for cls in sections()}
     opened = {c: o if c.__name__ in but else o - {"DEFAULT_CLOSED"} for c, o in before.items()}
     _register_with(opened)
     return before

@@ -68,11 +68,11 @@ def _drag_a_fingertip(stage):
 
 def _open_all_sections():
     """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
-    from blender_manient import panels
+    from scenarios.panels import sections
 
-    for cls in reversed(panels._CLASSES):
+    for cls in reversed(sections()):
         bpy.utils.unregister_class(cls)
-    for cls in panels._CLASSES:
+    for cls in sections():
         if not hasattr(cls, "bl_parent_id"):
             cls.bl_options = set()
         bpy.utils.register_class(cls)

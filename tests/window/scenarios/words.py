@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import bpy
 
 from scenarios.capturing import begin, capture, finish, hands, jobs, part
-from scenarios.panels import closed_again, opened_by_default
+from scenarios.panels import closed_again, opened_by_default, sections
 
 
 def long_names(stage, source, broken):
@@ -38,7 +38,6 @@ def long_names(stage, source, broken):
 @contextmanager
 def _texts():
     """A list that gets all texts and properties which the sections draw, each once, in their order."""
-    from blender_manient import panels
 
     shown: list[str] = []
 
@@ -56,7 +55,7 @@ def _texts():
 
         return drawn
 
-    originals = {cls: cls.__dict__["draw"] for cls in panels._CLASSES}
+    originals = {cls: cls.__dict__["draw"] for cls in sections()}
     try:
         for cls, draw in originals.items():
             cls.draw = listening(draw)

@@ -1,1 +1,0 @@
-"""How fast solvers and the whole pipeline are: `python -m benchmarks --help`."""

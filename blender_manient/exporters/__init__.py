@@ -1,0 +1,29 @@
+"""File formats for other programs: one a file, found by itself."""
+
+from __future__ import annotations
+
+from handfit_core.errors import OptionError
+
+from ..plugins import found_in
+from .exporter import Exporter
+
+PRESETS = (
+    ("PLAIN", "Plain", "Blender's axes and metres"),
+    ("UNITY", "Unity", "Axes and scale that Unity imports without changes"),
+    ("UNREAL", "Unreal", "Axes and scale that Unreal Engine imports without changes"),
+)
+"""Name, label and description of the programs that formats know"""
+
+EXPORTERS = {
+    e.name: e for e in sorted((kind() for kind in found_in(__name__, Exporter)), key=lambda e: e.place)
+}
+"""Every format by its name, in the order of the buttons"""
+
+
+def find_exporter(name: str) -> Exporter:
+    """The format of that name (case and a leading dot do not matter). Raises OptionError."""
+    chosen = EXPORTERS.get(name.lower().lstrip("."))
+    if chosen is None:
+        known = ", ".join(known for known, e in EXPORTERS.items() if e.writes != "captured")
+        raise OptionError(f"there is no export format {name!r}; choose from {known}")
+    return chosen

@@ -1,0 +1,55 @@
+""".blend files: the whole capture, for Blender itself."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import bpy
+
+from .exporter import Exporter, HandObjects, Preset, open_scene
+
+
+class BlendExporter(Exporter):
+    """.blend files: the whole capture, for Blender itself."""
+
+    name = "blend"
+    label = "Blend"
+    description = "Blender's own file, with camera and picture"
+    suffix = ".blend"
+    place = 0
+    writes = "collection"
+
+    def write(self, path: Path, _hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+        """Write the open scene with all that it uses."""
+        try:
+            # Picture paths become relative to the file wherever both lie on one drive.
+            bpy.data.libraries.write(
+                str(path), {open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
+            )
+        except OSError as error:  # with words only, as operators' errors have
+            raise RuntimeError(str(error)) from error
+
+    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
+        """Compressed frames, then a table of their lengths: zstd's seekable format."""
+        stream.seek(-9, io.SEEK_END)
+        count, flags, magic = struct.unpack("<IBI", stream.read(9))
+        entry = 12 if flags & 0x80 else 8
+        table = 8 + count * entry + 9
+        if magic != 0x8F92EAB1 or count == 0 or table > size:
+            return False
+        stream.seek(size - table)
+        skippable, length = struct.unpack("<II", stream.read(8))
+        entries = stream.read(count * entry)
+        if skippable != 0x184D2A5E or length != table - 8:
+            return False
+        start = 0
+        for number in range(count):
+            stream.seek(start)
+            if stream.read(4) != b"\x28\xb5\x2f\xfd":
+                return False
+            start += struct.unpack_from("<I", entries, number * entry)[0]
+        return start == size - table

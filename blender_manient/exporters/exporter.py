@@ -1,0 +1,116 @@
+"""What a file format is to everything else, and what several of them share."""
+
+from __future__ import annotations
+
+import mmap
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, ClassVar, Literal, Protocol
+
+import bpy
+import numpy as np
+
+from handfit_core.skeleton import Side
+
+from ..blender_versions import has_operator
+
+
+class HandObjects(Protocol):
+    """A hand to write to a file."""
+
+    @property
+    def side(self) -> Side:
+        """Left or right."""
+        ...
+
+    @property
+    def armature(self) -> bpy.types.Object:
+        """Its rig."""
+        ...
+
+    @property
+    def mesh(self) -> bpy.types.Object | None:
+        """None where the artist deleted it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What one program wants of one format."""
+
+    keywords: dict[str, Any] = field(default_factory=dict)
+    """For Blender's exporter, over those of the format"""
+    clean: bool = True
+    """Whether the rig is written as `clean_rig` makes it"""
+    units: float = 1.0
+    """How many units of the file a metre is"""
+    turn: np.ndarray | None = None
+    """(3, 3) what the data is turned by, so that the objects need not be"""
+    root: str = ""
+    """What the armature object is called; empty: as in Blender"""
+
+
+class Exporter(ABC):
+    """One file format. A class in a file of this folder is all that adds one."""
+
+    name: ClassVar[str]
+    """On the command line and in scripts"""
+    label: ClassVar[str]
+    """On its button"""
+    description: ClassVar[str]
+    """In the button's tooltip"""
+    suffix: ClassVar[str]
+    place: ClassVar[int] = 100
+    """Where its button stands among the others', and its name in lists"""
+    writes: ClassVar[Literal["hands", "collection", "captured"]] = "hands"
+    """What it wants: a scene with nothing but the hands; the whole collection with its camera, as a batch has
+    it; or hands that keep their take, as the panel has them"""
+    operator: ClassVar[str] = ""
+    """The Blender operator that it needs, as module.name; empty for none"""
+    per_hand: ClassVar[bool] = False
+    """Whether each hand needs a file of its own"""
+    presets: ClassVar[Mapping[str, Preset]] = {}
+    """What differs for UNITY and UNREAL"""
+    kept_endings: ClassVar[tuple[str, ...]] = ()
+    """Endings of a name that stay instead of the suffix"""
+    other_endings: ClassVar[tuple[str, ...]] = ()
+    """Endings of a name that the suffix replaces"""
+
+    @abstractmethod
+    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, /) -> None:
+        """Write the file. What the format `writes` is in the open scene, at its frame range and rate."""
+
+    @abstractmethod
+    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
+        """Whether a file of `size` bytes, more than 0, was written to its end. Raises as reading less than
+        expected does where it was not: struct.error, ValueError, IndexError and OSError."""
+
+    def why_not(self) -> str:
+        """Why this Blender cannot write it, and what to do, as part of a sentence; empty if it can."""
+        if not self.operator or has_operator(self.operator):
+            return ""
+        if self.operator.startswith("wm."):
+            return "missing in this build of Blender; take the one from blender.org"
+        return "switched off with its add-on; enable that in Blender's preferences"
+
+
+def open_scene() -> bpy.types.Scene:
+    """The scene that is open."""
+    scene = bpy.context.scene
+    assert scene is not None
+    return scene
+
+
+def blank(path: Path, folder: Path) -> None:
+    """Put ./././ in place of a folder's name in a file, which stays as long as it is."""
+    name = os.fsencode(f"{folder}{os.sep}")
+    if len(name) < 5:  # so near to the root it tells nothing, and may stand among numbers by chance
+        return
+    with path.open("rb+") as stream, mmap.mmap(stream.fileno(), 0) as content:
+        place = content.find(name)
+        while place >= 0:
+            content[place : place + len(name)] = (b"./" * len(name))[: len(name) - 1] + b"/"
+            place = content.find(name, place + len(name))

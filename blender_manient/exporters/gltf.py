@@ -1,0 +1,86 @@
+"""glTF 2.0, binary."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import bpy
+
+from ..blender_versions import gltf_left_out
+from .exporter import Exporter, HandObjects, Preset, open_scene
+
+_PRESETS = {
+    # glTF itself says: metres, Y up.
+    "UNITY": Preset({"export_all_influences": False, "export_influence_nb": 4}),
+    "UNREAL": Preset(root="root"),
+}
+
+
+class GltfExporter(Exporter):
+    """glTF 2.0, binary."""
+
+    name = "glb"
+    label = "glTF"
+    description = "glTF 2.0 binary"
+    suffix = ".glb"
+    place = 2
+    operator = "export_scene.gltf"
+    presets = _PRESETS
+
+    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, /) -> None:
+        """Write one clip with all hands."""
+        # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
+        for obj in (o for hand in hands for o in (hand.armature, hand.mesh) if o is not None):
+            obj.select_set(True, view_layer=bpy.context.view_layer)
+        # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
+        render = open_scene().render
+        render.fps_base = 1.0 / render.fps_base
+        keywords = {
+            "filepath": str(path),
+            "check_existing": False,
+            "export_format": "GLB",
+            "use_active_scene": True,
+            "use_selection": True,
+            "export_cameras": False,
+            "export_lights": False,
+            "export_extras": True,
+            "export_apply": False,  # applying modifiers would drop the shape keys
+            "export_all_influences": True,  # the default keeps four per vertex, which is another skin
+            "export_animations": True,
+            # One clip with both hands; the other modes add every action in the file that would fit.
+            "export_animation_mode": "SCENE",
+            "export_anim_scene_split_object": False,
+            "export_frame_range": True,
+            "export_force_sampling": True,
+            "export_optimize_animation_size": False,
+            "export_morph_normal": False,
+        }
+        with _own_settings_left_out():
+            bpy.ops.export_scene.gltf(**keywords | preset.keywords)
+
+    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
+        """The header tells the length of the file, and each chunk its own."""
+        magic, _version, length = struct.unpack("<4sII", stream.read(12))
+        if magic != b"glTF" or length != size:
+            return False
+        place = 12
+        while place < size:
+            stream.seek(place)
+            place += 8 + struct.unpack("<I", stream.read(4))[0]
+        return place == size
+
+
+@contextlib.contextmanager
+def _own_settings_left_out() -> Iterator[None]:
+    """Keep what the add-on itself notes on objects out of glTF's extras, which up to Blender 4.5 take all
+    that add-ons register for custom properties."""
+    left_out = gltf_left_out()
+    left_out.append("manient")
+    try:
+        yield
+    finally:
+        left_out.remove("manient")

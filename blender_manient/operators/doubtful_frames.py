@@ -1,0 +1,106 @@
+"""Where a captured hand may be wrong: markers, jumps between such frames, and the worst of all."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
+
+from ..scene.markers import doubtful_ranges, filled_ranges, is_marked, mark_doubtful, next_doubtful
+from ..scene.store import scene_frames
+from .needs_hand import named_hand, scene_is_editable
+
+
+class _OfNamedHand:
+    """What works on the hand that a button names, in a scene that may be changed."""
+
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    hand: bpy.props.StringProperty(  # type: ignore
+        name="Hand",
+        description="The captured hand's armature (empty: the active object's)",
+        options={"HIDDEN"},
+    )
+
+    @classmethod
+    def poll(cls, context):
+        """Whether the scene may be changed."""
+        return scene_is_editable(cls, context)
+
+
+class MANIENT_OT_mark_doubtful(_OfNamedHand, bpy.types.Operator):
+    bl_idname = "manient.mark_doubtful"
+    bl_label = "Mark Doubtful Frames"
+    bl_description = "Add timeline markers where the hand may be wrong or was filled in, or remove them"
+
+    def execute(self, context):
+        hand = named_hand(context, self.hand)
+        if hand is None:
+            self.report({"ERROR"}, "No captured hand: select a hand that keeps its take")
+            return {"CANCELLED"}
+        if is_marked(context.scene, hand):
+            mark_doubtful(context.scene, hand, False)
+            return {"FINISHED"}
+        if not doubtful_ranges(hand) and not filled_ranges(hand):
+            self.report({"INFO"}, f"{hand.armature.name} has no doubtful and no filled frames")
+            return {"CANCELLED"}
+        mark_doubtful(context.scene, hand, True)
+        return {"FINISHED"}
+
+
+class MANIENT_OT_jump_doubtful(_OfNamedHand, bpy.types.Operator):
+    bl_idname = "manient.jump_doubtful"
+    bl_label = "Jump to Doubtful Frame"
+    bl_description = "Go to where the next or previous frames begin in which the hand may be wrong"
+
+    direction: bpy.props.EnumProperty(  # type: ignore
+        name="Direction",
+        items=(
+            ("PREVIOUS", "Previous", "Go to the doubtful frames before this one"),
+            ("NEXT", "Next", "Go to the doubtful frames after this one"),
+        ),
+        default="NEXT",
+    )
+
+    def execute(self, context):
+        hand = named_hand(context, self.hand)
+        if hand is None:
+            self.report({"ERROR"}, "No captured hand: select a hand that keeps its take")
+            return {"CANCELLED"}
+        frame = next_doubtful(hand, context.scene.frame_current, self.direction)
+        if frame is None:
+            where = "after" if self.direction == "NEXT" else "before"
+            self.report({"INFO"}, f"No doubtful frames of {hand.armature.name} {where} this one")
+            return {"CANCELLED"}
+        context.scene.frame_set(frame)
+        return {"FINISHED"}
+
+
+class MANIENT_OT_jump_worst(_OfNamedHand, bpy.types.Operator):
+    bl_idname = "manient.jump_worst"
+    bl_label = "Jump to Worst Frame"
+    bl_description = "Go to the frame in which the hand lies farthest from the points found in the picture"
+
+    @classmethod
+    def description(cls, context, properties):
+        """The tooltip, with the hand's figures."""
+        hand = named_hand(context, properties.hand)
+        if hand is None or not hand.track.detected.any():
+            return cls.bl_description
+        pixels = float(np.mean(hand.track.reprojection_error[hand.track.detected]))
+        return (
+            f"The hand's points lie {pixels:.1f} px from those found in the picture, in the mean. Of the "
+            f"hand's length, less than {100 * GOOD_BELOW:g} % is good and {100 * FAIR_BELOW:g} % or more is "
+            "poor. Click to go to the worst frame"
+        )
+
+    def execute(self, context):
+        hand = named_hand(context, self.hand)
+        if hand is None or not hand.track.detected.any():
+            self.report({"ERROR"}, "No captured hand with points in a picture: select one")
+            return {"CANCELLED"}
+        errors = relative_errors(hand.track, hand.take.intrinsics)
+        frame = float(scene_frames(hand.collection, hand.take)[np.nanargmax(errors)])
+        context.scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))
+        return {"FINISHED"}

@@ -1,0 +1,115 @@
+"""The rig that captures get: 16 bones, named so that Blender's mirror tools understand them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from handfit_core.hand_model import ShapedHand, axes
+from handfit_core.skeleton import JOINT_NAMES, PARENTS, Side
+
+from .rig import Rig
+
+_SUFFIX: dict[Side, str] = {"right": ".R", "left": ".L"}
+"""What Blender's mirror tools look for at the end of a bone's name."""
+
+
+def bone_names(side: Side) -> list[str]:
+    """The 16 bones of one side in MANO's order: `wrist.R`, `index_proximal.R`, ..."""
+    return [name + _SUFFIX[side] for name in JOINT_NAMES]
+
+
+class CapturedHandRig(Rig):
+    """A hand that a capture, an import or Mirror Hand made."""
+
+    @classmethod
+    def recognises(cls, armature: bpy.types.Object, side: Side) -> float:
+        """Certain of hands that the add-on made; else by how many of the bones are there."""
+        noted = getattr(armature, "manient", None)  # not there where the add-on is not registered
+        if noted is not None and noted.is_hand:
+            return float(noted.side == side)
+        return sum(name in armature.data.bones for name in bone_names(side)) / len(JOINT_NAMES)
+
+    @property
+    def bones(self) -> list[str]:
+        """`bone_names` of its side."""
+        return bone_names(self.side)
+
+    def follow(self, shaped: ShapedHand) -> None:
+        """Move the 16 rest bones. Other bones that the artist added stay where they are."""
+        # The artist's object may be in Pose mode, hidden or in a collection that is switched off.
+        editor = bpy.data.objects.new("reshape", self.armature.data)
+        with _edit_mode(editor):
+            own = [self.armature.data.edit_bones[name] for name in self.bones]
+            connected = [bone.use_connect for bone in own]
+            for bone in own:
+                bone.use_connect = False  # else moving one end would move its neighbour's
+            _place(own, shaped, self.side)
+            for bone, was in zip(own, connected, strict=True):
+                bone.use_connect = was
+        bpy.data.objects.remove(editor)
+
+
+def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:
+    """A rig at the world's origin whose rest pose is the shaped, flat hand.
+
+    It is not linked to any collection. Pose bones are set to quaternions. The open scene, with the artist's
+    mode, active object and selection, is not touched.
+    """
+    armature = bpy.data.armatures.new(name)
+    obj = bpy.data.objects.new(name, armature)
+    with _edit_mode(obj):
+        bones = [armature.edit_bones.new(bone) for bone in bone_names(side)]
+        heads, tails = _place(bones, shaped, side)
+        for i, bone in enumerate(bones[1:], start=1):
+            bone.parent = bones[PARENTS[i]]
+            # Only a bone that starts where its parent ends may be drawn, and moved, as connected.
+            bone.use_connect = bool(np.allclose(heads[i], tails[PARENTS[i]], atol=1e-7))
+
+    armature.display_type = "OCTAHEDRAL"
+    obj.show_in_front = True
+    for bone in obj.pose.bones:
+        bone.rotation_mode = "QUATERNION"
+    return CapturedHandRig(obj, side)
+
+
+def _place(bones: list[bpy.types.EditBone], shaped: ShapedHand, side: Side) -> tuple[np.ndarray, np.ndarray]:
+    """Put 16 bones in edit mode where the shaped, flat hand has them. Returns heads and tails (16, 3)."""
+    heads = axes.points_to_rest(shaped.joints)
+    tails = axes.points_to_rest(axes.bone_tails(shaped))
+    for bone, head, tail, frame in zip(bones, heads, tails, axes.bone_frames(shaped, side), strict=True):
+        bone.head, bone.tail = Vector(head), Vector(tail)
+        bone.align_roll(Vector(frame[:, 2]))
+    return heads, tails
+
+
+@contextlib.contextmanager
+def _edit_mode(obj: bpy.types.Object) -> Iterator[None]:
+    """Have an unlinked armature in edit mode, in a scene that nobody sees and that is removed again.
+
+    Bones can be made in edit mode only. There, the artist's own scene is neither seen nor evaluated.
+    """
+    scene = bpy.data.scenes.new("armature")
+    try:
+        scene.collection.objects.link(obj)
+        layer = scene.view_layers[0]
+        layer.objects.active = obj
+        with bpy.context.temp_override(
+            scene=scene,
+            view_layer=layer,
+            active_object=obj,
+            object=obj,
+            edit_object=None,
+            selected_objects=[obj],
+        ):
+            bpy.ops.object.mode_set(mode="EDIT")
+            try:
+                yield
+            finally:
+                bpy.ops.object.mode_set(mode="OBJECT")
+    finally:
+        bpy.data.scenes.remove(scene)

@@ -1,0 +1,76 @@
+"""What a rig is to everything else: an armature's bones as a hand of MANO's 16 joints."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandModelError, OptionError
+from handfit_core.hand_model import ShapedHand
+from handfit_core.hand_model.axes import RestPose
+from handfit_core.skeleton import Side
+
+
+class Rig(ABC):
+    """One hand on one armature. Nothing outside of this folder knows a bone's name, axes or order.
+
+    Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
+    bone's locations (N, 3) in metres along its own axes; both in MANO's joint order.
+    """
+
+    def __init__(self, armature: bpy.types.Object, side: Side) -> None:
+        self.armature = armature
+        self.side: Side = side
+
+    @classmethod
+    @abstractmethod
+    def recognises(cls, armature: bpy.types.Object, side: Side) -> float:
+        """How sure it is that the armature has a hand of this kind and side: 0 (it has none) to 1."""
+
+    @property
+    @abstractmethod
+    def bones(self) -> list[str]:
+        """The names of the 16 bones, the wrist's first."""
+
+    @property
+    def rest(self) -> RestPose:
+        """How the bones lie at rest, as Blender has them now."""
+        bones = [self.armature.data.bones[name] for name in self.bones]
+        frames = np.array([bone.matrix_local.to_3x3() for bone in bones], dtype=np.float64)
+        return RestPose(self.side, frames, np.array(bones[0].head_local, dtype=np.float64))
+
+    def to_bones(
+        self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A take's poses as the bones have them: `RestPose.to_bones`."""
+        return self.rest.to_bones(shaped, global_orient, hand_pose, transl)
+
+    def from_bones(
+        self, shaped: ShapedHand, quats: np.ndarray, locations: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The inverse of `to_bones`: global_orient (N, 3), hand_pose (N, 45) and transl (N, 3)."""
+        return self.rest.from_bones(shaped, quats, locations)
+
+    def follow(self, shaped: ShapedHand) -> None:  # noqa: ARG002
+        """Move the rest bones to where a hand of this shape has them. Raises OptionError for rigs that keep
+        their own proportions."""
+        raise OptionError(
+            f"{self.armature.name!r} keeps its own proportions: its shape cannot be changed here"
+        )
+
+    @property
+    def lacking(self) -> str | None:
+        """Which bone is missing, in a sentence for a tooltip; None where all are there."""
+        there = self.armature.data.bones
+        missing = next((name for name in self.bones if name not in there), None)
+        if missing is None:
+            return None
+        return f"The hand lacks the bone {missing}: give its bones their names back"
+
+    def check(self) -> None:
+        """Raises HandModelError where a bone is missing."""
+        why = self.lacking
+        if why is not None:
+            raise HandModelError(f"{self.armature.name!r}: {why[:1].lower()}{why[1:]}")

@@ -1,0 +1,78 @@
+"""What a detector is, and those that there are.
+
+A backend is one file with a `Detector` and a `Backend` that makes it. Those of other packages are found by
+their entry points of the group `handfit.detectors` (see `registry`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.registry import Registry
+
+
+class Detector:
+    """Finds the hands of one run's pictures. Use it as a context manager."""
+
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
+        """The hands of the next picture (H, W, 3) uint8 RGB, as many as there are to be found.
+
+        `time` in seconds rises from frame to frame of a clip. A picture without a hand has an empty tuple,
+        and so has None, a frame that could not be read.
+        """
+        raise NotImplementedError
+
+    def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:
+        """What `find` gave for all pictures, in order, with what later frames of the clip tell about earlier
+        ones. Asked once, after the last picture."""
+        return found
+
+    def close(self) -> None:
+        """Give memory and threads back."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@dataclass(frozen=True)
+class DetectorSettings:
+    """What a detector is made for."""
+
+    max_hands: int | None = 2
+    """How many hands of one picture are wanted; None: all"""
+    video: bool = False
+    """Whether the pictures are the frames of one clip, in order; else they have nothing to do with each
+    other"""
+    threshold: float = 0.5
+    """How sure a hand must be, 0..1"""
+    landmark_model: str | os.PathLike[str] | None = None
+    """A model file in place of the backend's own"""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """One way to find hands, and what it can do."""
+
+    open: Callable[[DetectorSettings], Detector]
+    """Makes a detector, and loads what it needs only then. Raises LandmarkModelError where a model file is
+    missing or damaged."""
+    fingerprint: Callable[[DetectorSettings], str]
+    """Names the packages' versions and the models that decide what is found, so that an evaluation knows
+    which detections it may use again"""
+    second_looks: bool = False
+    """Whether it finds more where it is shown parts of a picture again, enlarged, turned and mirrored, and,
+    as the same view several times in a row, follows a hand there: `finder` then does so"""
+
+
+DETECTORS: Final = Registry(
+    "handfit.detectors", "detector", Backend, {"mediapipe": "handfit_core.detect.mediapipe_tasks:MEDIAPIPE"}
+)

@@ -1,0 +1,365 @@
+"""Corrections of a hand by the artist, and how they fade out over the frames around them.
+
+A correction of a source frame turns every bone by exp(rotation), about the bone's own axes after its
+own pose, and moves the wrist. Between corrected frames the field
+
+    c(frame) = sum over the corrected frames g of w_g(frame) c_g
+
+mixes them: w_g is 1 at g, falls along a smoothstep and is 0 from the correction's spread on, or from the
+next corrected frame on where that is nearer. Two corrections within each other's spread share what lies
+between them: their weights add up to 1.
+
+Keys hold the pose after the field, q = q_base exp(c). A field that changes therefore only multiplies:
+q exp(-c_old) exp(c_new). What an artist did to the key by hand stays on it, and a field that is taken
+away leaves the key as it was.
+
+Frames that are keyed anew hold a pose of their own, whatever corrections there are: the field is zero there
+and corrections around end there. Anchors, corrections without pins, see to that.
+"""
+
+from __future__ import annotations
+
+import bisect
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.errors import TakeError
+from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
+from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS
+from handfit_core.take import LARGEST
+
+FORMAT_VERSION: Final = 1
+_DECIMALS: Final = 8
+"""of a correction: what is written into the .blend is what was applied, to the last digit"""
+
+_TELLING: Final = 0.01
+"""radians; a tenth of it for metres. What is turned less does not tell whether a key is the corrected one"""
+
+_ARRAYS: Final[dict[str, tuple[int, ...]]] = {
+    "rotation": (NUM_JOINTS, 3),
+    "location": (3,),
+    "start_rotation": (NUM_JOINTS, 3),
+    "start_location": (3,),
+    "pose": (NUM_JOINTS, 4),
+    "place": (3,),
+}
+
+Pins = Mapping[int, tuple[float, float]]
+"""Keypoint index -> (x, y) pixels of the upright picture"""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the artist changed in one source frame."""
+
+    pins: Pins
+    """Keypoints that were dragged, and where they belong"""
+    rotation: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
+    """(16, 3) axis-angle in radians per bone, in the bone's own posed axes"""
+    location: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) metres, added to the wrist bone's location"""
+    spread: float = 0.0
+    """frames over which it fades out, before and after"""
+    added_key: bool = False
+    """Whether the frame had no key before, so that its key goes with the correction"""
+    start_rotation: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
+    """(16, 3) what its neighbours' corrections did here when it was made: the part of `rotation` that pins
+    are not answerable for, and that stays when they change"""
+    start_location: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) the same of `location`"""
+    pose: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 4)))
+    """(16, 4) the key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) metres: the same of the wrist's location"""
+    keyed: bool = False
+    """Whether the frame was keyed anew, so that without this correction the field is zero there"""
+    posed: bool = False
+    """Whether the artist gave the frame a pose before any pin: then pins are measured against that pose"""
+
+    @property
+    def is_anchor(self) -> bool:
+        """Whether it is none of the artist's, and only ends those around it."""
+        return self.keyed and not self.pins and not self.posed
+
+    def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
+        """Whether the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
+        where it was put. Else keys were moved in time, or another pose was keyed."""
+        if not np.any(self.pose):
+            return True
+        turned = np.linalg.norm(self.rotation, axis=-1) > _TELLING
+        same = np.linalg.norm(correction_between(self.pose, pose), axis=-1) < _TELLING
+        found = same[turned].tolist()
+        if np.linalg.norm(self.location) > _TELLING / 10 and np.any(self.place):
+            found.append(bool(np.linalg.norm(place - self.place) < _TELLING / 10))
+        return not found or 2 * sum(found) >= len(found)
+
+    @property
+    def changes(self) -> bool:
+        """Whether it does anything to keys."""
+        return bool(np.any(self.rotation) or np.any(self.location))
+
+    def __post_init__(self) -> None:
+        pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in self.pins.items()}
+        # Only finite numbers of the right shape ever reach keys.
+        if not all(0 <= k < NUM_KEYPOINTS for k in pins) or not np.all(np.isfinite(list(pins.values()))):
+            raise ValueError(f"pins belong to keypoints 0 to {NUM_KEYPOINTS - 1}, at finite places")
+        if not (np.isfinite(self.spread) and self.spread >= 0.0):
+            raise ValueError(f"a spread is finite and not negative; got {self.spread}")
+        object.__setattr__(self, "pins", pins)
+        object.__setattr__(self, "spread", float(self.spread))
+        for name, shape in _ARRAYS.items():
+            array = np.round(np.asarray(getattr(self, name), dtype=np.float64), _DECIMALS)
+            if array.shape != shape or not np.all(np.abs(array) <= LARGEST):
+                raise ValueError(f"{name} of a correction is finite and of the shape {shape}")
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionField:
+    """All corrections of a hand, by source frame."""
+
+    corrections: Mapping[float, Correction] = field(default_factory=dict)
+    """Most are on whole frames; poses that were not dragged and anchors may lie between them"""
+
+    @cached_property
+    def frames(self) -> np.ndarray:
+        """(K,) corrected source frames and anchors, increasing."""
+        return np.array(sorted(self.corrections), dtype=np.float64)
+
+    @property
+    def corrected(self) -> list[float]:
+        """The source frames that the artist corrected, increasing."""
+        return [g for g in sorted(self.corrections) if not self.corrections[g].is_anchor]
+
+    def weights(self, frames: np.ndarray) -> np.ndarray:
+        """(N,) source frames, whole or not -> (N, K) weight of each correction there, 0..1."""
+        frames = np.asarray(frames, dtype=np.float64)
+        own = self.frames
+        spread = np.array([self.corrections[g].spread for g in own.tolist()])
+        gap = np.diff(own)
+        before = np.minimum(spread, np.concatenate([[np.inf], gap]))[: len(own)]
+        after = np.minimum(spread, np.concatenate([gap, [np.inf]]))[: len(own)]
+        away = frames[:, None] - own
+        reach = np.where(away < 0, before, after)
+        part = np.abs(away) / np.where(reach > 0, reach, 1.0)
+        # Without a spread a correction stays on its own frame.
+        part = np.where(reach > 0, part, np.where(away == 0, 0.0, 1.0))
+        return fade(part)
+
+    def touches(self, frames: np.ndarray) -> np.ndarray:
+        """(N,) source frames -> (N,) bool: whether any correction reaches there."""
+        return np.any(self.weights(frames) > 0.0, axis=1)
+
+    def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) source frames -> rotations (N, 16, 3) in radians and wrist movements (N, 3) in metres."""
+        weights = self.weights(frames)
+        chosen = [self.corrections[g] for g in self.frames.tolist()]
+        rotation = np.array([c.rotation for c in chosen]).reshape(-1, NUM_JOINTS, 3)
+        location = np.array([c.location for c in chosen]).reshape(-1, 3)
+        return np.einsum("nk,kja->nja", weights, rotation), weights @ location
+
+    def pins(self, frame: float) -> Pins:
+        """The pins of a source frame; none where it has no correction."""
+        correction = self.corrections.get(kept_frame(frame))
+        return correction.pins if correction is not None else {}
+
+    def with_correction(self, frame: float, correction: Correction) -> CorrectionField:
+        """The same with this correction of one source frame."""
+        return CorrectionField({**self.corrections, kept_frame(frame): correction})
+
+    def without(self, frames: Iterable[float]) -> CorrectionField:
+        """The same without the corrections of these source frames."""
+        gone = {float(f) for f in frames}
+        return CorrectionField({g: c for g, c in self.corrections.items() if g not in gone})
+
+    def cleared(self, frames: Iterable[float]) -> CorrectionField:
+        """The same after these source frames' corrections were taken back. Where a frame had been keyed anew
+        an anchor stays, as long as it ends anything."""
+        gone = {float(f) for f in frames}
+        kept = {g: c for g, c in self.corrections.items() if g not in gone}
+        kept |= {g: Correction({}, keyed=True) for g, c in self.corrections.items() if g in gone and c.keyed}
+        return CorrectionField(kept)._pruned()
+
+    def keyed_anew(
+        self,
+        frames: Iterable[float],
+        *,
+        whole: bool = False,
+        joints: Sequence[int] = range(NUM_JOINTS),
+        location: bool = True,
+        keep_pins: bool = False,
+    ) -> CorrectionField:
+        """The same where these source frames get keys with poses of their own: the field is zero on them.
+
+        `whole` means everything from the first to the last of them, else corrections on other frames stay.
+        `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
+        frames' pins, for poses that were fitted to them.
+        """
+        own = np.array(sorted({kept_frame(f) for f in frames}), dtype=np.float64)
+        if len(own) == 0:
+            return self
+        first, last = float(own[0]), float(own[-1])
+        inside = {
+            g for g in self.corrections if (first <= g <= last if whole else bool(np.any(own == float(g))))
+        }
+        new = {g: c for g, c in self.corrections.items() if g not in inside}
+        ends = {first, last}
+        for g in [g for g in new if first < g < last]:
+            at = int(np.searchsorted(own, g))
+            ends |= {float(own[at - 1]), float(own[at])}
+
+        keyed = list(joints)
+
+        def left(pins: Pins, rotation: np.ndarray, place: np.ndarray, spread: float) -> Correction:
+            rotation = rotation.copy()
+            rotation[keyed] = 0.0
+            return Correction(pins, rotation, np.zeros(3) if location else place, spread, keyed=True)
+
+        for g in sorted(inside):
+            one = self.corrections[g]
+            rest = left(one.pins, one.rotation, one.location, one.spread)
+            if keep_pins or rest.changes:
+                new[g] = rest
+        rotations, places = self.at(np.array(sorted(ends)))
+        for g, rotation, place in zip(sorted(ends), rotations, places, strict=True):
+            if g not in new:
+                new[kept_frame(g)] = left({}, rotation, place, self._reach(g))
+        return CorrectionField(new)._pruned()
+
+    def _reach(self, frame: float) -> float:
+        """How many frames the corrections around reach beyond this one."""
+        return max([0.0, *(c.spread - abs(g - frame) for g, c in self.corrections.items())])
+
+    def _pruned(self) -> CorrectionField:
+        """Without the anchors that end nothing: no correction reaches them."""
+        needed = set()
+        for sign in (1.0, -1.0):
+            reach = -np.inf
+            for g in sorted(self.corrections, key=lambda g: sign * g):
+                one = self.corrections[g]
+                if not one.is_anchor or sign * g < reach:
+                    needed.add(g)
+                    reach = sign * g + one.spread if one.changes else -np.inf
+        return CorrectionField({g: c for g, c in self.corrections.items() if g in needed})
+
+    def to_json(self) -> str:
+        """As text for the .blend; empty where there is nothing to keep."""
+        if not self.corrections:
+            return ""
+        kept = {
+            str(frame): {
+                "pins": {str(k): list(place) for k, place in c.pins.items()},
+                "spread": c.spread,
+                "added_key": c.added_key,
+                **({"keyed": True} if c.keyed else {}),
+                **({"posed": True} if c.posed else {}),
+                **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
+            }
+            for frame, c in sorted(self.corrections.items())
+        }
+        return json.dumps({"version": FORMAT_VERSION, "frames": kept}, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str) -> CorrectionField:
+        """Read `to_json`'s text. Raises TakeError for anything else, and for a newer format."""
+        if not text:
+            return cls()
+        try:
+            content = json.loads(text)
+            version = int(content["version"])
+            if version <= FORMAT_VERSION:
+                return cls({kept_frame(frame): _correction(c) for frame, c in content["frames"].items()})
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
+            raise TakeError(
+                "the hand's corrections cannot be read; undo what changed them, or clear all corrections"
+            ) from error
+        raise TakeError(
+            f"the hand's corrections have format version {version}, this add-on reads up to "
+            f"{FORMAT_VERSION}; update the add-on"
+        )
+
+
+def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
+    """Stretches of source frames, apart from each other, outside of which the two fields are the same.
+
+    A correction that comes, goes or changes matters up to the nearest unchanged ones; these reach
+    further, or less far, towards it.
+    """
+    same = sorted(
+        g for g, c in old.corrections.items() if g in new.corrections and _equal(c, new.corrections[g])
+    )
+    stretches = []
+    for g in sorted((set(old.corrections) | set(new.corrections)) - set(same)):
+        spread = max(one.corrections[g].spread for one in (old, new) if g in one.corrections)
+        first, last = float(g - spread), float(g + spread)
+        at = bisect.bisect_left(same, g)
+        if at > 0:
+            left = same[at - 1]
+            reach = left + old.corrections[left].spread
+            first, last = (left, max(last, reach)) if reach > g else (max(first, left), last)
+        if at < len(same):
+            right = same[at]
+            reach = right - old.corrections[right].spread
+            first, last = (min(first, reach), right) if reach < g else (first, min(last, right))
+            first = first if at == 0 else max(first, same[at - 1])
+        stretches.append((float(first), float(last)))
+    merged: list[tuple[float, float]] = []
+    for first, last in sorted(stretches):
+        if merged and first <= merged[-1][1]:
+            first, last = merged[-1][0], max(last, merged.pop()[1])
+        merged.append((first, last))
+    return merged
+
+
+def _equal(one: Correction, other: Correction) -> bool:
+    """Whether they are the same to the keys; pins do not matter."""
+    return (
+        one.spread == other.spread
+        and np.array_equal(one.rotation, other.rotation)
+        and np.array_equal(one.location, other.location)
+    )
+
+
+def kept_frame(frame: Any) -> float:
+    """A source frame as corrections are kept under: whole, or between two frames to four digits."""
+    place = round(float(frame), 4)
+    if not np.isfinite(place):
+        raise ValueError(f"a frame is a finite number; got {frame}")
+    return int(place) if place == int(place) else place
+
+
+def _correction(content: Mapping[str, Any]) -> Correction:
+    return Correction(
+        pins={int(k): (place[0], place[1]) for k, place in content["pins"].items()},
+        spread=float(content["spread"]),
+        added_key=bool(content.get("added_key", False)),
+        keyed=bool(content.get("keyed", False)),
+        posed=bool(content.get("posed", False)),
+        **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
+    )
+
+
+def fade(part: np.ndarray) -> np.ndarray:
+    """Smoothstep from 1 at 0 to 0 at 1 and beyond."""
+    part = np.clip(part, 0.0, 1.0)
+    return 1.0 - part * part * (3.0 - 2.0 * part)
+
+
+def changed_quats(quats: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Keys (..., 4) as (w, x, y, z) under a field (..., 3) that goes from `old` to `new`, in radians.
+
+    Returns q exp(-old) exp(new), of the same length. Signs are kept as they come: the field changes
+    gradually from key to key, so neighbouring quaternions stay on the same side.
+    """
+    return quat_multiply(quat_multiply(quats, rotvec_to_quat(-old)), rotvec_to_quat(new))
+
+
+def correction_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """The turns (..., 3) in radians that lead from quaternions `before` (..., 4) to `after` (..., 4)."""
+    before, after = (q / np.linalg.norm(q, axis=-1, keepdims=True) for q in (before, after))
+    return quat_to_rotvec(quat_multiply(before * np.array([1.0, -1.0, -1.0, -1.0]), after))

@@ -1,0 +1,167 @@
+"""From MANO's and OpenCV's axes to Blender's, and the axes of a rig's bones. They stand only here.
+
+Four frames, all right-handed and in metres:
+
+* **camera**: OpenCV's, x right, y down, z forward. Takes are in it.
+* **world**: Blender's. The capture camera sits at its origin and looks along +Y, with Z up.
+* **model**: MANO's flat hand. The right hand's fingers along -x (the left's along +x), back +y, thumb +z.
+* **rest**: the armature's own space in Blender, where the flat hand lies like a T-pose's:
+  the right hand's fingers along -X, back of the hand +Z, thumb -Y.
+
+A **bone** frame has Y along the bone. A positive turn about X bends the bone towards the palm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model.data import HandModel, ShapedHand
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
+
+WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""(x, y, z) -> (x, z, -y)"""
+
+REST_FROM_MODEL: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""(x, y, z) -> (x, -z, y)"""
+
+MIRROR_X: Final = np.diag([-1.0, 1.0, 1.0])
+"""Left and right exchanged, in rest space as in the camera frame"""
+
+_UP_OF_FINGERS: Final = np.array([0.0, 1.0, 0.0])
+"""Model frame: out of the back of the hand, for both sides"""
+_UP_OF_THUMB: Final = np.array([1.0, 1.0, 1.0])
+"""Model frame of the right hand: out of the thumb's nail (manotorch's rest axes)"""
+_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
+"""What turns a direction of the right hand's model frame into the left hand's"""
+
+
+def points_to_world(points: np.ndarray) -> np.ndarray:
+    """(..., 3) metres in the camera frame -> (..., 3) metres in Blender's world."""
+    return points @ WORLD_FROM_CAMERA.T
+
+
+def points_to_rest(points: np.ndarray) -> np.ndarray:
+    """(..., 3) metres in the model frame -> (..., 3) metres in the armature's rest space."""
+    return points @ REST_FROM_MODEL.T
+
+
+def bone_tails(shaped: ShapedHand) -> np.ndarray:
+    """Where each of the 16 bones ends: (16, 3) metres in the model frame.
+
+    A finger's bone ends at the next joint or at the fingertip, the wrist's at the middle knuckle.
+    """
+    tails = np.empty((NUM_JOINTS, 3))
+    tails[0] = shaped.joints[FINGER_JOINTS["middle"][0]]
+    for finger, tip in zip(FINGERS, shaped.tips, strict=True):
+        first, second, third = FINGER_JOINTS[finger]
+        tails[first], tails[second], tails[third] = shaped.joints[second], shaped.joints[third], tip
+    return tails
+
+
+def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
+    """Each bone's axes in rest space: (16, 3, 3) rotations with the bone's X, Y and Z in columns.
+
+    X is the axis about which a finger bends towards the palm: "back along the bone" x "up", made
+    perpendicular to the bone. The left hand's frames are the right hand's as Blender mirrors bones,
+    so that poses can be pasted from one to the other.
+    """
+    along = _unit(bone_tails(shaped) - shaped.joints)
+    up = np.tile(_UP_OF_FINGERS, (NUM_JOINTS, 1))
+    up[list(FINGER_JOINTS["thumb"])] = _UP_OF_THUMB if side == "right" else _UP_OF_THUMB * _MIRROR
+    bend = _unit(np.cross(-along, up))
+    axes = np.stack([bend, along, np.cross(bend, along)], axis=-1)  # (16, 3, 3), columns X Y Z
+    return REST_FROM_MODEL @ axes
+
+
+@dataclass(frozen=True, eq=False)
+class RestPose:
+    """Where a rig's 16 bones lie while it rests, in MANO's joint order.
+
+    Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
+    bone's locations (N, 3) in metres along its own axes.
+    """
+
+    side: Side
+    frames: np.ndarray
+    """(16, 3, 3) each bone's axes in rest space, X, Y and Z in columns"""
+    wrist: np.ndarray
+    """(3,) metres in rest space: where the wrist bone begins"""
+
+    def to_bones(
+        self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The pose of the bones, with which the rig stands where a take has the hand.
+
+        `shaped` is the hand that the rig has; global_orient (N, 3) and hand_pose (N, 45) axis-angle in
+        radians, model frame to camera frame; transl (N, 3) metres, camera frame. Returns quaternions and
+        locations.
+        """
+        fingers = rotvec_to_rotmat(np.reshape(hand_pose, (-1, NUM_JOINTS - 1, 3)))
+        turned = np.empty((len(fingers), NUM_JOINTS, 3, 3))
+        turned[:, 1:] = REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T
+        turned[:, 0] = WORLD_FROM_CAMERA @ rotvec_to_rotmat(global_orient) @ REST_FROM_MODEL.T
+        local = np.swapaxes(self.frames, -1, -2) @ turned @ self.frames
+        wrist = shaped.joints[0]
+        return rotmat_to_quat(local), (points_to_world(wrist + transl) - points_to_rest(wrist)) @ self.frames[
+            0
+        ]
+
+    def from_bones(
+        self, shaped: ShapedHand, quats: np.ndarray, locations: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The inverse of `to_bones`: the take's global_orient (N, 3), hand_pose (N, 45) and transl (N, 3)."""
+        turned = self.frames @ quat_to_rotmat(quats) @ np.swapaxes(self.frames, -1, -2)
+        global_orient = rotmat_to_rotvec(WORLD_FROM_CAMERA.T @ turned[:, 0] @ REST_FROM_MODEL)
+        hand_pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ turned[:, 1:] @ REST_FROM_MODEL)
+        wrist = shaped.joints[0]
+        moved = locations @ self.frames[0].T + points_to_rest(wrist)
+        return global_orient, hand_pose.reshape(-1, 3 * (NUM_JOINTS - 1)), moved @ WORLD_FROM_CAMERA - wrist
+
+    def turned_to(self, other: RestPose, quats: np.ndarray) -> np.ndarray:
+        """Quaternions (..., 16, 4) that do to another rig's bones what `quats` do to this one's; to a hand of
+        the other side, as a mirror at x = 0 of rest space shows it.
+
+        About a bone's axes B a rotation R of rest space is B^T R B, so the quaternion's vector turns by
+        D = B_other^T B. A mirror M turns R into M R M, which is D R_bone D^T with D = B_other^T M B; since
+        det D = -1 then, the vector turns by -D.
+        """
+        mirror = np.eye(3) if other.side == self.side else -MIRROR_X
+        turn = np.swapaxes(other.frames, -1, -2) @ mirror @ self.frames
+        return np.concatenate([quats[..., :1], (turn @ quats[..., 1:, None])[..., 0]], axis=-1)
+
+    def moved_to(self, other: RestPose, locations: np.ndarray, plane: float = 0.0) -> np.ndarray:
+        """Locations (..., 3) that put another rig's wrist where `locations` put this one's; a wrist of the
+        other side, where a mirror at x = `plane` metres of rest space shows it."""
+        place = self.wrist + locations @ self.frames[0].T
+        if other.side != self.side:
+            place = place @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
+        return (place - other.wrist) @ other.frames[0]
+
+
+def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A take's global_orient (N, 3) and hand_pose (N, 45) in a mirror at x = 0, which turns the axis-angle
+    (a, b, c) into (a, -b, -c)."""
+    turn = np.array([1.0, -1.0, -1.0])
+    return global_orient * turn, hand_pose * np.tile(turn, NUM_JOINTS - 1)
+
+
+def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
+    """The pose blend shapes per element of a bone's own rotation: (15, 3, 3, V, 3) metres, rest space.
+
+    MANO adds posedirs * (R - I), with R the joint's rotation in model axes. Drivers see the bone's
+    rotation R_bone = B^T R B instead, B being the bone's axes in the model frame. Since
+    R - I = B (R_bone - I) B^T, the offset of element (k, l) of R_bone - I is the sum over a, b of
+    B[a, k] B[b, l] posedirs[a, b]. Row j is joint j + 1.
+    """
+    basis = REST_FROM_MODEL.T @ frames[1:]  # (15, 3, 3)
+    posedirs = model.posedirs.reshape(-1, 3, NUM_JOINTS - 1, 3, 3)
+    turned = np.einsum("vcjab,jak,jbl->jklvc", posedirs, basis, basis, optimize=True)
+    return points_to_rest(turned)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

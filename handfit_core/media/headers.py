@@ -1,0 +1,443 @@
+"""What a picture or video claims to be, by its first bytes, without decoding anything.
+
+A small file can claim to be enormous, and decoders believe it: whoever wants to refuse such a file must do so
+before a decoder sees it. And FFmpeg opens whatever it recognises, whatever the file is called: playlists
+(HLS, DASH, concat, SDP) that name other files or addresses, which it then opens. So a file is given to it
+only if it begins as a container does that holds its frames itself. Standard library only, since Blender's
+process asks, too.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import BinaryIO, Final
+
+_MOST_STEPS: Final = 100_000
+"""Markers, chunks, boxes or tags that are looked through; no camera and no program writes as many"""
+
+_LOOKED_AT: Final = 1 << 20
+"""Bytes of a stream without a header that are searched; FFmpeg looks at as many to tell what a file is"""
+
+_LARGEST_PART: Final = 1 << 20
+"""Bytes of a header's part that are read at once"""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a picture, or a video's largest track, claims to be."""
+
+    width: int = 0
+    height: int = 0
+    """Pixels as stored, before any orientation is undone; 0 where a video's container does not tell"""
+    cost: float = 1
+    """How much memory decoding takes, in units of a picture with 8 bits per channel that is decoded row by
+    row: three times as much with 16 bits, which Blender makes floats of, four times with floats, and 1.4
+    times where a decoder must keep all coefficients (progressive JPEG)"""
+
+
+_Readers = tuple[tuple[bytes, Callable[[BinaryIO], Header | None]], ...]
+
+
+class _Lies(ValueError):
+    """The header claims what its file cannot hold."""
+
+
+def read_picture_header(stream: BinaryIO) -> Header | None:
+    """The header of a JPEG, PNG, WebP, BMP, TIFF, JPEG 2000, PNM or Radiance picture.
+
+    `stream` can be sought in; where it stands afterwards is not defined. None where it is none of these, or
+    is damaged before its size is told.
+    """
+    header = _read(stream, _PICTURES)
+    return header if header is not None and header.width > 0 and header.height > 0 else None
+
+
+def read_video_header(stream: BinaryIO) -> Header | None:
+    """The header of an MP4, QuickTime, Matroska, WebM, AVI, GIF, Windows Media, MPEG, Ogg, Flash or MXF file.
+
+    `stream` as for pictures. None where it is none of these, holds no picture, or claims more than it can
+    hold.
+    """
+    return _read(stream, _VIDEOS)
+
+
+def _read(stream: BinaryIO, readers: _Readers) -> Header | None:
+    start = _at(stream, 0, 4096)
+    for signature, read in readers:
+        if re.match(signature, start, re.DOTALL):
+            try:
+                return read(stream)
+            except (struct.error, ValueError, IndexError, OverflowError):
+                return None
+    return None
+
+
+def _at(stream: BinaryIO, position: int, count: int) -> bytes:
+    stream.seek(position)
+    return stream.read(count)
+
+
+# Pictures
+
+
+def _unpack(stream: BinaryIO, layout: str, at: int | None = None) -> tuple[int, ...]:
+    """Whole numbers that stand at `at`, or where the stream is. Raises struct.error at the file's end."""
+    if at is not None:
+        stream.seek(at)
+    return struct.unpack(layout, stream.read(struct.calcsize(layout)))
+
+
+def _cost(bits: int) -> int:
+    """The cost of a picture with so many bits per channel."""
+    if bits <= 8:
+        return 1
+    return 3 if bits <= 16 else -(-bits // 8)
+
+
+def _png(stream: BinaryIO) -> Header | None:
+    _, kind, width, height, depth = struct.unpack(">I4sIIB", _at(stream, 8, 17))
+    return Header(width, height, _cost(depth)) if kind == b"IHDR" else None
+
+
+_FRAME_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_PROGRESSIVE: Final = frozenset({0xC2, 0xC6, 0xCA, 0xCE})
+_PROGRESSIVE_COST: Final = 1.4
+_WITHOUT_LENGTH: Final = frozenset({0x01, *range(0xD0, 0xD8)})
+
+
+def _jpeg(stream: BinaryIO) -> Header | None:
+    stream.seek(2)
+    frame: tuple[int, int, int, int] | None = None  # marker, width, height, components
+    for _ in range(_MOST_STEPS):
+        # Padding before a marker is allowed.
+        (byte,) = _unpack(stream, "B")
+        if byte != 0xFF:
+            continue
+        while byte == 0xFF:
+            (byte,) = _unpack(stream, "B")
+        if byte == 0 or byte in _WITHOUT_LENGTH:
+            continue
+        (length,) = _unpack(stream, ">H")
+        after = stream.tell() + length - 2
+        if byte in _FRAME_MARKERS:
+            _, height, width, components = _unpack(stream, ">BHHB")
+            frame = byte, width, height, components
+        elif byte == 0xDA:
+            if frame is None:
+                return None
+            (in_scan,) = _unpack(stream, "B")
+            marker, width, height, components = frame
+            kept_whole = marker in _PROGRESSIVE or in_scan < components
+            return Header(width, height, _PROGRESSIVE_COST if kept_whole else 1)
+        stream.seek(after)
+    return None
+
+
+def _webp(stream: BinaryIO) -> Header | None:
+    kind, start = _at(stream, 12, 4), _at(stream, 20, 10)
+    if kind == b"VP8X":
+        width, height = (int.from_bytes(start[i : i + 3], "little") + 1 for i in (4, 7))
+        return Header(width, height, 2)  # it may be of either kind inside, or move
+    if kind == b"VP8L" and start[:1] == b"\x2f":
+        (bits,) = struct.unpack("<I", start[1:5])
+        return Header((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, 2)
+    if kind == b"VP8 " and start[3:6] == b"\x9d\x01\x2a":
+        width, height = struct.unpack("<HH", start[6:10])
+        return Header(width & 0x3FFF, height & 0x3FFF)
+    return None
+
+
+def _bmp(stream: BinaryIO) -> Header:
+    (size,) = _unpack(stream, "<I", 14)
+    width, height = _unpack(stream, "<HH" if size == 12 else "<ii", 18)
+    return Header(width, abs(height))
+
+
+_LOGARITHMIC: Final = (34676, 34677)
+"""Compressions that are floats once they are decoded"""
+_TIFF_NUMBERS: Final = {1: "B", 3: "H", 4: "I"}
+
+
+def _tiff(stream: BinaryIO) -> Header | None:
+    order = "<" if _at(stream, 0, 2) == b"II" else ">"
+    (directory,) = _unpack(stream, order + "I", 4)
+    (count,) = _unpack(stream, order + "H", directory)
+    tags: dict[int, int] = {}
+    for i in range(count):
+        tag, kind, values = _unpack(stream, order + "HHI", directory + 2 + 12 * i)
+        if kind in _TIFF_NUMBERS and tag not in tags:
+            layout = order + _TIFF_NUMBERS[kind]
+            if values * struct.calcsize(layout) > 4:
+                (elsewhere,) = _unpack(stream, order + "I")
+                stream.seek(elsewhere)
+            (tags[tag],) = _unpack(stream, layout)
+    width, height = tags.get(256, 0), tags.get(257, 0)
+    if not width or not height:
+        return None
+    bits = 32 if tags.get(259) in _LOGARITHMIC else tags.get(258, 1)
+    samples = tags.get(277, 1)
+    # A decoder holds a whole tile, which may be larger than the picture.
+    width, height = max(width, tags.get(322, 0)), max(height, tags.get(323, 0))
+    return Header(width, height, _cost(bits) * max(1, -(-samples // 4)))
+
+
+_JP2_SAMPLE: Final = 4
+"""Bytes; decoders of JPEG 2000 hold every sample as a 32-bit number"""
+
+
+def _jp2(stream: BinaryIO) -> Header | None:
+    position, end, channels = 0, stream.seek(0, 2), 1
+    for _ in range(_MOST_STEPS):
+        if position >= end:
+            return None
+        size, kind = struct.unpack(">I4s", _at(stream, position, 8))
+        head = 8
+        if size == 1:
+            (size,) = _unpack(stream, ">Q")
+            head = 16
+        if kind == b"jp2c":
+            return _jp2_codestream(stream, position + head, channels)
+        if kind == b"jp2h":  # its boxes come one after another
+            position += head
+            continue
+        if kind == b"pclr":  # a palette of many columns makes as many channels
+            (channels,) = _unpack(stream, "B", position + head + 2)
+        if size < head:
+            return None
+        position += size
+    return None
+
+
+def _jp2_codestream(stream: BinaryIO, start: int = 0, channels: int = 1) -> Header | None:
+    soc, siz, _, _, right, bottom, left, top = _unpack(stream, ">HHHHIIII", start)
+    if (soc, siz) != (0xFF4F, 0xFF51):
+        return None
+    (components,) = _unpack(stream, ">H", start + 40)
+    return Header(right - left, bottom - top, _JP2_SAMPLE * -(-max(components, channels) // 4))
+
+
+def _pnm(stream: BinaryIO) -> Header | None:
+    text = re.sub(rb"#[^\n\r]*", b" ", _at(stream, 0, 4096)).split()
+    depth = 1 if text[0] in (b"P1", b"P4") else int(text[3]).bit_length()
+    return Header(int(text[1]), int(text[2]), _cost(depth))
+
+
+def _hdr(stream: BinaryIO) -> Header | None:
+    size = re.search(rb"\n[-+]([XY]) +(\d{1,9}) +[-+][XY] +(\d{1,9})\s*\n", _at(stream, 0, 65536))
+    if size is None:
+        return None
+    first, second = int(size[2]), int(size[3])
+    width, height = (second, first) if size[1] == b"Y" else (first, second)
+    return Header(width, height, 4)
+
+
+_PICTURES: Final[_Readers] = (
+    (rb"\xff\xd8\xff", _jpeg),
+    (rb"\x89PNG\r\n\x1a\n", _png),
+    (rb"RIFF....WEBP", _webp),
+    (rb"BM", _bmp),
+    (rb"II\*\x00|MM\x00\*", _tiff),
+    (rb"\x00\x00\x00\x0cjP  \r\n\x87\n", _jp2),
+    (rb"\xff\x4f\xff\x51", _jp2_codestream),
+    (rb"P[1-6]\s", _pnm),
+    (rb"#\?(RADIANCE|RGBE)", _hdr),
+)
+"""What a picture begins with, and who reads it"""
+
+
+# Videos
+
+
+def _largest(sizes: list[tuple[int, int]]) -> Header | None:
+    width, height = max(sizes, key=lambda size: size[0] * size[1], default=(0, 0))
+    return Header(width, height) if width > 0 and height > 0 else None
+
+
+# MP4 and QuickTime: boxes of a size and a name; some hold boxes again.
+
+_BOXES_WITH_BOXES: Final = frozenset({b"moov", b"trak", b"mdia", b"minf", b"stbl", b"moof", b"traf"})
+
+
+def _boxes(stream: BinaryIO, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Name, start and end of the contents of every box, those that hold boxes before what they hold."""
+    position = 0
+    for _ in range(_MOST_STEPS):
+        if position + 8 > end:
+            return
+        size, name = struct.unpack(">I4s", _at(stream, position, 8))
+        head = 8
+        if size == 1:
+            (size,) = struct.unpack(">Q", stream.read(8))
+            head = 16
+        box_end = position + size if size else end
+        if name == b"cmov":
+            raise _Lies("a header that has to be unpacked first")
+        if size and size < head:
+            return
+        yield name, position + head, min(box_end, end)
+        position = position + head if name in _BOXES_WITH_BOXES else box_end
+    raise _Lies("more boxes than anybody writes")
+
+
+def _mp4(stream: BinaryIO) -> Header | None:
+    end = stream.seek(0, 2)
+    sizes: list[tuple[int, int]] = []
+    handler, claimed, frames = b"", (0, 0), 0
+    for name, start, box_end in _boxes(stream, end):
+        if name == b"trak":
+            handler, claimed = b"", (0, 0)
+        elif name == b"tkhd":
+            version = _at(stream, start, 1)
+            width, height = struct.unpack(">II", _at(stream, start + (88 if version == b"\1" else 76), 8))
+            claimed = width >> 16, height >> 16
+        elif name == b"hdlr":
+            kind, subtype = struct.unpack("4s4s", _at(stream, start + 4, 8))
+            if kind != b"dhlr":  # QuickTime's second one, which tells how the data are kept
+                handler = subtype
+        elif name == b"stsd" and handler == b"vide":
+            sizes += _sample_entries(stream, start + 8, box_end, claimed)
+        elif name == b"stsz":
+            frames += struct.unpack(">I", _at(stream, start + 8, 4))[0]
+        elif name == b"trun":
+            frames += struct.unpack(">I", _at(stream, start + 4, 4))[0]
+        if frames > end:  # FFmpeg makes a list of them
+            raise _Lies("more frames than bytes")
+    return _largest(sizes)
+
+
+def _sample_entries(
+    stream: BinaryIO, position: int, end: int, claimed: tuple[int, int]
+) -> Iterator[tuple[int, int]]:
+    while position + 36 <= end:
+        size, *_, width, height = struct.unpack(">I4s24xHH", _at(stream, position, 36))
+        yield (width, height) if width and height else claimed
+        if size < 36:
+            return
+        position += size
+
+
+# Matroska and WebM: elements of an identifier and a size.
+
+_SEGMENT, _TRACKS, _ENTRY, _VIDEO, _WIDTH, _HEIGHT = 0x18538067, 0x1654AE6B, 0xAE, 0xE0, 0xB0, 0xBA
+_WITHIN: Final = frozenset({_SEGMENT, _TRACKS, _ENTRY, _VIDEO})
+
+
+def _matroska(stream: BinaryIO) -> Header | None:
+    end = stream.seek(0, 2)
+    sizes: list[tuple[int, int]] = []
+    position, width = 0, 0
+    for _ in range(_MOST_STEPS):
+        if position >= end:
+            return _largest(sizes)
+        head = _at(stream, position, 12)
+        id_length = 9 - head[0].bit_length()
+        size_length = 9 - head[id_length].bit_length()
+        name = int.from_bytes(head[:id_length], "big")
+        size = int.from_bytes(head[id_length : id_length + size_length], "big") - (1 << 7 * size_length)
+        position += id_length + size_length
+        if name in _WITHIN:
+            continue
+        if name in (_WIDTH, _HEIGHT):
+            value = int.from_bytes(_at(stream, position, min(size, 8)), "big")
+            width = value if name == _WIDTH else width
+            if name == _HEIGHT:
+                sizes.append((width, value))
+        if size == (1 << 7 * size_length) - 1:  # of unknown size, as live recordings have: frames begin
+            return _largest(sizes)
+        position += size
+    return _largest(sizes)
+
+
+# AVI: chunks of a name and a size.
+
+
+def _avi(stream: BinaryIO) -> Header | None:
+    end = stream.seek(0, 2)
+    sizes: list[tuple[int, int]] = []
+    position, kind = 12, b""
+    for _ in range(_MOST_STEPS):
+        if position + 8 > end:
+            break
+        name, size = struct.unpack("<4sI", _at(stream, position, 8))
+        if name == b"LIST":
+            if _at(stream, position + 8, 4) == b"movi":
+                break
+            position += 12
+            continue
+        if name == b"strh":
+            kind = _at(stream, position + 8, 4)
+        elif name == b"strf" and kind == b"iavs":  # DV with its sound in one stream tells its size itself
+            return Header()
+        elif name == b"strf" and kind == b"vids":
+            width, height = struct.unpack("<ii", _at(stream, position + 12, 8))
+            sizes.append((width, abs(height)))
+        position += 8 + size + size % 2
+    return _largest(sizes)
+
+
+_ASF_STREAM: Final = bytes.fromhex("9107dcb7b7a9cf118ee600c00c205365")
+_ASF_VIDEO: Final = bytes.fromhex("c0ef19bc4d5bcf11a8fd00805f5c442b")
+
+
+def _asf(stream: BinaryIO) -> Header | None:
+    (size,) = struct.unpack("<Q", _at(stream, 16, 8))
+    header = _at(stream, 0, min(size, _LARGEST_PART))
+    sizes: list[tuple[int, int]] = []
+    position = 30
+    while position + 24 <= len(header):
+        (size,) = struct.unpack_from("<Q", header, position + 16)
+        if header[position : position + 16] == _ASF_STREAM and header[position + 24 :].startswith(_ASF_VIDEO):
+            sizes.append(struct.unpack_from("<II", header, position + 78))
+        if size < 24:
+            break
+        position += size
+    return _largest(sizes)
+
+
+def _gif(stream: BinaryIO) -> Header | None:
+    return _largest([struct.unpack("<HH", _at(stream, 6, 4))])
+
+
+def _ogg(stream: BinaryIO) -> Header:
+    theora = re.search(rb"\x80theora...(..)(..)", _at(stream, 0, _LOOKED_AT), re.DOTALL)
+    if theora is None:
+        return Header()
+    return Header(*(16 * int.from_bytes(part, "big") for part in theora.groups()))
+
+
+_SEQUENCE_HEADER: Final = re.compile(rb"\x00\x00\x01\xb3(...)", re.DOTALL)
+_PLAYLIST: Final = re.compile(rb"c=IN IP|<MPD|#EXTM3U|ffconcat", re.IGNORECASE)
+
+
+def _mpeg(stream: BinaryIO) -> Header | None:
+    """Program streams, transport streams and bare ones; H.264 in them tells its size to its decoder only."""
+    start = _at(stream, 0, _LOOKED_AT)
+    # A transport stream's few fixed bytes can be had in a text, too. FFmpeg takes a file for a text up to the
+    # first zero byte; a stream has some soon, and anything by chance behind them.
+    if _PLAYLIST.search(start.partition(b"\0")[0]):
+        return None
+    found = [int.from_bytes(match[1], "big") for match in _SEQUENCE_HEADER.finditer(start)]
+    return _largest([(value >> 12, value & 0xFFF) for value in found]) or Header()
+
+
+def _untold(_stream: BinaryIO) -> Header:
+    return Header()
+
+
+_VIDEOS: Final[_Readers] = (
+    (rb"....(ftyp|moov|mdat|free|skip|wide|pnot|styp)", _mp4),
+    (rb"\x1a\x45\xdf\xa3.{,60}(matroska|webm)", _matroska),
+    (rb"RIFF....AVI ", _avi),
+    (rb"GIF8[79]a", _gif),
+    (rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11\xa6\xd9\x00\xaa\x00\x62\xce\x6c", _asf),
+    (rb"\x00\x00\x01[\xba\xb3]", _mpeg),
+    (rb"G(.{187}G){3}", _mpeg),
+    (rb"....G(.{191}G){3}", _mpeg),
+    (rb"OggS\x00", _ogg),
+    (rb"FLV\x01", _untold),
+    (rb"\x06\x0e\x2b\x34\x02\x05\x01\x01\x0d\x01\x02", _untold),
+)
+"""What a video begins with, and who reads it"""

@@ -1,0 +1,137 @@
+"""Photos and image sequences: any picture as upright 8-bit RGB."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from handfit_core.errors import InputError
+from handfit_core.media.exif import is_tiff, read_orientation, upright
+from handfit_core.media.size_limit import check_picture, common_limit
+from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, SourceKind, Wanted
+
+log = logging.getLogger("handfit")
+
+_JPEG_2000 = (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")
+"""What such files begin with. OpenCV 4.11's decoder ends the process on every header that it refuses."""
+
+
+def read_picture(
+    path: Path, *, as_stored: bool = False, max_megapixels: float | None = None
+) -> tuple[np.ndarray, int]:
+    """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
+
+    `as_stored` leaves the orientation alone, for pictures whose labels are in stored pixels.
+    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. `max_megapixels` as in
+    `open_media`. Raises InputError.
+    """
+    import cv2
+
+    check_picture(path, max_megapixels)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if data.startswith(_JPEG_2000):
+        raise InputError(f"{path}: JPEG 2000 pictures are not read; save it as .png or .jpg")
+    try:
+        # From memory, since OpenCV cannot open paths that are not ASCII on Windows.
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        # OpenCV refuses more than 2^30 pixels.
+        raise InputError(f"{path}: the picture is too large or damaged; save it again, smaller") from error
+    if pixels is None:
+        raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
+    orientation = 1 if as_stored else read_orientation(data)
+    rgb = _rgb8(pixels)
+    if not is_tiff(data):  # OpenCV has turned those already
+        rgb = upright(rgb, orientation)
+    return np.ascontiguousarray(rgb), orientation
+
+
+_ROWS_AT_ONCE = 256
+"""Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the picture"""
+
+
+def _rgb8(pixels: np.ndarray) -> np.ndarray:
+    """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB, in place where it has that
+    form."""
+    in_place = pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] == 3
+    rgb = pixels if in_place else np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
+    for first in range(0, len(pixels), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        rgb[rows] = _rows_rgb8(pixels[rows])
+    return rgb
+
+
+def _rows_rgb8(pixels: np.ndarray) -> np.ndarray:
+    import cv2
+
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    elif np.issubdtype(pixels.dtype, np.integer) and pixels.dtype != np.uint8:
+        info = np.iinfo(pixels.dtype)
+        pixels = np.round((pixels.astype(np.float64) - info.min) * (255.0 / (info.max - info.min)))
+        pixels = pixels.astype(np.uint8)
+    elif pixels.dtype != np.uint8:
+        # Scene-linear floats, as .hdr and float TIFF hold them.
+        linear = np.clip(np.nan_to_num(pixels.astype(np.float32)), 0.0, 1.0)
+        pixels = np.round(255.0 * linear ** (1 / 2.2)).astype(np.uint8)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.shape[2] == 2:  # grey and alpha
+        pixels = pixels[..., (0, 0, 0, 1)]
+    if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
+        alpha = pixels[..., 3:].astype(np.uint16)
+        over_grey = (pixels[..., :3] * alpha + 128 * (255 - alpha) + 127) // 255
+        pixels = over_grey.astype(np.uint8)
+    # Not by NumPy's indexing, which takes as long as decoding does.
+    to_rgb = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[pixels.shape[2]]
+    return cv2.cvtColor(pixels, to_rgb)
+
+
+class Pictures(Media):
+    """A photo or an image sequence."""
+
+    def __init__(self, files: list[Path], numbers: list[int], wanted: Wanted, *, kind: SourceKind) -> None:
+        self._files, self._numbers = files, numbers
+        self._max_megapixels = common_limit(files, wanted.max_megapixels)
+        frames = wanted.frames
+        self._first_number = frames.first if frames.first is not None else numbers[0]
+        self.fps = DEFAULT_FPS
+        self.expected_frames = len(files)
+        self.first_and_last = numbers[0], numbers[-1]
+        # The first picture that can be read decides the size; unreadable ones become empty frames.
+        first_file, first, orientation = self._first_readable()
+        self._read_already = {first_file: first}
+        self.height, self.width = first.shape[:2]
+        self.source = Source(kind=kind, files=tuple(str(f.resolve()) for f in files), orientation=orientation)
+
+    def _first_readable(self) -> tuple[Path, np.ndarray, int]:
+        errors: list[InputError] = []
+        for file in self._files:
+            try:
+                return file, *read_picture(file, max_megapixels=self._max_megapixels)
+            except InputError as error:
+                errors.append(error)
+        raise errors[0]
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the pictures in order. Raises InputError for one of another size."""
+        for number, file in zip(self._numbers, self._files, strict=True):
+            # Taken out, so that it does not stay in memory.
+            rgb = self._read_already.pop(file, None)
+            try:
+                if rgb is None:
+                    rgb, _ = read_picture(file, max_megapixels=self._max_megapixels)
+            except InputError as error:
+                log.warning("%s; frame %d is left empty", error, number)
+            if rgb is not None and rgb.shape[:2] != (self.height, self.width):
+                raise InputError(
+                    f"{file}: is {rgb.shape[1]}x{rgb.shape[0]} pixels, the first picture {self.width}x"
+                    f"{self.height}; pictures of one sequence must have one size, capture others one by one"
+                )
+            yield Frame(number, (number - self._first_number) / self.fps, rgb)

@@ -1,0 +1,96 @@
+"""What an opened input is: where its pictures came from, and its frames, numbered and with a time.
+
+Frame numbers are Blender's: photos and videos count from 1, sequences use the numbers in their file
+names. Pictures come out upright, as (H, W, 3) uint8 RGB, whatever they were on disk.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from handfit_core.doors.npz import LONGEST_HEADER
+from handfit_core.errors import TakeError
+from handfit_core.files import storable
+from handfit_core.media.frame_range import FrameRange
+
+SourceKind = Literal["photo", "sequence", "video"]
+SOURCE_KINDS: Final[tuple[SourceKind, ...]] = ("photo", "sequence", "video")
+
+DEFAULT_FPS: Final = 24.0
+"""Frames per second of photos and sequences (Blender's own default) and of videos that name none"""
+
+_MOST_NAMES: Final = LONGEST_HEADER - (1 << 16)
+"""characters of all pictures' paths in the header, beside which the rest has room"""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the pictures came from."""
+
+    kind: SourceKind
+    files: tuple[str, ...]
+    """Absolute paths: the photo, the video, or every picture of the sequence that was read"""
+    orientation: int = 1
+    """EXIF orientation (1-8) that was undone on reading; pixels in a take are of the upright picture"""
+
+    def __post_init__(self) -> None:
+        """Raise TakeError for more names than a take's file holds: before a capture, and not after it."""
+        count = len(json.dumps(self.files, ensure_ascii=False))
+        if count > _MOST_NAMES:
+            raise TakeError(
+                f"the paths of {len(self.files)} pictures have {count} characters, and a take holds no more "
+                f"than {_MOST_NAMES}; capture fewer frames at once, or move them to a folder with a "
+                "shorter path"
+            )
+
+    @property
+    def name(self) -> str:
+        """A short name for people: the file's stem, or for a sequence the part before the number. In it, what
+        is no UTF-8 in the file's name is a question mark."""
+        stem = storable(Path(self.files[0]).stem)
+        if self.kind != "sequence":
+            return stem
+        return stem.rstrip("0123456789").rstrip("._- ") or storable(Path(self.files[0]).parent.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of the input."""
+
+    number: int
+    time: float
+    """seconds since the clip's first frame"""
+    rgb: np.ndarray | None
+    """(H, W, 3) uint8, upright; None where the picture could not be read"""
+
+
+class Media:
+    """An opened input. Iterate `frames()`; `source`, `fps`, `width` and `height` are known at once."""
+
+    source: Source
+    fps: float
+    width: int
+    height: int
+    expected_frames: int
+    """How many frames `frames()` will yield, for progress; a video's own header may lie about it"""
+
+    first_and_last: tuple[int, int]
+    """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames in order."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What was asked for besides the input."""
+
+    frames: FrameRange = FrameRange()  # noqa: RUF009 (frozen)
+    max_megapixels: float | None = None

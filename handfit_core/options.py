@@ -1,0 +1,329 @@
+"""Every option of a capture, once: its name, kind, range, unit, default and help.
+
+`pipeline.capture`, the command line, batches, the worker's protocol and Blender's properties read them from
+here. An option is added as a field of `CaptureOptions`, and as an argument of `pipeline.capture`.
+"""
+# ruff: noqa: RUF009 (what a dataclass's default calls here makes a field)
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any, Final, Literal
+
+from handfit_core.doors.values import shortly
+from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.size_limit import PICTURE, VIDEO
+
+HandChoice = Literal["auto", "left", "right", "both"]
+Lens = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Option:
+    """What one option may be, and what is said of it."""
+
+    kind: Callable[[Any], Any]
+    """Makes the option's value of what somebody gave, or raises ValueError with what it must be"""
+    help: str
+    """A phrase that begins with a small letter and has no full stop"""
+    metavar: str | None = None
+    least: float = -math.inf
+    most: float = math.inf
+    choices: Callable[[], Iterable[str]] | None = None
+    """The values that help can list; asked when help is wanted, since plug-ins are looked up for it"""
+    closed: bool = False
+    """Whether only the `choices` may be given"""
+    unit: str = ""
+    """The command line's unit, where it is not the library's"""
+    units: float = 1.0
+    """How many of the command line's units one of the library's has"""
+    by_default: str = ""
+    """What help says of a default that explains nothing by itself"""
+    called: str = ""
+    """What messages call it; empty: by its name"""
+    advice: str = ""
+    """What messages about a number that is out of range end with"""
+    name: str = ""
+    default: Any = None
+
+    @property
+    def flag(self) -> str:
+        """Its spelling on the command line."""
+        return "--" + self.name.replace("_", "-")
+
+    def read(self, given: Any) -> Any:
+        """What was given, by a program, a message or the command line, as the option's value; None is as good
+        as nothing and gives the default. Raises OptionError."""
+        if given is None:
+            return self.default
+        try:
+            value = self.kind(given)
+        except ValueError as error:
+            raise OptionError(f"the option '{self.name}' must be {error}; got {shortly(given)}") from None
+        if self.closed and self.choices is not None and value not in self.choices():
+            raise OptionError(f"{self.name} must be one of {', '.join(self.choices())}; got {shortly(given)}")
+        if isinstance(value, int | float) and not self.least <= value <= self.most:
+            raise OptionError(
+                f"{self.called or self.name} must {self._range()}, not {value * self.units:g}"
+                f"{self._unit}{self.advice}"
+            )
+        return value
+
+    @property
+    def _unit(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+    def _range(self) -> str:
+        least, most = self.least * self.units, self.most * self.units
+        if math.isinf(most):
+            return f"be a number of at least {least:g}"
+        return f"lie between {least:g} and {most:g}{self._unit}"
+
+    def add_to(self, parser: argparse._ActionsContainer) -> None:
+        """Add it to a command line; what is not given is None there."""
+        if self.kind is _flag:
+            parser.add_argument(self.flag, action="store_true", default=None, help=self.help)
+            return
+        listed = ", ".join(self.choices()) if self.choices is not None else ""
+        text = f"{self.help}: {listed}" if listed else self.help
+        default = self.by_default or f"{self.default * self.units if self.unit else self.default}"
+        number = {_number: float, _positive: float, _whole: int}
+        parser.add_argument(
+            self.flag,
+            metavar=self.metavar,
+            type=number.get(self.kind, str),
+            help=f"{text}{f', in {self.unit}' if self.unit else ''} (default: {default})",
+        )
+
+
+def _text(given: Any) -> str:
+    if not isinstance(given, str) or not given:
+        raise ValueError("a text")
+    return given
+
+
+def _path(given: Any) -> str:
+    return _text(os.fspath(given) if isinstance(given, os.PathLike) else given)
+
+
+def _number(given: Any) -> float:
+    if not isinstance(given, Real) or isinstance(given, bool):
+        raise ValueError("a number")
+    try:
+        return float(given)
+    except OverflowError:  # JSON's whole numbers have no limit
+        raise ValueError("a finite number") from None
+
+
+def _positive(given: Any) -> float:
+    number = _number(given)
+    if not 0.0 < number < math.inf:
+        raise ValueError("a number above 0")
+    return number
+
+
+def _whole(given: Any) -> int:
+    number = _number(given)
+    if not number.is_integer():  # nor are NaN and infinity
+        raise ValueError("a whole number")
+    return int(number)
+
+
+def _flag(given: Any) -> bool:
+    if not isinstance(given, bool):
+        raise ValueError("true or false")
+    return given
+
+
+def _frames(given: Any) -> FrameRange:
+    return given if isinstance(given, FrameRange) else FrameRange.parse(_text(given))
+
+
+def _numbers(given: Any, what: str, count: int) -> tuple[float, ...]:
+    """Numbers out of a list, or out of a text in which commas separate them."""
+    try:
+        parts = [float(part) for part in given.split(",")] if isinstance(given, str) else list(given)
+        numbers = tuple(_number(part) for part in parts)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(what)
+    return numbers
+
+
+def _camera(given: Any) -> Intrinsics:
+    if isinstance(given, Intrinsics):
+        return given
+    return Intrinsics(
+        *_numbers(given, "four numbers, FX,FY,CX,CY in pixels, as in 1200,1200,960,540", count=4)
+    )
+
+
+def _lens(given: Any) -> tuple[float, ...]:
+    what = (
+        "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and heights"
+    )
+    return _numbers(given, what, count=3)
+
+
+def _solvers() -> Iterable[str]:
+    from handfit_core.solvers import solver_names
+
+    return solver_names()
+
+
+def _detectors() -> Iterable[str]:
+    from handfit_core.detect.detector import DETECTORS
+
+    return DETECTORS.names()
+
+
+def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
+    """A field of `CaptureOptions`, and what belongs to it."""
+    return dataclasses.field(
+        default=default, metadata={"option": Option(kind, help, metavar, default=default, **more)}
+    )
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What a capture can be told. Whatever is given is checked and brought into the form of its field, and
+    None is as good as nothing. Raises OptionError."""
+
+    frames: FrameRange | None = _option(
+        None, _frames, "source frames, as in 10-200:2", "A-B:S", by_default="all"
+    )
+    hands: HandChoice = _option(
+        "auto",
+        _text,
+        "which hands to keep",
+        "CHOICE",
+        choices=lambda: ("auto", "left", "right", "both"),
+        closed=True,
+    )
+    max_hands: int = _option(2, _whole, "how many hands to keep at most", "N", least=1, most=200)
+    detector: str = _option("mediapipe", _text, "what finds the hands", "NAME", choices=_detectors)
+    threshold: float = _option(
+        0.5,
+        _number,
+        "detection threshold, 0 to 1: lower finds more hands, and more that are none",
+        "T",
+        least=0.0,
+        most=1.0,
+        called="the detection threshold",
+    )
+    plain_detection: bool = _option(
+        False, _flag, "take the detector at its first word: faster for photos, misses more hands"
+    )
+    landmark_model: str | None = _option(
+        None, _path, "MediaPipe's hand_landmarker.task", "PATH", by_default="the one that was fetched"
+    )
+    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=_solvers)
+    model: str | None = _option(
+        None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
+    )
+    smoothing: float = _option(
+        1.0,
+        _number,
+        "how smooth motion is, for solvers that smooth: 0 takes every frame by itself, at most 10",
+        "S",
+        least=0.0,
+        most=10.0,
+    )
+    hand_length: float | None = _option(
+        None,
+        _number,
+        "length of the hand from the wrist to the tip of the middle finger",
+        "MM",
+        least=0.05,
+        most=0.30,
+        unit="mm",
+        units=1000.0,
+        by_default="an average adult's",
+        called="a hand's length",
+        advice="; measure from the wrist to the tip of the middle finger",
+    )
+    intrinsics: Intrinsics | None = _option(
+        None,
+        _camera,
+        "the camera in pixels",
+        "FX,FY,CX,CY",
+        by_default="by the photo's EXIF, or one with a 53 degree view",
+    )
+    lens: Lens | None = _option(
+        None,
+        _lens,
+        "the camera where the picture's size is not known: focal length in picture widths, principal point "
+        "in widths and heights",
+        "F,X,Y",
+        by_default="as --intrinsics",
+    )
+    max_megapixels: float | None = _option(
+        None,
+        _positive,
+        "largest picture or frame that is read, in megapixels",
+        "M",
+        by_default=f"{PICTURE}; for videos {VIDEO}",
+    )
+
+    def __post_init__(self) -> None:
+        for name, option in OPTIONS.items():
+            object.__setattr__(self, name, option.read(getattr(self, name)))
+        if self.lens is not None and self.intrinsics is not None:
+            raise OptionError("give the camera either as intrinsics or as a lens, not both")
+
+    @classmethod
+    def of_message(cls, options: object) -> CaptureOptions:
+        """The options of a request to the worker. Raises OptionError also for one that does not exist."""
+        if not isinstance(options, Mapping):
+            raise OptionError(f"a capture's options must be an object, not {shortly(options)}")
+        for name in options:
+            if name not in OPTIONS:
+                raise OptionError(
+                    f"there is no option {shortly(name)} of a capture; choose from {', '.join(OPTIONS)}"
+                )
+        return cls(**options)
+
+    def to_message(self) -> dict[str, Any]:
+        """The `options` of a request to the worker: those that are not the defaults."""
+        given = {name: getattr(self, name) for name in OPTIONS}
+        return {name: _plain(value) for name, value in given.items() if value != OPTIONS[name].default}
+
+    @classmethod
+    def of_arguments(cls, arguments: argparse.Namespace) -> CaptureOptions:
+        """What a command line with `add_options` was told; options that it does not have are not given."""
+        given: dict[str, Any] = {name: getattr(arguments, name, None) for name in OPTIONS}
+        for name, option in OPTIONS.items():
+            if option.unit and given[name] is not None:
+                given[name] /= option.units
+        return cls(**given)
+
+
+def _plain(value: Any) -> Any:
+    """An option's value as JSON can hold it."""
+    if isinstance(value, FrameRange):
+        return str(value)
+    if isinstance(value, Intrinsics):
+        return list(vars(value).values())
+    return list(value) if isinstance(value, tuple) else value
+
+
+OPTIONS: Final[dict[str, Option]] = {
+    field.name: dataclasses.replace(field.metadata["option"], name=field.name)
+    for field in fields(CaptureOptions)
+}
+"""Every option by its name"""
+
+
+def add_options(parser: argparse._ActionsContainer, names: Iterable[str] = OPTIONS) -> None:
+    """Add options to a command line; `CaptureOptions.of_arguments` reads what it was told."""
+    for name in names:
+        OPTIONS[name].add_to(parser)

@@ -1,0 +1,38 @@
+"""Work in steps, so that a window stays alive: generators that yield between steps and return a result."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from typing import Any, Final, TypeVar
+
+_T = TypeVar("_T")
+_Said = TypeVar("_Said")
+
+SLICE: Final = 0.008
+"""seconds after which a slice of work ends, when its last step is over"""
+
+
+def slice_clock(seconds: float = SLICE) -> Callable[[], bool]:
+    """A clock that starts now; the call tells whether the slice is over."""
+    until = time.perf_counter() + seconds
+    return lambda: time.perf_counter() > until
+
+
+def result_of(steps: Generator[Any, None, _T]) -> _T:
+    """Take all steps at once; returns what they return, and raises what they raise."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
+
+
+def retold(steps: Generator[Any, None, _T], tell: Callable[[], _Said]) -> Generator[_Said, None, _T]:
+    """The same steps, but after each of them `tell()` is yielded instead; returns what they return."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
+        yield tell()

@@ -1,0 +1,96 @@
+"""What docs/extending.md shows, made from the page alone: a file put into its folder, found, used."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+BROKEN = "import what_is_not_there\n"
+
+EXPORT = """
+import bpy, sys
+import blender_manient
+from pathlib import Path
+from handfit_core.take import Take
+blender_manient.register()
+from blender_manient.scene.build import build_take
+bpy.ops.wm.read_factory_settings(use_empty=True)
+take = Take.load(sys.argv[1])
+hand = build_take(take, picture=False).hands[0]
+bpy.context.view_layer.objects.active = hand.armature
+bpy.context.scene.manient.export_format = "wrists"
+bpy.ops.manient.export_hand(filepath=sys.argv[2])
+scene, wrists = bpy.context.scene, []
+for frame in range(scene.frame_start, scene.frame_end + 1):
+    scene.frame_set(frame)
+    wrists.append(",".join(f"{x:.6f}" for x in hand.armature.matrix_world @ hand.armature.pose.bones[0].head))
+assert Path(sys.argv[2] + ".csv").read_text().split("\\n") == [*wrists, "end", ""], wrists
+blender_manient.unregister()
+"""
+
+RIG = """
+import bpy, sys
+import numpy as np
+from handfit_core.take import Take
+from blender_manient.rigs import rig_of
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
+bpy.ops.wm.read_factory_settings(use_empty=True)
+hand = build_take(Take.load(sys.argv[1]), picture=False).hands[0]
+before = read_pose_keys(rig_of(hand.armature))
+assert type(rig_of(hand.armature)).__name__ == "CapturedHandRig"
+bones, seen = rig_of(hand.armature).bones, {}
+for name in bones:
+    finger = name.partition("_")[0].removesuffix(".R")
+    seen[finger] = seen.get(finger, 0) + 1
+    new = "hand_r" if finger == "wrist" else f"{finger}{seen[finger]}_r"
+    hand.armature.data.bones[name].name = new
+rig = rig_of(hand.armature)
+assert type(rig).__name__ == "NumberedRig" and rig.side == "right", rig
+after = read_pose_keys(rig)
+np.testing.assert_array_equal(after.quats, before.quats)
+np.testing.assert_array_equal(after.locations, before.locations)
+write_pose_keys(rig, PoseKeys.everywhere(np.array([100.0]), before.quats[:1], before.locations[:1]))
+np.testing.assert_allclose(np.abs(pose_at(rig, np.array([100.0]))[0]), np.abs(before.quats[:1]), atol=1e-6)
+"""
+
+
+def make(heading: str, folder: Path) -> None:
+    """Write a section's file into its folder, and one beside it that cannot be loaded."""
+    section = PAGE.split(f"## {heading}\n")[1].split("\n## ")[0]
+    code = re.search(r"```python\n(.*?)```", section, re.DOTALL)
+    assert code is not None
+    name = re.match(r'"""(\w+\.py)', code[1])
+    assert name is not None
+    (folder / name[1]).write_text(code[1], encoding="utf-8")
+    (folder / "broken.py").write_text(BROKEN)
+
+
+@pytest.mark.parametrize(
+    ("heading", "folder", "script"), [("An exporter", "exporters", EXPORT), ("A rig", "rigs", RIG)]
+)
+def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
+    shutil.copytree(ROOT / "blender_manient", tmp_path / "blender_manient")
+    shutil.copy(ROOT / "blender_manifest.toml", tmp_path)
+    make(heading, tmp_path / "blender_manient" / folder)
+    take = make_take(sides=("right",)).take.save(tmp_path / "hand.take.npz")
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(take), str(tmp_path / "out")],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "broken.py is left out" in done.stderr

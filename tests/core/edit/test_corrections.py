@@ -1,0 +1,188 @@
+"""Corrections fade out as promised and can be written as text."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from handfit_core.edit.corrections import (
+    Correction,
+    CorrectionField,
+    changed_quats,
+    changed_stretches,
+    correction_between,
+)
+from handfit_core.errors import TakeError
+from handfit_core.geometry.rotations import (
+    quat_multiply,
+    quat_to_rotmat,
+    quat_to_rotvec,
+    rotvec_to_quat,
+    rotvec_to_rotmat,
+)
+
+
+def correction(rng: np.random.Generator, spread: float = 6.0, size: float = 0.4, **fields) -> Correction:
+    return Correction(
+        {8: (1.0, 2.0)},
+        rng.normal(scale=size, size=(16, 3)),
+        rng.normal(scale=0.01, size=3),
+        spread,
+        **fields,
+    )
+
+
+def random_field(seed: int, frames, spread: float = 6.0) -> CorrectionField:
+    rng = np.random.default_rng(seed)
+    return CorrectionField({int(f): correction(rng, spread) for f in frames})
+
+
+def test_weights_are_one_at_home_and_zero_on_other_corrections():
+    field = random_field(1, [10, 13, 30], spread=6.0)
+    np.testing.assert_allclose(field.weights(np.array([10, 13, 30])), np.eye(3), atol=1e-12)
+
+
+def test_neighbours_within_their_spread_share_what_lies_between():
+    field = random_field(1, [10, 14], spread=6.0)
+    weights = field.weights(np.linspace(10, 14, 41))
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
+    assert (np.diff(weights[:, 0]) < 0).all()
+
+
+def test_weights_fall_from_one_to_zero_over_the_spread():
+    field = random_field(1, [20], spread=5.0)
+    weights = field.weights(np.arange(12.0, 29.0))[:, 0]
+    assert (weights[:4] == 0).all()
+    assert (weights[-4:] == 0).all()
+    np.testing.assert_allclose(weights, weights[::-1], atol=1e-12)
+    assert (np.diff(weights[3:9]) > 0).all()
+    # A smoothstep: half way it is a half.
+    assert field.weights(np.array([22.5]))[0, 0] == pytest.approx(0.5)
+
+
+def test_no_spread_touches_its_own_frame_only():
+    field = random_field(1, [20], spread=0.0)
+    np.testing.assert_array_equal(field.weights(np.array([19.0, 19.99, 20.0, 20.01]))[:, 0], [0, 0, 1, 0])
+
+
+def test_an_empty_field_is_zero():
+    rotation, location = CorrectionField().at(np.array([1.0, 2.0]))
+    assert rotation.shape == (2, 16, 3)
+    assert not rotation.any()
+    assert not location.any()
+
+
+def test_outside_of_the_changed_stretches_two_fields_are_the_same():
+    """Against the definition, on a fine grid, for corrections that come, go and change."""
+    rng = np.random.default_rng(5)
+    grid = np.linspace(0, 100, 2001)
+    for _ in range(200):
+        spread = float(rng.integers(0, 15))
+        old = random_field(
+            int(rng.integers(1000)), rng.choice(100, rng.integers(0, 6), replace=False), spread
+        )
+        new = old.without(rng.choice(sorted(old.corrections) or [0], 1))
+        for frame in rng.choice(100, rng.integers(0, 3), replace=False):
+            new = new.with_correction(int(frame), correction(rng, float(rng.integers(0, 15))))
+        inside = np.zeros(len(grid), dtype=bool)
+        for first, last in changed_stretches(old, new):
+            inside |= (grid >= first) & (grid <= last)
+        for before, after in zip(old.at(grid), new.at(grid), strict=True):
+            np.testing.assert_allclose(before[~inside], after[~inside], atol=1e-12)
+
+
+def test_turns_lead_from_one_rotation_to_the_other():
+    rng = np.random.default_rng(2)
+    before, after = rng.normal(size=(2, 50, 4))
+    before[0] *= 3.0  # keys need not be of unit length
+    turns = correction_between(before, after)
+    found = quat_to_rotmat(before) @ rotvec_to_rotmat(turns)
+    np.testing.assert_allclose(found, quat_to_rotmat(after), atol=1e-9)
+    np.testing.assert_allclose(quat_to_rotvec(rotvec_to_quat(turns)), turns, atol=1e-9)
+    np.testing.assert_allclose(rotvec_to_quat(np.zeros(3)), [1, 0, 0, 0], atol=0)
+
+
+def test_quaternion_product_is_the_product_of_rotations():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 20, 4))
+    np.testing.assert_allclose(
+        quat_to_rotmat(quat_multiply(a, b)), quat_to_rotmat(a) @ quat_to_rotmat(b), atol=1e-9
+    )
+
+
+def test_a_change_and_back_is_nothing():
+    rng = np.random.default_rng(4)
+    quats = rng.normal(size=(30, 16, 4))
+    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+    old, new = rng.normal(scale=1.5, size=(2, 30, 16, 3))
+    there = changed_quats(quats, old, new)
+    np.testing.assert_allclose(np.linalg.norm(there, axis=-1), 1.0, atol=1e-9)
+    assert np.abs(there - quats).max() > 0.1
+    np.testing.assert_allclose(changed_quats(there, new, old), quats, atol=1e-9)
+
+
+def test_text_and_back():
+    field = random_field(7, [3, 12]).with_correction(5, Correction({0: (1.25, -3.5)}, added_key=True))
+    back = CorrectionField.from_json(field.to_json())
+    assert sorted(back.corrections) == [3, 5, 12]
+    for frame, one in field.corrections.items():
+        other = back.corrections[frame]
+        assert (other.pins, other.spread, other.added_key) == (one.pins, one.spread, one.added_key)
+        np.testing.assert_array_equal(other.rotation, one.rotation)
+        np.testing.assert_array_equal(other.location, one.location)
+    assert CorrectionField().to_json() == ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no json",
+        "[]",
+        '{"version":1}',
+        '{"version":1,"frames":{"x":{}}}',
+        '{"version":1,"frames":{"3":{"pins":{"21":[1,2]},"spread":1}}}',
+        '{"version":1,"frames":{"3":{"pins":{},"spread":1,"rotation":[1]}}}',
+        '{"version":1,"frames":{"3":{"pins":{},"spread":NaN}}}',
+        '{"version":99,"frames":{}}',
+        '{"version":1e999,"frames":{}}',
+        '{"version":1,"frames":[]}',
+        '{"version":1,"frames":{"1e999":{"pins":{},"spread":1}}}',
+        '{"version":1,"frames":{"3":{"pins":{"2":[]},"spread":1}}}',
+        '{"version":1,"frames":{"3":{"pins":{},"spread":1,"location":[1e300,0,0]}}}',
+        '{"version":1,"frames":' + "[" * 100_000,
+    ],
+    ids=lambda text: text[:60],
+)
+def test_what_is_no_correction_is_refused(text):
+    with pytest.raises(TakeError, match="corrections"):
+        CorrectionField.from_json(text)
+
+
+def test_the_field_is_zero_where_frames_are_keyed_anew():
+    """On any of them, whatever is corrected around, between, or cleared afterwards."""
+    rng = np.random.default_rng(6)
+    for _ in range(200):
+        spread = float(rng.integers(0, 12))
+        old = random_field(int(rng.integers(1000)), rng.choice(30, rng.integers(1, 7), replace=False), spread)
+        frames = np.sort(rng.choice(30, rng.integers(1, 8), replace=False)).astype(float)
+        frames[0] += 0.25 * rng.integers(0, 2)
+        whole = bool(rng.integers(0, 2))
+        new = old.keyed_anew(frames, whole=whole, keep_pins=bool(rng.integers(0, 2)))
+        asked = np.linspace(frames[0], frames[-1], 200) if whole else frames
+        for one in (new, new.cleared(rng.choice(new.frames, 1)) if len(new.frames) else new):
+            rotation, location = CorrectionField.from_json(one.to_json()).at(asked)
+            assert np.abs(rotation).max() < 1e-12
+            assert np.abs(location).max() < 1e-12
+        assert not new.cleared(new.corrected).corrections
+
+
+def test_joints_that_are_not_keyed_keep_their_corrections():
+    old = random_field(3, [10, 20], spread=8.0)
+    for frame in (10.0, 12.0, 17.5):
+        new = old.keyed_anew([frame], joints=range(1, 16), location=False, keep_pins=True)
+        before, after = old.at(np.array([frame])), new.at(np.array([frame]))
+        np.testing.assert_allclose(after[0][:, 0], before[0][:, 0], atol=1e-7)
+        np.testing.assert_allclose(after[1], before[1], atol=1e-7)
+        assert not after[0][:, 1:].any()
+        assert new.corrected == [10, 20]
+        assert not new.cleared([10, 20]).corrections

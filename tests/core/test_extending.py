@@ -1,0 +1,90 @@
+"""What docs/extending.md shows, made from the page alone: installed, found by its name, used."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core import Take
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+
+
+def install(heading: str, folder: Path) -> None:
+    """Write the module and the entry points of one section into a folder of Python's path."""
+    section = PAGE.split(f"## {heading}\n")[1].split("\n## ")[0]
+    code, project = (re.search(rf"```{kind}\n(.*?)```", section, re.DOTALL) for kind in ("python", "toml"))
+    assert code is not None
+    assert project is not None
+    name = re.match(r'"""(\w+)\.py', code[1])
+    assert name is not None
+    (folder / f"{name[1]}.py").write_text(code[1], encoding="utf-8")
+    info = folder / f"{name[1]}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name[1]}\nVersion: 1.0\n")
+    groups = tomllib.loads(project[1])["project"]["entry-points"]
+    lines = [
+        line
+        for group, points in groups.items()
+        for line in (f"[{group}]", *(f"{n} = {p}" for n, p in points.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+
+def run(folder: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "handfit_core", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, timeout=300)
+
+
+def test_a_detector(tmp_path: Path) -> None:
+    install("A detector", tmp_path)
+    for number, place in enumerate(((200, 240), (260, 240), (320, 250)), 1):
+        picture = np.zeros((480, 640, 3), dtype=np.uint8)
+        cv2.circle(picture, place, 20, (255, 255, 255), -1)
+        cv2.imwrite(str(tmp_path / f"spot.{number:04d}.png"), picture)
+    output = tmp_path / "spot.npz"
+    done = run(tmp_path, "capture", "spot.%04d.png", "--detector", "bright-spot", "-o", output)
+    assert done.returncode == 0, done.stderr
+    (hand,) = Take.load(output).hands
+    assert hand.side == "right"
+    assert hand.detected.all()
+    assert hand.keypoints_2d.mean(axis=1) == pytest.approx(
+        np.array([[200, 240], [260, 240], [320, 250]]), abs=1
+    )
+    again = run(
+        tmp_path, "capture", "spot.0001.png", "--detector", "bright-spot", "--threshold=1", "-o", output
+    )
+    assert "no hand was found" in again.stderr
+    assert "bright-spot" in run(tmp_path, "capture", "--help").stdout
+
+
+def test_a_reader_of_labelled_pictures(tmp_path: Path) -> None:
+    install("A reader of labelled pictures", tmp_path)
+    sample = ROOT / "samples" / "rendered_hand"
+    (hand,) = Take.load(sample / "truth.take.npz").hands
+    folder = tmp_path / "labelled"
+    folder.mkdir()
+    with open(folder / "points.csv", "w", newline="", encoding="utf-8") as stream:
+        for i in (0, 5):
+            name = f"hand.{i + 1:04d}.jpg"
+            shutil.copy(sample / name, folder)
+            csv.writer(stream).writerow([name, *hand.keypoints_2d[i].ravel()])
+    done = run(tmp_path, "evaluate", folder, "--solvers", "raw", "-o", tmp_path / "report")
+    assert done.returncode == 0, done.stderr
+    with open(tmp_path / "report" / "table.csv", newline="", encoding="utf-8") as stream:
+        rows = {row["method"]: row for row in csv.DictReader(stream)}
+    assert rows["raw-image"]["kind"] == "points"
+    assert float(rows["raw-image"]["detection_rate"]) == 100.0
+    assert 0.0 < float(rows["raw-image"]["error_2d"]) < 10.0

@@ -1,0 +1,117 @@
+"""Options of a capture: one table, which the library, the command line, the worker and the docs follow."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handfit_core import Intrinsics, capture
+from handfit_core.__main__ import _all_parsers, _parser
+from handfit_core.errors import OptionError
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.options import OPTIONS, CaptureOptions, add_options
+from tests.conftest import ROOT
+
+GIVEN: dict[str, tuple[Any, str, Any]] = {
+    "frames": ("2-10:4", "2-10:4", FrameRange(2, 10, 4)),
+    "hands": ("left", "left", "left"),
+    "max_hands": (5, "5", 5),
+    "detector": ("mine", "mine", "mine"),
+    "threshold": (1, "1", 1.0),
+    "plain_detection": (True, "", True),
+    "landmark_model": ("l.task", "l.task", "l.task"),
+    "solver": ("paper-a", "paper-a", "paper-a"),
+    "model": ("m.pkl", "m.pkl", "m.pkl"),
+    "smoothing": (0.5, "0.5", 0.5),
+    "hand_length": (0.2, "200", 0.2),
+    "intrinsics": ([1, 2, 3, 4], "1,2,3,4", Intrinsics(1.0, 2.0, 3.0, 4.0)),
+    "lens": ([1, 0.5, 0.25], "1,0.5,.25", (1.0, 0.5, 0.25)),
+    "max_megapixels": (300, "300", 300.0),
+}
+"""Option -> a value of a message, the same on the command line, and what both are"""
+
+
+def told(*words: str) -> CaptureOptions:
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    return CaptureOptions.of_arguments(parser.parse_args(words))
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_a_message_and_the_command_line_mean_the_same(name: str) -> None:
+    value, text, expected = GIVEN[name]
+    of_message = CaptureOptions.of_message({name: value})
+    assert getattr(of_message, name) == expected
+    assert told(f"{OPTIONS[name].flag}={text}" if text else OPTIONS[name].flag) == of_message
+    assert CaptureOptions.of_message(json.loads(json.dumps(of_message.to_message()))) == of_message
+
+
+def test_what_is_not_given_is_the_default() -> None:
+    assert told() == CaptureOptions() == CaptureOptions.of_message(dict.fromkeys(OPTIONS))
+    assert CaptureOptions().to_message() == {}
+
+
+def test_the_library_and_the_command_line_have_every_option_and_its_default() -> None:
+    arguments = inspect.signature(capture).parameters
+    assert set(arguments) == {*OPTIONS, "source", "progress", "should_stop"}
+    for name, option in OPTIONS.items():
+        assert arguments[name].default == option.default, name
+    (subcommands,) = [a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)]
+    parsers = {parser.prog.split()[-1]: parser for parser in _all_parsers(subcommands)}
+    own = {"-h", "--help", "-o", "--output", "--progress", "--debug"}
+    assert set(parsers["capture"]._option_string_actions) - own == {o.flag for o in OPTIONS.values()}
+
+
+@pytest.mark.parametrize(
+    ("page", "spelled"), [("batch.md", "`{flag}"), ("worker-protocol.md", "| `{name}` |")]
+)
+def test_the_docs_tell_of_every_option(page: str, spelled: str) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    for name, option in OPTIONS.items():
+        assert spelled.format(flag=option.flag, name=name) in text, name
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"speed": 3}, "no option 'speed' of a capture; choose from frames, "),
+        ([1], "options must be an object, not a list of 1"),
+        ({"threshold": "high"}, "'threshold' must be a number; got 'high'"),
+        ({"threshold": True}, "'threshold' must be a number"),
+        ({"threshold": 10**400}, "'threshold' must be a finite number"),
+        ({"threshold": 1.5}, "the detection threshold must lie between 0 and 1, not 1.5"),
+        ({"smoothing": float("nan")}, "smoothing must lie between 0 and 10, not nan"),
+        ({"hand_length": 18}, "a hand's length must lie between 50 and 300 mm, not 18000 mm; measure"),
+        ({"plain_detection": 1}, "'plain_detection' must be true or false; got 1"),
+        ({"max_hands": 1.5}, "'max_hands' must be a whole number"),
+        ({"max_hands": 0}, "max_hands must lie between 1 and 200, not 0"),
+        ({"max_megapixels": 0}, "'max_megapixels' must be a number above 0; got 0"),
+        ({"max_megapixels": float("inf")}, "a number above 0"),
+        ({"hands": "any"}, "hands must be one of auto, left, right, both; got 'any'"),
+        ({"model": ""}, "'model' must be a text"),
+        ({"frames": "x"}, "'x' is not a frame range"),
+        ({"intrinsics": [1, 2]}, "must be four numbers, FX,FY,CX,CY in pixels"),
+        ({"intrinsics": "1,2,x,4"}, "four numbers"),
+        ({"intrinsics": [-1, 1, 0, 0]}, "positive, finite focal lengths"),
+        ({"lens": [1, True, 0]}, "three numbers"),
+        ({"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}, "as intrinsics or as a lens, not both"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_meant_is_said_in_a_sentence(given: Any, said: str) -> None:
+    with pytest.raises(OptionError) as caught:
+        CaptureOptions.of_message(given)
+    assert said in str(caught.value)
+
+
+def test_programs_may_give_the_forms_that_they_have() -> None:
+    options = CaptureOptions(model=Path("a", "b.pkl"), frames="3-")  # type: ignore
+    assert (options.model, options.frames) == (str(Path("a", "b.pkl")), FrameRange(3))
+    assert CaptureOptions(intrinsics=Intrinsics(1.0, 2.0, 3.0, 4.0)).to_message() == {
+        "intrinsics": [1.0, 2.0, 3.0, 4.0]
+    }

@@ -1,0 +1,80 @@
+"""Parts by name: built-in ones, those of installed packages, and packages that are broken."""
+
+import logging
+import sys
+from pathlib import Path
+
+import pytest
+
+from handfit_core.errors import OptionError
+from handfit_core.registry import Registry
+
+GROUP = "handfit.toys"
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Install a package whose one module has this source, with these entry points of toys."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def install(package: str, source: str, **points: str) -> None:
+        (tmp_path / f"{package}.py").write_text(source)
+        info = tmp_path / f"{package}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        lines = [f"{name} = {package}:{attribute}" for name, attribute in points.items()]
+        (info / "entry_points.txt").write_text("\n".join([f"[{GROUP}]", *lines, ""]))
+
+    yield install
+    for name in [n for n in sys.modules if n.startswith("toys_")]:
+        del sys.modules[name]
+
+
+def test_plug_ins_come_behind_the_built_in_parts_and_load_when_they_are_asked_for(installed) -> None:
+    installed("toys_good", "from pathlib import Path\nTOY = Path('toy')", blocks="TOY")
+    toys = Registry(GROUP, "toy", Path, {})
+    assert toys.names() == ("blocks",)
+    assert "toys_good" not in sys.modules
+    assert toys.get("blocks") is toys.get("blocks") is toys.all()["blocks"]
+    assert str(toys.get("blocks")) == "toy"
+
+
+def test_a_name_that_nobody_has_lists_those_that_there_are(installed) -> None:
+    installed("toys_good", "TOY = 1", blocks="TOY", apples="TOY")
+    with pytest.raises(OptionError, match=r"there is no toy 'ball'; choose one of apples, blocks"):
+        Registry(GROUP, "toy", int, {}).get("ball")
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("raise RuntimeError('no\\nlicence')", r"RuntimeError: no licence"),
+        ("import a_package_that_is_missing", r"ModuleNotFoundError: .*a_package_that_is_missing"),
+        ("", r"AttributeError: .*TOY"),
+        ("TOY = 'a text'", r"TypeError: it is a str and no int"),
+    ],
+)
+def test_a_broken_plug_in_is_named_once_and_left_out(installed, caplog, source: str, reason: str) -> None:
+    installed("toys_bad", source, wagon="TOY")
+    installed("toys_good", "TOY = 1", blocks="TOY")
+    toys = Registry(GROUP, "toy", int, {})
+    with caplog.at_level(logging.WARNING):
+        assert toys.all() == toys.all() == {"blocks": 1}
+    (record,) = caplog.records
+    assert record.getMessage().startswith("the toy wagon of the package toys_bad cannot be loaded")
+    assert toys.names() == ("blocks",)
+    with pytest.raises(OptionError, match=reason):
+        toys.get("wagon")
+
+
+def test_no_plug_in_takes_the_name_of_another_part(installed, caplog) -> None:
+    installed("toys_good", "from pathlib import Path\nTOY = Path('mine')", home="TOY")
+    with caplog.at_level(logging.WARNING):
+        names = Registry(GROUP, "toy", object, {"home": "pathlib:Path"}).names()
+    assert names == ("home",)
+    assert "home of the package toys_good is left out, as its name is taken" in caplog.text
+
+
+def test_a_built_in_part_that_cannot_be_imported_raises_what_it_raised() -> None:
+    with pytest.raises(ImportError):
+        Registry(GROUP, "toy", object, {"torch": "a_package_that_is_missing:X"}).all()
