@@ -10,7 +10,8 @@ from handfit_core.hand_model.chain import State
 
 FIRST_DAMPING = 1e-3
 LESS, MORE = 0.1, 10.0
-"""What the damping is multiplied with after a step that helped, and one that did not"""
+"""What the damping is multiplied with after a step that kept its promise, and after one that did not help. In
+between it changes as the gain does (Nielsen, "Damping parameter in Marquardt's method", 1999)"""
 MOST_DAMPING = 1e6
 LEAST_DAMPING = 1e-7
 WORTH_PACKING = 0.85
@@ -59,7 +60,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
         if alive == 0:
             break
         if alive <= WORTH_PACKING * len(index):
-            step, before = (step[0][active], step[1][active]), before[active]
+            step, before, promised = (step[0][active], step[1][active]), before[active], promised[active]
             pack(active)
             active = np.ones(alive, dtype=bool)
         candidate = state.moved(*step)
@@ -72,7 +73,10 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
             candidate = candidate.where(better, state)
             tried.put(~better, blocks)
         state, blocks = candidate, tried
-        damping = np.clip(damping * np.where(better, LESS, MORE), LEAST_DAMPING, MOST_DAMPING)
+        # Continuous in how much of its promise a step has kept, so that nearly equal problems stay so.
+        kept = np.clip((before - after) / promised, 0.0, 1.0)
+        less = np.maximum(1.0 - (2.0 * kept - 1.0) ** 3, LESS)
+        damping = np.clip(damping * np.where(better, less, MORE), LEAST_DAMPING, MOST_DAMPING)
         status[active & (damping >= MOST_DAMPING)] = Status.STUCK
     status[status == _GOES_ON] = Status.ITERATIONS
     finished.append((index, Solution(state, blocks.cost, iterations, status)))

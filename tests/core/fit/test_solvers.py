@@ -185,7 +185,7 @@ def test_the_status_says_why_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_shared_shape_is_one_shape() -> None:
     problem, truth = problem_for(CASES[0], 4, noise=1.0)
     start = start_of(CASES[0], problem, truth)
-    solution = solve(replace(problem, shape="one"), start, max_iterations=60, tolerance=1e-4)
+    solution = solve(replace(problem, shape="one"), start, max_iterations=200, tolerance=1e-4)
     assert solution.converged.all()
     assert len(set(solution.iterations.tolist())) == 1
     close(solution.state.betas, np.broadcast_to(solution.state.betas[:1], (4, 10)))
