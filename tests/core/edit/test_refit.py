@@ -52,7 +52,7 @@ from tests.core.fit.detections import (
 
 Parameters = tuple[np.ndarray, ...]
 """betas (N, 10), global_orient (N, 3), hand_pose (N, 45), transl (N, 3)"""
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 TIP, OWN = 8, [5, 6, 7, 8]
 OTHERS = [k for k in range(21) if k not in OWN]
 FPS = 25.0
