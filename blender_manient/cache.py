@@ -17,7 +17,7 @@ from handfit_core.errors import OutputError
 from handfit_core.files import cache_dir
 from handfit_core.slices import slice_clock
 
-from . import preferences
+from . import preferences, screen
 
 _NEEDED = 20_000_000
 """bytes that must be free for a take"""
@@ -137,7 +137,7 @@ def measure_on() -> float | None:
         if is_over():
             return 0.02
     _measured, _measured_at, _measuring = _measured_so_far, time.monotonic(), None
-    preferences.redraw()
+    screen.redraw_preferences()
     return None
 
 

@@ -70,9 +70,10 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _capture(args: argparse.Namespace) -> int:
+    from handfit_core.worker.interpreter import PYTHON_VARIABLE
+
     from . import preferences
     from .batch.run import Host, run
-    from .worker.client import PYTHON_VARIABLE
 
     chosen = preferences.get()
     host = Host(
@@ -105,10 +106,9 @@ def _check(args: argparse.Namespace) -> int:
 
 def _refused() -> bool:
     """Say why the add-on cannot run, where it cannot."""
-    known = verification.problems()
-    refused = any(problem.stops == "add-on" for problem in known)
+    refused = verification.refused()
     if refused:
-        print_error(known[0].sentence)
+        print_error(verification.problems()[0].sentence)
     return refused
 
 

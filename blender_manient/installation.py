@@ -1,8 +1,9 @@
 """What an installed copy of the add-on consists of, and what of it is missing or wrong, in sentences.
 
-The zip has wheels.json beside this file: every wheel with its size and hash, for which Pythons it is, and
-what the zip lacks on purpose. Blender unpacks the wheels into a folder that all extensions share. A checkout
-has no wheels.json, and there is nothing to check.
+The zip has wheels.json beside this file: every wheel with its size and version, and for which Pythons it is.
+Blender unpacks the wheels into a folder that all extensions share. Names, sizes and versions are looked at;
+what is inside the files is Blender's and the file system's business. A checkout has no wheels.json, and there
+is nothing to check.
 
 Only Python's standard library here: handfit_core itself may be what is missing.
 """
@@ -10,8 +11,6 @@ Only Python's standard library here: handfit_core itself may be what is missing.
 from __future__ import annotations
 
 import contextlib
-import csv
-import hashlib
 import json
 import os
 import platform
@@ -19,9 +18,7 @@ import re
 import shutil
 import sys
 import tomllib
-import zipfile
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -32,24 +29,12 @@ MANIFEST = "blender_manifest.toml"
 CORE = "handfit-core"
 _SCHEMA = 1
 
-_CHUNK = 1 << 20
-"""bytes that are read and hashed in one step"""
-_FILES = 50
-"""unpacked files that are looked at in one step"""
-_SMALL = 20_000_000
-"""bytes of a wheel that may be hashed at once, where it was not unpacked and the reason is sought"""
-
 _SYSTEMS = {"linux": "Linux", "windows": "Windows", "macos": "macOS"}
 _MACHINES = {"x64": "", "arm64": " on ARM"}
 _PLATFORMS = ("linux-x64", "windows-x64", "macos-arm64")
 """For which there are zips"""
-_NAMES = {"scipy": "SciPy", "opencv-python-headless": "OpenCV", "mediapipe": "MediaPipe"}
-"""Of packages, as their makers write them; others are as in wheels.json"""
-REQUIRED = {"torch": "torch", "scipy": "scipy", "opencv-python-headless": "cv2", "mediapipe": "mediapipe"}
-"""What a capture needs besides NumPy: name in wheels.json -> name to import"""
 IN_PREFERENCES = "in the add-on's preferences"
 """Ends sentences; on the command line other words take its place"""
-CHOOSE = "choose a Python of your own that has torch, SciPy, OpenCV and MediaPipe"
 
 Kind = Literal[
     "copy",  # another copy of the add-on runs already
@@ -59,17 +44,12 @@ Kind = Literal[
     "python",  # a zip without wheels for this Python
     "wheel-missing",
     "wheel-size",
-    "wheel-content",
     "not-unpacked",
-    "unpacked-damaged",
     "module",  # what the add-on's own half needs cannot be imported
-    "core-version",  # handfit_core of another version of the add-on, or of another zip of the same
+    "core-version",  # handfit_core of another version of the add-on
     "other-version",  # another extension brings another version of a package
-    "left-out",  # what the zip lacks on purpose
 ]
 """What is wrong, causes before their consequences"""
-DEEP: tuple[Kind, ...] = ("wheel-content", "unpacked-damaged")
-"""What only reading or looking for every file tells"""
 Stops = Literal["add-on", "capture", "nothing"]
 
 
@@ -93,7 +73,6 @@ class Wheel:
     file: str
     name: str
     version: str
-    sha256: str
     size: int
     pythons: tuple[str, ...]
 
@@ -101,15 +80,6 @@ class Wheel:
     def label(self) -> str:
         """For people: torch 2.13.0."""
         return f"{self.name} {self.version.partition('+')[0]}"
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A package that the zip lacks for one Python, and why, in a sentence."""
-
-    name: str
-    python: str
-    why: str
 
 
 @dataclass(frozen=True)
@@ -121,7 +91,6 @@ class Contents:
     pythons: tuple[str, ...]
     torch: str
     wheels: tuple[Wheel, ...]
-    left_out: tuple[LeftOut, ...]
 
 
 @dataclass(frozen=True)
@@ -223,71 +192,7 @@ def examine(place: Place) -> list[Problem]:
             problem = _unpacked_problem(place, contents, wheel, unpacked)
         if problem is not None:
             problems.append(problem)
-    problems += _left_out_problems(place, contents)
     return in_order(problems)
-
-
-def examine_deeply(place: Place) -> Iterator[Problem | None]:
-    """Read every wheel for this Python, and look for every file that was unpacked from it.
-
-    Takes a second or so in all, for some 300 MB; yields every few milliseconds, a problem or None.
-    Complements `examine`, whose problems are not repeated.
-    """
-    try:
-        contents = read_contents(place.folder)
-    except (OSError, ValueError):
-        return
-    for wheel in _wheels_for(place, contents):
-        path = _wheel_path(place, wheel)
-        try:
-            if path.stat().st_size != wheel.size:
-                continue
-            digest = hashlib.sha256()
-            with path.open("rb") as file:
-                while chunk := file.read(_CHUNK):
-                    digest.update(chunk)
-                    yield None
-        except OSError as error:
-            if path.exists():
-                yield _unreadable_wheel(contents, wheel, error)
-            continue
-        if digest.hexdigest() != wheel.sha256:
-            yield _wrong_content(contents, wheel)
-    yield from examine_unpacked(place)
-
-
-def examine_unpacked(place: Place) -> Iterator[Problem | None]:
-    """Look for every file that Blender has unpacked, by its size; yields as `examine_deeply`."""
-    try:
-        contents = read_contents(place.folder)
-    except (OSError, ValueError):
-        return
-    unpacked = unpacked_versions(place.site_packages)
-    for wheel in _wheels_for(place, contents):
-        found = unpacked.get(wheel.name)
-        if found is None or not _same_version(found.version, wheel.version):
-            continue
-        wrong: list[str] = []
-        for number, (name, size) in enumerate(_recorded(found.record)):
-            try:
-                good = (place.site_packages / name).stat().st_size == size
-            except OSError:
-                good = False
-            if not good:
-                wrong.append(name)
-            if number % _FILES == 0:
-                yield None
-        if wrong:  # MediaPipe lists a file that its wheel has not
-            wrong = _in_wheel(_wheel_path(place, wheel), wrong)
-        if wrong:
-            more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-            yield Problem(
-                "unpacked-damaged",
-                f"unpacked files of {wheel.label} are missing or changed ({wrong[0]}{more}; "
-                "a virus scanner may have done it, or another extension with files of the same names): "
-                "disable the add-on, restart Blender and enable it again, which unpacks its parts anew",
-                wheel.name,
-            )
 
 
 def in_order(problems: Sequence[Problem]) -> list[Problem]:
@@ -296,63 +201,16 @@ def in_order(problems: Sequence[Problem]) -> list[Problem]:
     return sorted(problems, key=lambda problem: (kinds.index(problem.kind), stops.index(problem.stops)))
 
 
-@dataclass(frozen=True)
-class Unpacked:
-    """One package in the shared folder."""
-
-    version: str
-    record: Path
-    """The list of its files"""
-
-
-def unpacked_versions(site_packages: Path) -> dict[str, Unpacked]:
-    """Every package that lies there with a list of its files, by its name as in wheels.json."""
-    found: dict[str, Unpacked] = {}
+def unpacked_versions(site_packages: Path) -> dict[str, str]:
+    """The versions of the packages that lie there with a list of their files, by names as in wheels.json."""
+    found: dict[str, str] = {}
     with contextlib.suppress(OSError):
         for entry in os.scandir(site_packages):
             name, _, version = entry.name.removesuffix(".dist-info").rpartition("-")
-            record = Path(entry.path) / "RECORD"
             # Blender leaves empty folders where unpacking failed.
-            if entry.name.endswith(".dist-info") and name and record.is_file():
-                found[_canonical(name)] = Unpacked(version, record)
+            if entry.name.endswith(".dist-info") and name and Path(entry.path, "RECORD").is_file():
+                found[_canonical(name)] = version
     return found
-
-
-def state_of(place: Place) -> dict[str, list[int]]:
-    """Size and time of all that `examine_deeply` reads or goes by: unless this changes, its verdict holds."""
-    try:
-        contents = read_contents(place.folder)
-    except (OSError, ValueError):
-        return {}
-    paths = [place.folder / CONTENTS]
-    paths += [_wheel_path(place, wheel) for wheel in _wheels_for(place, contents)]
-    unpacked = unpacked_versions(place.site_packages)
-    paths += [unpacked[w.name].record for w in _wheels_for(place, contents) if w.name in unpacked]
-    state: dict[str, list[int]] = {}
-    for path in paths:
-        name = f"{path.parent.name}/{path.name}"
-        try:
-            stat = path.stat()
-            state[name] = [stat.st_size, stat.st_mtime_ns]
-        except OSError:
-            state[name] = []
-    return state
-
-
-def is_verified(place: Place, memory: Path) -> bool:
-    """Whether a deep look at exactly these files has found nothing, as the file `memory` says."""
-    try:
-        state = json.loads(memory.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return bool(state) and state == state_of(place)
-
-
-def remember_verified(place: Place, memory: Path) -> None:
-    """Write that file; what cannot be written is looked at again the next time."""
-    with contextlib.suppress(OSError):
-        memory.parent.mkdir(parents=True, exist_ok=True)
-        memory.write_text(json.dumps(state_of(place)), encoding="utf-8")
 
 
 def report(place: Place, problems: Sequence[Problem]) -> str:
@@ -373,22 +231,16 @@ def report(place: Place, problems: Sequence[Problem]) -> str:
     unpacked = unpacked_versions(place.site_packages)
     used = _wheels_for(place, contents)
     for wheel in used:
-        wrong = [p.sentence for p in problems if p.wheel == wheel.name and p.kind != "left-out"]
-        found = unpacked.get(wheel.name)
-        where = f"unpacked {found.version}" if found else "not unpacked"
+        wrong = [p.sentence for p in problems if p.wheel == wheel.name]
+        where = f"unpacked {unpacked[wheel.name]}" if wheel.name in unpacked else "not unpacked"
         lines.append(f"  {wheel.file} ({wheel.size / 1e6:.1f} MB), {where}: {'; '.join(wrong) or 'ok'}")
-    lines += [
-        f"  {part.name}: left out of the zip: {part.why}"
-        for part in contents.left_out
-        if part.python == place.python
-    ]
     lines += [
         f"  {wheel.file}: for Python {' and '.join(wheel.pythons)} only"
         for wheel in contents.wheels
         if wheel not in used
     ]
     named = {wheel.name for wheel in used}
-    lines += [f"  {p.sentence}" for p in problems if p.wheel not in named and p.kind != "left-out"]
+    lines += [f"  {p.sentence}" for p in problems if p.wheel not in named]
     return "\n".join(lines)
 
 
@@ -407,7 +259,8 @@ def _unfit(place: Place, contents: Contents) -> Problem | None:
             remedy = f"this machine needs {zip_name(contents, place.platform)}: remove the add-on and "
             remedy += "install that one"
         else:
-            remedy = f"there is none for this machine, {_spoken(place.platform)}: {CHOOSE} {IN_PREFERENCES}"
+            remedy = f"there is none for this machine, {_spoken(place.platform)}: choose a Python of your "
+            remedy += f"own that has SciPy, OpenCV and MediaPipe {IN_PREFERENCES}"
         return Problem("platform", f"this is the zip for {_spoken(contents.platform)}, and {remedy}")
     if place.python not in contents.pythons:
         return Problem(
@@ -417,33 +270,6 @@ def _unfit(place: Place, contents: Contents) -> Problem | None:
             "all supported versions of Blender",
         )
     return None
-
-
-def _left_out_problems(place: Place, contents: Contents) -> list[Problem]:
-    """One problem for all that the zip lacks for this Python on purpose."""
-    names = _left_out(place, contents)
-    if not names:
-        return []
-    spoken = _listed([_NAMES.get(name, name) for name in names if name in REQUIRED] or list(names))
-    everywhere = {(part.name, part.python) for part in contents.left_out}
-    if all((name, python) in everywhere for name in names for python in contents.pythons):
-        why = f"the zip was built without {spoken}"
-    else:
-        why = f"it has Python {place.python}, for which the zip has no {spoken}"
-    sentence = f"this Blender cannot capture by itself, since {why}: {CHOOSE} {IN_PREFERENCES}"
-    return [Problem("left-out", sentence, names[0])]
-
-
-def left_out(place: Place) -> tuple[str, ...]:
-    """Names of the packages that the zip lacks for this Python on purpose."""
-    try:
-        return _left_out(place, read_contents(place.folder))
-    except (OSError, ValueError):
-        return ()
-
-
-def _left_out(place: Place, contents: Contents) -> tuple[str, ...]:
-    return tuple(part.name for part in contents.left_out if part.python == place.python)
 
 
 def _wheels_for(place: Place, contents: Contents) -> list[Wheel]:
@@ -462,60 +288,33 @@ def _wheel_file_problem(place: Place, contents: Contents, wheel: Wheel) -> Probl
         sentence = f"the wheel of {wheel.label} is missing in the add-on's folder: {_again(contents)}"
         return Problem("wheel-missing", sentence, wheel.name, _stopped_by(wheel))
     except OSError as error:
-        return _unreadable_wheel(contents, wheel, error)
+        size = -1
+        sentence = f"the wheel of {wheel.label} cannot be read ({_short(error)}): {_again(contents)}"
+    else:
+        sentence = f"the wheel of {wheel.label} is damaged ({size} bytes instead of {wheel.size}): "
+        sentence += _again(contents)
     if size == wheel.size:
         return None
-    sentence = (
-        f"the wheel of {wheel.label} is damaged ({size} bytes instead of {wheel.size}): {_again(contents)}"
-    )
     return Problem("wheel-size", sentence, wheel.name, _stopped_by(wheel))
 
 
-def _unreadable_wheel(contents: Contents, wheel: Wheel, error: OSError) -> Problem:
-    sentence = f"the wheel of {wheel.label} cannot be read ({_short(error)}): {_again(contents)}"
-    return Problem("wheel-content", sentence, wheel.name, _stopped_by(wheel))
-
-
-def _wrong_content(contents: Contents, wheel: Wheel) -> Problem:
-    sentence = f"the wheel of {wheel.label} is damaged (its content has changed): {_again(contents)}"
-    return Problem("wheel-content", sentence, wheel.name, _stopped_by(wheel))
-
-
 def _unpacked_problem(
-    place: Place, contents: Contents, wheel: Wheel, unpacked: dict[str, Unpacked]
+    place: Place, contents: Contents, wheel: Wheel, unpacked: dict[str, str]
 ) -> Problem | None:
     """What is wrong with the package in the folder that Blender unpacks to."""
     found = unpacked.get(wheel.name)
     if found is None:
         return _why_not_unpacked(place, contents, wheel)
-    if _same_version(found.version, wheel.version):
-        return _other_core_problem(place, wheel, found) if wheel.name == CORE else None
+    if _canonical(found) == _canonical(wheel.version):
+        return None
     if wheel.name == CORE:
-        return core_version_problem(contents.version, found.version)
+        return core_version_problem(contents.version, found)
     return Problem(
         "other-version",
-        f"another extension brings {wheel.name} {found.version} where this one has {wheel.version}, and "
+        f"another extension brings {wheel.name} {found} where this one has {wheel.version}, and "
         "Blender keeps the newer one for both: if captures fail, disable the other extension",
         wheel.name,
         "nothing",
-    )
-
-
-def _other_core_problem(place: Place, wheel: Wheel, found: Unpacked) -> Problem | None:
-    """Whether what is unpacked is another zip's handfit_core: Blender goes by its version alone."""
-    try:
-        with zipfile.ZipFile(_wheel_path(place, wheel)) as archive:
-            packed = archive.read(f"{found.record.parent.name}/RECORD")
-        if packed == found.record.read_bytes():
-            return None
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
-        return None  # damaged, which a deep look tells
-    return Problem(
-        "core-version",
-        "Blender has kept the add-on's other half, handfit_core, of another zip with the same version: "
-        "remove every copy of the add-on, restart Blender and install the zip again",
-        CORE,
-        "add-on",
     )
 
 
@@ -557,14 +356,7 @@ def import_problem(error: Exception) -> Problem:
 
 
 def _why_not_unpacked(place: Place, contents: Contents, wheel: Wheel) -> Problem:
-    """A wheel is there and Blender has not unpacked it: look for the reason, without reading much."""
-    if wheel.size <= _SMALL:
-        try:
-            digest = hashlib.sha256(_wheel_path(place, wheel).read_bytes()).hexdigest()
-        except OSError as error:
-            return _unreadable_wheel(contents, wheel, error)
-        if digest != wheel.sha256:
-            return _wrong_content(contents, wheel)
+    """A wheel is there and Blender has not unpacked it: the disk, the right to write there, or the wheel."""
     target = next((p for p in (place.site_packages, *place.site_packages.parents) if p.exists()), None)
     why, remedy = "", "disable the add-on, restart Blender and enable it again"
     if target is not None:
@@ -589,41 +381,9 @@ def _stopped_by(wheel: Wheel) -> Stops:
     return "add-on" if wheel.name == CORE else "capture"
 
 
-def _recorded(record: Path) -> Iterator[tuple[str, int]]:
-    """(path, bytes) of the files of an unpacked wheel, where its list names a size."""
-    try:
-        with record.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
-            for name, size in (row[::2] for row in csv.reader(file) if len(row) == 3):
-                # Scripts and the like lie elsewhere, and Blender moves some of them.
-                outside = name.startswith("..") or name.partition("/")[0].endswith(".data")
-                if not outside and size.isdigit():
-                    yield name, int(size)
-    except (OSError, csv.Error):
-        return
-
-
-def _in_wheel(wheel: Path, names: list[str]) -> list[str]:
-    """Those of the files that the wheel contains; all of them where it cannot be read."""
-    try:
-        with zipfile.ZipFile(wheel) as archive:
-            contained = set(archive.namelist())
-    except (OSError, zipfile.BadZipFile):
-        return names
-    return [name for name in names if name in contained]
-
-
-def _same_version(first: str, second: str) -> bool:
-    return _canonical(first) == _canonical(second)
-
-
 def _canonical(name: str) -> str:
     """Wheels write the same name and version in several ways."""
     return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def _listed(names: Sequence[str]) -> str:
-    """a, b and c."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _spoken(platform_name: str) -> str:
@@ -644,21 +404,16 @@ def _as_contents(data: Any) -> Contents:
         version=str(data["version"]),
         platform=str(data["platform"]),
         pythons=tuple(map(str, data["pythons"])),
-        torch=str(data["torch"]),
+        torch=str(data.get("torch", "none")),
         wheels=tuple(
             Wheel(
                 file=str(wheel["file"]),
                 name=_canonical(wheel["name"]),
                 version=str(wheel["version"]),
-                sha256=str(wheel["sha256"]),
                 size=int(wheel["size"]),
                 pythons=tuple(map(str, wheel["pythons"])),
             )
             for wheel in data["wheels"]
-        ),
-        left_out=tuple(
-            LeftOut(_canonical(part["name"]), str(part["python"]), str(part["why"]))
-            for part in data["missing"]
         ),
     )
 

@@ -25,7 +25,7 @@ from handfit_core.slices import retold, slice_clock
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
-from . import details
+from . import details, shared_worker
 from .cache import folder_path, temporary_take
 from .remembered import Remembered
 from .scene.apply import apply_track, track_for
@@ -34,7 +34,6 @@ from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .wording import capitalised, without_name
-from .worker import shared
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
@@ -181,9 +180,9 @@ def cancel(job: Job) -> None:
         job.state, job.message = "cancelled", "Cancelled"
     elif job.state == "capturing" and not job._stopping:
         job._stopping = True
-        shared.worker().cancel(job._request)
+        shared_worker.worker().cancel(job._request)
     elif job.state == "capturing":
-        shared.worker().stop()
+        shared_worker.worker().stop()
         job.state, job.message = "cancelled", "Cancelled"
     elif job.state == "building":
         if job._builder is not None:
@@ -201,7 +200,7 @@ def cancel_all() -> None:
 def abandon() -> None:
     """Stop everything without keeping anything: another file is opened, or the add-on goes."""
     if current() is not None:
-        shared.stop()
+        shared_worker.stop()
     for job in _queue:
         if job._builder is not None:
             job._builder.close()
@@ -240,7 +239,7 @@ def run() -> list[Job]:
 
 def _start(job: Job) -> None:
     job._take_path = temporary_take(job.name)
-    job._request = shared.worker().request(
+    job._request = shared_worker.worker().submit(
         "capture",
         input=list(job.files),
         output=str(job._take_path),
@@ -252,7 +251,7 @@ def _start(job: Job) -> None:
 
 def _follow(job: Job) -> bool:
     changed = False
-    for event in shared.worker().poll(job._request):
+    for event in shared_worker.worker().events(job._request):
         changed = True
         kind = event.get("event")
         if kind == "progress":

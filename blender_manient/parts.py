@@ -8,9 +8,19 @@ from types import ModuleType
 
 import bpy
 
-from . import cache, error_graph, jobs, operators, panels, preferences, properties, source_info
+from . import (
+    cache,
+    error_graph,
+    jobs,
+    operators,
+    panels,
+    preferences,
+    properties,
+    shared_worker,
+    source_info,
+)
+from .panels import preferences as preferences_panel
 from .scene import confidence, render_setup, reshape, see_through
-from .worker import shared
 
 _KINDS = (
     bpy.types.AddonPreferences,
@@ -58,24 +68,21 @@ def _files_of(package: ModuleType) -> list[ModuleType]:
     ]
 
 
-PARTS = tuple(
-    map(
-        Part,
-        (
-            preferences,
-            properties,
-            cache,
-            reshape,
-            confidence,
-            error_graph,
-            see_through,
-            render_setup,
-            shared,
-            jobs,
-            source_info,
-            *_files_of(operators),
-            *_files_of(panels),
-        ),
-    )
+_MODULES = (
+    preferences_panel,  # what follows asks for what the user has chosen
+    preferences,
+    properties,
+    cache,
+    reshape,
+    confidence,
+    error_graph,
+    see_through,
+    render_setup,
+    shared_worker,
+    jobs,
+    source_info,
+    *_files_of(operators),
+    *_files_of(panels),
 )
+PARTS = tuple(Part(module) for module in dict.fromkeys(_MODULES))
 """In the order of their registration"""

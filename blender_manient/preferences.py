@@ -1,6 +1,7 @@
-"""The add-on's preferences: where MANO, the capturing Python and the cache are, and a few habits."""
+"""What the add-on's preferences hold: where MANO, the capturing Python and the cache are, and habits."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from handfit_core.options import OPTIONS
+from handfit_core.worker.interpreter import unquoted
 
 from .properties import PRESETS
 
@@ -18,17 +20,12 @@ ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 
 # The annotations are read below, so this file does without `from __future__ import annotations`.
 
 
-def _forget_check(_self, _context) -> None:
-    """What was checked is another Python."""
-    from .operators import check_installation
-
-    check_installation.forget()
+listeners: dict[str, Callable[[], None]] = {}
+"""Name of a value -> what follows its changes; a part adds itself when it is registered"""
 
 
-class ManientPreferences(bpy.types.AddonPreferences):
-    """Edit > Preferences > Add-ons > Manient Hand Capture."""
-
-    bl_idname = ADDON
+class Values:
+    """What the user keeps for all files; panels/preferences.py shows it."""
 
     mano_folder: StringProperty(  # type: ignore
         name="MANO Files",
@@ -37,7 +34,7 @@ class ManientPreferences(bpy.types.AddonPreferences):
     )
     python: StringProperty(  # type: ignore
         name="Python",
-        description="A Python of your own that captures; it needs torch, SciPy, MediaPipe and OpenCV. "
+        description="A Python of your own that captures; it needs SciPy, MediaPipe and OpenCV. "
         "Empty: the one in $HANDFIT_PYTHON, else Blender's own with what this extension brings",
         subtype="FILE_PATH",
     )
@@ -84,77 +81,8 @@ class ManientPreferences(bpy.types.AddonPreferences):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=lambda _self, _context: _opacity_changed(),
+        update=lambda _self, _context: _tell("hand_opacity"),
     )
-
-    def draw(self, context):
-        """One block per subject."""
-        layout = self.layout
-        assert layout is not None
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits):
-            draw(self, layout.column(), context)
-
-
-# What is drawn imports late: all of it needs the preferences.
-
-
-def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    from .operators import check_installation
-    from .section import sentence
-    from .worker import shared
-
-    layout.prop(self, "python")
-    text = shared.capture_sentence()
-    if text:
-        sentence(layout, context, text, "ERROR", alert=True)
-    layout.prop(self, "threads")
-    layout.prop(self, "max_megapixels")
-    row = layout.row(align=True)
-    row.operator("manient.check_installation", icon="CHECKMARK")
-    if check_installation.running():
-        layout.label(text="Checking, which takes up to half a minute", icon="TIME")
-        return
-    result = check_installation.last_result()
-    if result is not None:
-        show = row.operator("manient.show_details", text="Show", icon="TEXT")
-        copy = row.operator("manient.copy_details", text="Copy", icon="COPYDOWN")
-        show.text = copy.text = check_installation.TEXT_NAME
-        if result.sentence != text:
-            icon = "CHECKMARK" if result.ok else "ERROR"
-            sentence(layout, context, result.sentence, icon, alert=not result.ok)
-
-
-def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    from .operators import check_mano
-    from .section import sentence
-
-    layout.separator()
-    layout.prop(self, "mano_folder")
-    row = layout.row()
-    row.enabled = bool(self.mano_folder)
-    row.operator("manient.check_mano", icon="CHECKMARK").path = self.mano_folder
-    for result in check_mano.results(self.mano_folder):
-        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok)
-
-
-def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
-    from . import cache
-
-    layout.separator()
-    layout.prop(self, "cache_folder")
-    size = cache.shown_size()
-    row = layout.row()
-    row.label(text="..." if size is None else f"{size / 1e6:.1f} MB in use", icon="BLANK1", translate=False)
-    row.operator("manient.clear_cache", icon="TRASH")
-
-
-def _draw_habits(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
-    layout.separator()
-    layout.prop(self, "default_preset")
-    layout.prop(self, "drop_captures")
-    layout.prop(self, "hand_opacity")
 
 
 def get(context: bpy.types.Context | None = None) -> Any:
@@ -170,31 +98,13 @@ def full_path(text: str) -> str:
     return str(Path(os.path.expanduser(bpy.path.abspath(text)))) if text else ""  # noqa: PTH111
 
 
-def unquoted(text: str) -> str:
-    """Without the spaces and quotes around it that come with a copied path."""
-    text = text.strip()
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
-        text = text[1:-1].strip()
-    return text
-
-
-def _opacity_changed() -> None:
-    from .scene import see_through
-
-    see_through.opacity_changed()
-
-
-def redraw() -> None:
-    """Draw all Preferences editors again."""
-    manager = bpy.context.window_manager
-    for window in manager.windows if manager else ():
-        for area in window.screen.areas:
-            if area.type == "PREFERENCES":
-                area.tag_redraw()
+def _tell(name: str) -> None:
+    if listener := listeners.get(name):
+        listener()
 
 
 def _defaults() -> SimpleNamespace:
-    properties = ManientPreferences.__annotations__
+    properties = Values.__annotations__
     # What Blender takes where a definition names no default.
     empty = {"StringProperty": "", "IntProperty": 0, "BoolProperty": False}
     return SimpleNamespace(

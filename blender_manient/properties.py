@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -34,10 +35,13 @@ PRESETS = (
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.all().items() if s.slow)
 
 
-def _source_changed(settings: bpy.types.PropertyGroup, context) -> None:
-    from . import source_info
+listeners: dict[str, Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]] = {}
+"""Name of a value -> what follows its changes; a part adds itself when it is registered"""
 
-    source_info.source_changed(settings, context)
+
+def _source_changed(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    if listener := listeners.get("source"):
+        listener(settings, context)
 
 
 EXPORT_FORMATS = tuple(

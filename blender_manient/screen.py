@@ -23,6 +23,15 @@ def redraw_viewports(context: bpy.types.Context) -> None:
         area.tag_redraw()
 
 
+def redraw_preferences() -> None:
+    """Draw all Preferences editors again."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager else ():
+        for area in window.screen.areas:
+            if area.type == "PREFERENCES":
+                area.tag_redraw()
+
+
 def look_through_camera(context: bpy.types.Context) -> None:
     """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the
     whole picture in it."""

@@ -18,10 +18,9 @@ from handfit_core.errors import HandfitError, InputError
 from handfit_core.media.opening import VIDEO_SUFFIXES
 from handfit_core.media.size_limit import check_for_blender
 
-from . import jobs, preferences, screen, sources
+from . import jobs, preferences, properties, screen, shared_worker, sources
 from .scene.matching import Footage
 from .wording import capitalised, without_name
-from .worker import shared
 
 _LOOK_AGAIN = 0.1
 """seconds"""
@@ -110,7 +109,7 @@ def source_changed(settings, _context) -> None:
     if info.files is None or bpy.app.background:
         return
     with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
-        info.request = shared.worker().request(
+        info.request = shared_worker.worker().submit(
             "probe", input=list(info.files.files), max_megapixels=preferences.get().max_megapixels or None
         )
         if not bpy.app.timers.is_registered(_await_answer):
@@ -159,13 +158,13 @@ def _await_answer() -> float | None:
         return None
     if jobs.current() is not None:
         return 1.0  # the worker answers after that
-    for event in shared.worker().poll(info.request):
+    for event in shared_worker.worker().events(info.request):
         if event.get("event") in ("done", "error"):
             _take_in(info, event)
             info.request = 0
             screen.redraw_sidebars(bpy.context)
             return None
-    return _LOOK_AGAIN if shared.worker().alive else None
+    return _LOOK_AGAIN if shared_worker.worker().alive else None
 
 
 def _take_in(info: SourceInfo, event: dict[str, Any]) -> None:
@@ -188,7 +187,8 @@ def _on_undo(*_args) -> None:
 
 
 def register() -> None:
-    """Follow undo and redo."""
+    """Follow the chosen source, also through undo and redo."""
+    properties.listeners["source"] = source_changed
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         handlers.append(_on_undo)
 
@@ -196,6 +196,7 @@ def register() -> None:
 def unregister() -> None:
     """Free the thumbnails, and stop waiting."""
     global _previews, _known
+    properties.listeners.pop("source", None)
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         if _on_undo in handlers:
             handlers.remove(_on_undo)

@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import logging
 import math
@@ -22,7 +23,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.evaluate.commands import add_evaluate_command
 from handfit_core.fit_quality import quality
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.options import CaptureOptions, add_options
@@ -96,7 +96,10 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     add_model_commands(commands)
-    add_evaluate_command(commands)
+    if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has
+        from handfit_core.evaluate.commands import add_evaluate_command
+
+        add_evaluate_command(commands)
     for sub in _all_parsers(commands):
         sub.add_argument(
             "--debug", action="store_true", help="show tracebacks and the libraries' own messages"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 from typing import Final, Protocol
 
@@ -104,27 +103,13 @@ class Solver:
     """Packages that it imports beside those that every capture needs"""
 
 
-def _fast(smoothing: float, hand_length: float | None) -> TrackSolver:
-    from handfit_core.fit.fast import fit_track
-
-    return partial(fit_track, smoothing, hand_length=hand_length)
-
-
-FAST: Final = Solver(_fast, "Fast", "Smooth over time", smooths=True, takes_hand_length=True)
-FAST_PER_FRAME: Final = Solver(
-    lambda _smoothing, hand_length: _fast(0.0, hand_length),
-    "Fast, Per Frame",
-    "Other frames tell the hand's shape only",
-    takes_hand_length=True,
-)
-
 SOLVERS: Final[Registry[Solver]] = Registry(
     "handfit.solvers",
     "solver",
     Solver,
     {
-        "fast": f"{__name__}:FAST",
-        "fast-per-frame": f"{__name__}:FAST_PER_FRAME",
+        "fast": "handfit_core.fit:FAST",
+        "fast-per-frame": "handfit_core.fit:FAST_PER_FRAME",
         **{f"paper-{letter}": f"handfit_core.paper:{letter.upper()}" for letter in "abcdefgh"},
         "paper-a-plus": "handfit_core.paper:A_PLUS",
     },

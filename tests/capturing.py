@@ -12,12 +12,12 @@ import pytest
 
 @cache
 def can_capture() -> bool:
-    """Whether torch and the others can be imported there; takes some seconds, once."""
+    """Whether SciPy and the others can be imported there; takes some seconds, once."""
     python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
+    code = "import cv2, mediapipe, scipy"
     return subprocess.run([python, "-c", code], capture_output=True, check=False).returncode == 0
 
 
 needs_capture = pytest.mark.skipif(
-    not can_capture(), reason="needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON"
+    not can_capture(), reason="needs a Python with SciPy, OpenCV and MediaPipe in HANDFIT_PYTHON"
 )

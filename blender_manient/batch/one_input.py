@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from handfit_core.errors import InputError
 from handfit_core.take import Take
+from handfit_core.worker.runner import Event, Runner
 
 from ..scene.build import build_take
 from ..scene.export import export_take
 from ..scene.preview import render_preview, spread_frames
-from ..worker.client import Worker
 from .console import blender_silenced
 from .inputs import Job
 from .order import Order
@@ -23,7 +22,7 @@ from .report import Result
 TAKE_SUFFIX = ".take.npz"
 
 
-def fit(job: Job, result: Result, order: Order, worker: Worker, *, keep_addons: bool) -> None:
+def fit(job: Job, result: Result, order: Order, runner: Runner, *, keep_addons: bool) -> None:
     """Make everything that is ordered of one input; fills in `result` as it goes.
 
     The open file is replaced by an empty one. `keep_addons` leaves the add-ons and preferences as they
@@ -34,7 +33,7 @@ def fit(job: Job, result: Result, order: Order, worker: Worker, *, keep_addons: 
     folder = order.folder(job.name)
     take_path = folder / f"{job.name}{TAKE_SUFFIX}"
     if job.take is None:
-        _capture(job, take_path, result, worker, order)
+        _capture(job, take_path, result, runner, order)
         take = Take.load(take_path)
     else:
         take = Take.load(job.take)
@@ -68,22 +67,22 @@ def fit(job: Job, result: Result, order: Order, worker: Worker, *, keep_addons: 
             result.files.append(_relative(path, order.output))
 
 
-def _capture(job: Job, take_path: Path, result: Result, worker: Worker, order: Order) -> None:
+def _capture(job: Job, take_path: Path, result: Result, runner: Runner, order: Order) -> None:
     """Write the take of one input. Raises HandfitError; after the order's timeout WorkerError."""
     shown = sys.stderr.isatty()
 
-    def on_event(event: dict[str, Any]) -> None:
+    def on_event(event: Event) -> None:
         if event["event"] == "warning":
             result.warnings.append(str(event["message"]))
         elif shown:
             line = f"{job.name}: {event['stage']} {event['done']}/{event['total']} "
             print(f"\r{line}", end="", file=sys.stderr, flush=True)
 
-    request = worker.request(
+    request = runner.submit(
         "capture", input=list(job.source), output=str(take_path), options=order.options.to_message()
     )
     try:
-        worker.wait(request, on_event, order.timeout)
+        runner.wait(request, on_event, order.timeout)
     finally:
         if shown:
             print("\r" + " " * 70 + "\r", end="", file=sys.stderr, flush=True)

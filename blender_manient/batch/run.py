@@ -10,8 +10,11 @@ import traceback
 from dataclasses import dataclass
 
 from handfit_core.errors import HandfitError
+from handfit_core.worker.client import Advice
+from handfit_core.worker.interpreter import PYTHON_VARIABLE
+from handfit_core.worker.runner import Runner
 
-from ..worker.client import PYTHON_VARIABLE, Advice, Worker
+from .. import shared_worker
 from .console import print_error, show_all_names, stopped_by_signals
 from .exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 from .inputs import Job, expand, with_free_names
@@ -59,14 +62,14 @@ def run(args: argparse.Namespace, host: Host) -> int:
 
 
 def _run(jobs: list[Job], order: Order, python: str | None, host: Host) -> int:
-    """Every job with one worker, which starts with the first capture and again after a crash."""
+    """Every job with one worker process, which starts with the first capture and again after a crash."""
     where = host.python_is_chosen
     advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
-    with Worker(python or host.python, host.threads, order.debug, advice=advice) as worker:
-        return _run_with(worker, jobs, order, host.keep_addons)
+    with shared_worker.make(python or host.python, host.threads, order.debug, advice) as runner:
+        return _run_with(runner, jobs, order, host.keep_addons)
 
 
-def _run_with(worker: Worker, jobs: list[Job], order: Order, keep_addons: bool) -> int:
+def _run_with(runner: Runner, jobs: list[Job], order: Order, keep_addons: bool) -> int:
     results = [Result(job.shown, job.name) for job in jobs]
     report = order.output / "report.json"
     write_report(report, results)  # also finds out now, not after an hour, that it cannot be written
@@ -74,7 +77,7 @@ def _run_with(worker: Worker, jobs: list[Job], order: Order, keep_addons: bool) 
     for number, (job, result) in enumerate(zip(jobs, results, strict=True), 1):
         started = time.perf_counter()
         try:
-            fit(job, result, order, worker, keep_addons=keep_addons)
+            fit(job, result, order, runner, keep_addons=keep_addons)
             result.status = "ok"
         except KeyboardInterrupt:
             result.status, result.error = "interrupted", "stopped by the user"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..worker import shared
+from .. import shared_worker
 
 _EVERY = 0.2
 """seconds"""
@@ -27,11 +27,11 @@ def forget() -> None:
 
 
 def _collect() -> float | None:
-    worker = shared.current()
+    worker = shared_worker.current()
     if worker is None:
         _requests.clear()
         return None
-    for event in worker.poll(*_requests) if _requests else ():
+    for event in worker.events(*_requests) if _requests else ():
         if event["event"] in ("done", "error"):
             _requests.discard(event["id"])
     # Another worker's numbers mean nothing to this one.

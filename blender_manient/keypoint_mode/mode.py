@@ -19,15 +19,14 @@ from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.worker.runner import as_error
 
-from .. import details, jobs, preferences, screen
+from .. import details, jobs, preferences, screen, shared_worker
 from ..refiner import BonePoses, Refiner
 from ..rigs import rig_of
 from ..scene.keys import set_pose
 from ..scene.see_through import SeeThrough
 from ..wording import capitalised
-from ..worker import shared
-from ..worker.client import as_error
 from . import drawing, view
 from .abandoned import abandon
 
@@ -113,7 +112,7 @@ class KeypointMode:
         """Why the mode is over, in a sentence; empty: because the artist said so"""
         camera = refiner.hand.camera
         assert camera is not None
-        self._warming = shared.worker().request("warm")
+        self._warming = shared_worker.worker().submit("warm")
         self._solved_in = _PATIENCE
         self.view = view.CaptureView(viewport, camera, context)
         self.solid = False
@@ -287,7 +286,7 @@ class KeypointMode:
         if drag is None:
             return
         if drag.request:
-            shared.worker().cancel(drag.request)
+            shared_worker.worker().cancel(drag.request)
             abandon(drag.request)
         armature = self.refiner.found
         if armature is not None and armature.manient.is_hand:
@@ -308,7 +307,7 @@ class KeypointMode:
                 self.cancel_drag(context)
                 return
             if drag.request:
-                for event in shared.worker().poll(drag.request):
+                for event in shared_worker.worker().events(drag.request):
                     if event["event"] == "error":
                         drag.request = 0
                         raise as_error(event)
@@ -364,7 +363,7 @@ class KeypointMode:
         drag.is_final = drag.released
         mode = "each" if drag.released else "draft"
         fields = self.refiner.request([drag.row], [drag.asked], drag.start, mode)()
-        drag.request = shared.worker().request("refit", **fields)
+        drag.request = shared_worker.worker().submit("refit", **fields)
 
     def _show(self, context: bpy.types.Context, drag: _Drag, poses: BonePoses) -> None:
         if not poses.present[0]:
@@ -399,7 +398,7 @@ class KeypointMode:
         refresh(context.scene)
 
     def _follow_warming(self) -> None:
-        for event in shared.worker().poll(self._warming):
+        for event in shared_worker.worker().events(self._warming):
             if event["event"] == "error":
                 self.message = str(event.get("message", ""))
             if event["event"] in ("done", "error"):

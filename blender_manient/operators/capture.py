@@ -10,13 +10,12 @@ from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
+from handfit_core.worker.runner import WorkerError
 
-from .. import jobs, preferences, screen, sources
+from .. import jobs, preferences, screen, shared_worker, sources
 from ..remembered import Remembered
 from ..scene.lens import lens_of_camera
 from ..selection import active_hand
-from ..worker import shared
-from ..worker.client import WorkerError
 
 _TICK = 0.02
 """seconds between two looks at the worker"""
@@ -61,7 +60,7 @@ class MANIENT_OT_capture(bpy.types.Operator):
         if scene is None or not scene.is_editable:
             cls.poll_message_set("This scene is linked from another file: open or make one of your own")
             return False
-        sentence = shared.capture_sentence()
+        sentence = shared_worker.capture_sentence()
         if sentence:
             cls.poll_message_set(sentence)
         return not sentence
@@ -190,7 +189,7 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
 def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
     """The capture that the panel's settings describe. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
-    if sentence := shared.capture_sentence():
+    if sentence := shared_worker.capture_sentence():
         raise WorkerError(sentence)
     source = sources.resolve(settings.source, as_sequence=settings.as_sequence)
     hand = active_hand(context)

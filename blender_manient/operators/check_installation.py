@@ -9,19 +9,19 @@ from pathlib import Path
 import bpy
 
 from handfit_core.errors import HandfitError
+from handfit_core.worker.client import Worker
+from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
+from handfit_core.worker.runner import Event, as_error
 
-from .. import cache, details, preferences, verification
+from .. import cache, details, preferences, screen, shared_worker, verification
 from ..wording import capitalised
-from ..worker import shared
-from ..worker.client import PYTHON_VARIABLE, Event, Worker, as_error
-from ..worker.interpreter import find_python
 from . import check_mano
 
 TEXT_NAME = "Hand Capture Check"
 
 _TICK = 0.05
 _LIMIT = 180.0
-"""seconds; the first start of torch and MediaPipe from a slow disk takes one or two dozen"""
+"""seconds; the first start of MediaPipe from a slow disk takes one or two dozen"""
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class Result:
 
     ok: bool
     sentence: str
+    chosen: str
+    """The Python that was chosen in the preferences then"""
 
 
 _last: Result | None = None
@@ -38,19 +40,16 @@ _checking: Worker | None = None
 
 
 def last_result() -> Result | None:
-    """The last check of this session; None before the first, or when its text is gone. For drawing."""
-    return _last if details.local_text(TEXT_NAME) is not None else None
+    """The last check of this session; None before the first, when its text is gone, and where another Python
+    was chosen since. For drawing."""
+    if _last is None or _last.chosen != preferences.get().python or details.local_text(TEXT_NAME) is None:
+        return None
+    return _last
 
 
 def running() -> bool:
     """Whether a check is under way."""
     return _checking is not None
-
-
-def forget() -> None:
-    """What the last check came to holds no longer."""
-    global _last
-    _last = None
 
 
 class MANIENT_OT_check_installation(bpy.types.Operator):
@@ -73,20 +72,20 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
     def invoke(self, context, _event):
         """Check beside the window's work."""
         global _checking
-        verification.begin(anew=True)
+        verification.look()
         # A process of its own: the shared one may be busy for minutes, and may be what is wrong.
-        self._worker = shared.make()
+        self._worker = shared_worker.own()
         self._answer: Event | None = None
         self._problem: HandfitError | None = None
         try:
-            self._request = self._worker.request("check")
+            self._request = self._worker.submit("check")
         except HandfitError as error:
             self._problem = error
         _checking = self._worker
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set("Checking the installation of Hand Capture   Esc: Stop")
-        preferences.redraw()
+        screen.redraw_preferences()
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -97,19 +96,16 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if self._waits():
-            for event in self._worker.poll(self._request):
+        if self._problem is None:
+            for event in self._worker.events(self._request):
                 if event["event"] == "done":
                     self._answer = event
                 elif event["event"] == "error":
                     self._problem = as_error(event)
-        if not verification.step() or self._waits():
+        if self._answer is None and self._problem is None:
             return {"PASS_THROUGH"}
         self.cancel(context)
         return self._show(*_outcome(self._worker, self._answer, self._problem))
-
-    def _waits(self) -> bool:
-        return self._answer is None and self._problem is None
 
     def cancel(self, context):
         """Blender ends the operator, as on loading a file."""
@@ -119,7 +115,7 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
-        preferences.redraw()
+        screen.redraw_preferences()
 
     def execute(self, context):
         """Check and wait for it: for scripts, and without a window."""
@@ -130,7 +126,7 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         _last = result
         details.write_text(TEXT_NAME, text)
         self.report({"INFO"} if result.ok else {"WARNING"}, f"{result.sentence} (text {TEXT_NAME})")
-        preferences.redraw()
+        screen.redraw_preferences()
         return {"FINISHED"}
 
 
@@ -139,11 +135,11 @@ def check(python: str | None = None) -> tuple[Result, str]:
 
     `python` captures instead of the one that the preferences choose.
     """
-    verification.verify(anew=True)
-    worker = shared.make(python)
+    verification.look()
+    worker = shared_worker.own(python)
     answer, problem = None, None
     try:
-        answer = worker.wait(worker.request("check"), timeout=_LIMIT)
+        answer = worker.wait(worker.submit("check"), timeout=_LIMIT)
     except HandfitError as error:
         problem = error
     finally:
@@ -152,7 +148,7 @@ def check(python: str | None = None) -> tuple[Result, str]:
 
 
 def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None) -> tuple[Result, str]:
-    missing = shared.capture_sentence(worker.python)
+    missing = shared_worker.capture_sentence(worker.python)
     ok = bool(answer and answer.get("ok")) and not missing
     if missing:
         sentence = missing
@@ -162,7 +158,7 @@ def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None)
         sentence = "Everything that a capture needs is there and works"
     else:
         sentence = "Something that a capture needs is missing or fails: the text tells what"
-    return Result(ok, sentence), _report_text(worker, sentence, answer)
+    return Result(ok, sentence, preferences.get().python), _report_text(worker, sentence, answer)
 
 
 def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
@@ -177,7 +173,7 @@ def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
         parts.append(str(answer.get("report", "")).strip())
     else:
         parts.append(f"The process that captures said:\n{worker.details() or '(nothing)'}")
-    other = shared.current()
+    other = shared_worker.current()
     if other is not None and not other.alive and other.details():
         parts.append(f"The process of the last capture said:\n{other.details()}")
     return _without_home("\n\n".join(parts)) + "\n"

@@ -10,7 +10,7 @@ from handfit_core.errors import HandfitError
 from handfit_core.hand_model import load_model
 from handfit_core.skeleton import SIDES, Side
 
-from .. import preferences
+from .. import preferences, screen
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class MANIENT_OT_check_mano(bpy.types.Operator):
             return {"CANCELLED"}
         for result in check(path):
             self.report({"INFO"} if result.ok else {"WARNING"}, result.sentence)
-        preferences.redraw()
+        screen.redraw_preferences()
         return {"FINISHED"}
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .. import cache, preferences
-from ..worker import shared
+from .. import cache, screen, shared_worker
 
 
 class MANIENT_OT_clear_cache(bpy.types.Operator):
@@ -20,7 +19,7 @@ class MANIENT_OT_clear_cache(bpy.types.Operator):
     @classmethod
     def poll(cls, _context):
         """Not while the worker may write there."""
-        worker = shared.current()
+        worker = shared_worker.current()
         if worker is not None and worker.busy:
             cls.poll_message_set("A capture uses these files: wait for it or cancel it")
             return False
@@ -30,5 +29,5 @@ class MANIENT_OT_clear_cache(bpy.types.Operator):
         freed, left = cache.clear()
         kept = f", {left} files in use were kept" if left else ""
         self.report({"INFO"}, f"{freed / 1e6:.1f} MB were freed{kept}")
-        preferences.redraw()
+        screen.redraw_preferences()
         return {"FINISHED"}

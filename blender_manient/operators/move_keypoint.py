@@ -8,10 +8,10 @@ from handfit_core.edit.corrections import Pins
 from handfit_core.errors import OptionError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
+from .. import shared_worker
 from ..refiner import Refiner, why_not
 from ..scene.store import hand_of
 from ..selection import active_hand
-from ..worker import shared
 from .needs_hand import errors_reported
 
 _PATIENCE = 120.0
@@ -59,8 +59,8 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
         pins = self._pins(refiner.pins(row))
         if pins:
             fields = refiner.request([row], [pins], refiner.start_poses([row]))()
-            worker = shared.worker()
-            poses = refiner.poses(worker.wait(worker.request("refit", **fields), timeout=_PATIENCE))
+            worker = shared_worker.worker()
+            poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_PATIENCE))
             if not poses.present[0]:
                 raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
             refiner.correct(row, pins, poses, context.scene.manient.spread)

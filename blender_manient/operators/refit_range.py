@@ -11,8 +11,9 @@ import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import slice_clock
+from handfit_core.worker.runner import as_error
 
-from .. import details, screen
+from .. import details, screen, shared_worker
 from ..keypoint_mode.abandoned import abandon
 from ..refiner import Refiner, why_not
 from ..scene.corrections import corrections_of
@@ -23,8 +24,6 @@ from ..scene.timing import frame_rate, span_of
 from ..section import sentence
 from ..selection import active_hand
 from ..wording import counted
-from ..worker import shared
-from ..worker.client import as_error
 from . import edit_keypoints
 
 _TICK = 0.02
@@ -94,8 +93,8 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
             return {"CANCELLED"}
         try:
             work = _Work(context, self._rows)
-            worker = shared.worker()
-            work.received(worker.wait(worker.request("refit", **work.fields())))
+            worker = shared_worker.worker()
+            work.received(worker.wait(worker.submit("refit", **work.fields())))
             for _ in work.writing():
                 pass
         except HandfitError as error:
@@ -187,8 +186,8 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
                     return False
             return True
         if not self._request:
-            self._request = shared.worker().request("refit", **self._work.fields())
-        for event in shared.worker().poll(self._request):
+            self._request = shared_worker.worker().submit("refit", **self._work.fields())
+        for event in shared_worker.worker().events(self._request):
             if event["event"] == "error":
                 self._request = 0
                 raise as_error(event)
@@ -221,7 +220,7 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
             if self._on_undo in handlers:
                 handlers.remove(self._on_undo)
         if self._request:
-            shared.worker().cancel(self._request)
+            shared_worker.worker().cancel(self._request)
             abandon(self._request)
             self._request = 0
         if self._timer is not None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import preferences
+from .. import shared_worker
 from ..preferences import ADDON
 from ..section import Section, sentence
-from ..worker import shared
 
 
 class MANIENT_PT_installation(Section, bpy.types.Panel):
@@ -18,21 +17,12 @@ class MANIENT_PT_installation(Section, bpy.types.Panel):
     @classmethod
     def poll(cls, _context):
         """Whether there is anything to say."""
-        return bool(shared.capture_sentence())
+        return bool(shared_worker.capture_sentence())
 
     def draw(self, context):
         """What is wrong and what to do."""
-        layout, problem, kept = self.layout, shared.capture_problem(), preferences.get()
+        layout = self.layout
         assert layout is not None
-        if (
-            problem is not None
-            and problem.kind == "left-out"
-            and isinstance(kept, bpy.types.AddonPreferences)
-        ):
-            # The whole sentence stands in the tooltip of the button that does not work without a Python.
-            sentence(layout, context, "Choose a Python that captures", "ERROR", alert=True)
-            layout.prop(kept, "python", text="")
-            return
-        sentence(layout, context, shared.capture_sentence(), "ERROR", alert=True)
+        sentence(layout, context, shared_worker.capture_sentence(), "ERROR", alert=True)
         layout.operator("manient.check_installation", icon="CHECKMARK")
         layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES").module = ADDON

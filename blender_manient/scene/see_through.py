@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import bpy
 
+from .. import preferences
 from ..remembered import Remembered
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
@@ -159,10 +160,12 @@ def register() -> None:
     )
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
+    preferences.listeners["hand_opacity"] = opacity_changed
 
 
 def unregister() -> None:
     """Leave no copies behind."""
+    preferences.listeners.pop("hand_opacity", None)
     for name, handler in _HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if handler in handlers:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
-import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
-from multiprocessing import get_context, parent_process
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +19,7 @@ from handfit_core.evaluate.scores import ProtocolName
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.skeleton import Side
+from handfit_core.worker.runner import Answer, InProcess, OnProgress, Runner
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +41,7 @@ class Fits:
         self._protocol: ProtocolName = protocol
         self._model = model
         self.models: Mapping[Side, HandModel] = _load_models(model, sides)
-        libraries = "|".join(version(name) for name in ("numpy", "scipy", "torch"))
+        libraries = "|".join(_version(name) for name in ("numpy", "scipy", "torch"))
         self._made_with = f"{protocol}|{libraries}|{_code()}"
         self._of_model = {side: _content(model) for side, model in self.models.items()}
 
@@ -55,29 +53,17 @@ class Fits:
                 yield task
             else:
                 missing.append(task)
-        if jobs <= 1 or len(missing) < 2:
-            for task in missing:
-                method = get_method(task.method, self._protocol)
-                save_kept(self._path(task), _arrays(method(self.models, task.track, task.intrinsics)))
-                yield task
-            return
-        with (
-            _one_thread_per_child(),
-            ProcessPoolExecutor(
-                jobs,
-                get_context("spawn"),
-                initializer=_set_up,
-                initargs=(self._protocol, self._model, tuple(self.models)),
-            ) as pool,
-        ):
-            running = {pool.submit(_run_one, task, self._path(task)): task for task in missing}
-            try:
-                for finished in as_completed(running):
-                    finished.result()
-                    yield running[finished]
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+        with self._runner(jobs if len(missing) > 1 else 1) as runner:
+            running = {runner.submit("fit", task=task, path=self._path(task)): task for task in missing}
+            for done in runner.results(*running):
+                yield running[done["id"]]
+
+    def _runner(self, jobs: int) -> Runner:
+        if jobs <= 1:
+            return InProcess(_fitting(self._protocol, self.models))
+        from handfit_core.worker.pool import Pool
+
+        return Pool(jobs, partial(_fitting_anew, self._protocol, self._model, tuple(self.models)))
 
     def result(self, task: FitTask) -> TrackResult:
         """A task's result; made again where the kept file was damaged."""
@@ -109,6 +95,13 @@ def _content(model: HandModel) -> str:
     return f"{model.digest}|{hashlib.sha256(np.ascontiguousarray(model.hands_mean).tobytes()).hexdigest()}"
 
 
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
+
+
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
     from handfit_core import fit, geometry, paper, skeleton, solvers
@@ -132,43 +125,20 @@ def _arrays(result: TrackResult) -> dict[str, np.ndarray]:
     return dict(vars(result))
 
 
-@contextlib.contextmanager
-def _one_thread_per_child() -> Iterator[None]:
-    """Children started meanwhile get one thread each: more than there are cores mostly wait for each
-    other. Libraries read these variables when they load."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+def _fitting(protocol: ProtocolName, models: Mapping[Side, HandModel]) -> Answer:
+    """Does the request `fit`: its `task`, whose result is kept at its `path`."""
+
+    def fit(
+        message: Mapping[str, Any], _should_stop: Callable[[], bool], _on_progress: OnProgress
+    ) -> dict[str, Any]:
+        task: FitTask = message["task"]
+        method = get_method(task.method, protocol)
+        save_kept(message["path"], _arrays(method(models, task.track, task.intrinsics)))
+        return {}
+
+    return fit
 
 
-_method_settings: tuple[ProtocolName, Mapping[Side, HandModel]] | None = None
-"""Of a child process."""
-
-
-def _set_up(protocol: ProtocolName, model: str | None, sides: tuple[Side, ...]) -> None:
-    global _method_settings
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _method_settings = (protocol, _load_models(model, sides))
-
-
-def _end_with_parent() -> None:
-    """A killed parent tells its children nothing: they would wait for work for ever."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _run_one(task: FitTask, path: Path) -> None:
-    assert _method_settings is not None
-    protocol, models = _method_settings
-    method = get_method(task.method, protocol)
-    save_kept(path, _arrays(method(models, task.track, task.intrinsics)))
+def _fitting_anew(protocol: ProtocolName, model: str | None, sides: tuple[Side, ...]) -> Answer:
+    """`_fitting` in a process of its own, which reads the models once."""
+    return _fitting(protocol, _load_models(model, sides))

@@ -1,22 +1,29 @@
-"""The request `check`: versions, files and a self-test, as text for a bug report.
+"""The requests `check` and `warm`: using every heavy part once tells whether it works, and has it loaded.
 
-Every part is tried by itself: what is missing or broken becomes a line, never an error of the request.
+In a check every part is tried by itself: what is missing or broken becomes a line, never an error of the
+request.
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import os
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from handfit_core.errors import Cancelled, HandfitError
-from handfit_core.skeleton import SIDES
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.errors import Cancelled, HandfitError, OptionError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.similarity import align
+from handfit_core.hand_model import OPEN_HAND, load_model
+from handfit_core.skeleton import NUM_BETAS, SIDES, WRIST_KEYPOINT, Side
 from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL
 
@@ -29,21 +36,23 @@ PACKAGES: Final[dict[str, tuple[str, tuple[int, ...]]]] = {
 }
 """Name in the package index -> name to import, lowest version; as in pyproject.toml"""
 
-ASSEMBLED_MODEL_SHA256: Final = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
-"""Of the hand_landmarker.task that scripts/fetch_landmark_model.py makes"""
-
-BUNDLED_VARIABLE: Final = "HANDFIT_BUNDLED"
-"""Set in the environment where the packages come from the add-on's zip"""
-LEFT_OUT_VARIABLE: Final = "HANDFIT_LEFT_OUT"
-"""Names those, with commas, that this zip lacks for this Python on purpose"""
-
-_ZIP_AGAIN: Final = "remove the add-on, restart Blender and install its zip again"
+OPTIONAL: Final = ("torch",)
+"""Packages without which hands are captured all the same"""
 
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
 
+_ZIP_AGAIN: Final = "install the add-on's zip again"
 
-def answer(should_stop: Callable[[], bool]) -> dict[str, Any]:
+_LATER: Final = ("cv2", "scipy.optimize")
+"""What a capture loads beside what the self-tests need"""
+
+_CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)
+_DISTANCE = 0.5
+"""metres between the self-test's hand and the camera"""
+
+
+def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
     """The fields of the `done` event: `report`, lines that end in "ok" or "FAILED: reason and remedy", and
     `ok`, whether none failed. Raises Cancelled."""
     started = time.perf_counter()
@@ -53,9 +62,9 @@ def answer(should_stop: Callable[[], bool]) -> dict[str, Any]:
         f"{platform.platform()}, {platform.machine()}, {os.cpu_count()} processors",
     ]
     steps: list[tuple[str, Callable[[], str]]] = [
-        *((name, _package(name)) for name in PACKAGES),
+        *((name, partial(_package, name)) for name in PACKAGES),
         ("landmark model", _landmark_model),
-        *((f"open hand, {side}", _open_hand(side)) for side in SIDES),
+        *((f"open hand, {side}", partial(_open_hand, side)) for side in SIDES),
         ("self-test of the detector", _detector),
         ("self-test of the solver", _solver),
         ("self-test of re-fitting", _refitting),
@@ -77,38 +86,75 @@ def answer(should_stop: Callable[[], bool]) -> dict[str, Any]:
     }
 
 
-def _package(name: str) -> Callable[[], str]:
-    def find() -> str:
-        module_name, lowest = PACKAGES[name]
-        wanted = ".".join(map(str, lowest))
-        remedy = _how_to_get(name, wanted)
-        try:
-            version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
-        except ModuleNotFoundError as error:
-            if error.name == module_name:
-                raise _Remedy(f"not installed; {remedy}") from error
-            raise _Remedy(f"it lacks {error.name}; {remedy}") from error
-        except (ImportError, OSError) as error:
-            raise _Remedy(f"it does not load ({error}); {remedy}") from error
-        if _numbers(version) < lowest:
-            raise _Remedy(f"{version} is too old; {remedy}")
-        return version
+def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[str, Any]:
+    """Run the detector, the fast solver and a re-fit once; the fields of the `done` event.
 
-    return find
+    The request's `model` is the hand model that re-fits will use, null for the open hand. Raises
+    LandmarkModelError, HandModelError, OptionError, Cancelled, and ImportError where a package is missing.
+    """
+    model = message.get("model") or OPEN_HAND
+    if not isinstance(model, str):
+        raise OptionError(f"a warm request's model must be a path or '{OPEN_HAND}', not {model!r}")
 
+    from handfit_core.edit import warm_up
 
-def _how_to_get(name: str, lowest: str) -> str:
-    """Where the add-on's zip brings the packages, nobody is to install them into Blender's own Python."""
-    if name in os.environ.get(LEFT_OUT_VARIABLE, "").split(","):
-        return "the add-on's zip does not have it for this Python: choose a Python of your own"
-    if os.environ.get(BUNDLED_VARIABLE):
-        return f"{_ZIP_AGAIN}, or choose a Python of your own"
-    return f"install {name}>={lowest} into this Python, or choose another one"
+    started = time.perf_counter()
+    later = [partial(importlib.import_module, name) for name in _LATER]
+    for step in (*later, blank_picture_hands, synthetic_fit_error_mm, partial(warm_up, model)):
+        if should_stop():
+            raise Cancelled("loading was stopped")
+        step()
+    return {"seconds": round(time.perf_counter() - started, 3)}
 
 
-def _again(remedy: str) -> str:
-    """What to do about a part that is there and does not work."""
-    return _ZIP_AGAIN if os.environ.get(BUNDLED_VARIABLE) else remedy
+def blank_picture_hands() -> int:
+    """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
+    from handfit_core.detect.finder import open_finder
+    from handfit_core.options import CaptureOptions
+
+    with open_finder(CaptureOptions(plain_detection=True)) as finder:
+        return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
+
+
+def synthetic_fit_error_mm(side: Side = "right") -> float:
+    """Mean distance in mm of the 21 keypoints that the fast solver finds, from those of the relaxed open hand
+    that was projected for it, laid over each other."""
+    from handfit_core.edit import landmark_points
+    from handfit_core.fit.fast import fit_frames
+
+    model = load_model(None, side)
+    orient, transl = np.array([[-np.pi / 2, 0.0, 0.0]]), np.array([[0.0, 0.0, _DISTANCE]])
+    pose = model.hands_mean[None]
+    seen = landmark_points(model, np.zeros(NUM_BETAS), orient, pose, transl)[0]
+    per_pixel = seen[:, 2].mean() / _CAMERA.fx
+    depth = (seen[:, 2] - seen[WRIST_KEYPOINT, 2]) / per_pixel
+    detection = HandDetection(
+        side, 0.9, np.column_stack([_CAMERA.project(seen), depth]), seen - seen.mean(axis=0)
+    )
+    fits = fit_frames(model, [detection], _CAMERA)
+    found = model.keypoints(fits.betas[0], fits.global_orient, fits.hand_pose, fits.transl)[0]
+    true = model.keypoints(None, orient, pose, transl)[0]
+    laid = align(found, true, with_scale=True).apply(found)
+    return float(np.linalg.norm(laid - true, axis=1).mean() * 1e3)
+
+
+def _package(name: str) -> str:
+    """The version of a package. Raises HandfitError, which also says where to get one that is missing."""
+    module_name, lowest = PACKAGES[name]
+    wanted = f"{name}>={'.'.join(map(str, lowest))}"
+    remedy = f"{_ZIP_AGAIN}; a Python of your own needs {wanted}"
+    try:
+        version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
+    except ModuleNotFoundError as error:
+        if name in OPTIONAL and error.name == module_name:
+            return "not installed, which the paper's experiments alone would need"
+        what = "not installed" if error.name == module_name else f"it lacks {error.name}"
+        raise HandfitError(f"{what}; {remedy}") from error
+    except (ImportError, OSError) as error:
+        raise HandfitError(f"it does not load ({error}); {remedy}") from error
+    if _numbers(version) < lowest:
+        raise HandfitError(f"{version} is too old; {remedy}")
+    return version
 
 
 def _numbers(version: str) -> tuple[int, ...]:
@@ -125,37 +171,29 @@ def _landmark_model() -> str:
     from handfit_core.detect.landmark_model import landmark_model_path
 
     path = landmark_model_path()
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    known = "as assembled" if digest == ASSEMBLED_MODEL_SHA256 else "not the one that fetching assembles"
-    return f"{path.name} in {_short(path.parent)}, sha256 {digest[:12]} ({known})"
+    return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 
-def _open_hand(side: str) -> Callable[[], str]:
-    def load() -> str:
-        from handfit_core.hand_model import load_model
-
-        return f"digest {load_model(None, 'left' if side == 'left' else 'right').digest}"
-
-    return load
+def _open_hand(side: Side) -> str:
+    return f"digest {load_model(None, side).digest}"
 
 
 def _detector() -> str:
-    from handfit_core.worker.trial import blank_picture_hands
-
     count = blank_picture_hands()
     if count:
-        raise _Remedy(f"it saw {count} hands in a blank picture; {_again('fetch the landmark model again')}")
+        raise HandfitError(
+            f"it saw {count} hands in a blank picture; {_ZIP_AGAIN}, or fetch the landmark model again"
+        )
     return "no hand in a blank picture"
 
 
 def _solver() -> str:
-    from handfit_core.worker.trial import synthetic_fit_error_mm
-
     worst = max(synthetic_fit_error_mm(side) for side in SIDES)
     # Written so that NaN fails.
     if not worst < WORST_FIT_MM:
-        again = _again("install torch and handfit-core again")
-        raise _Remedy(f"a hand came out {worst:.1f} mm off; {again}")
+        raise HandfitError(
+            f"a hand came out {worst:.1f} mm off; {_ZIP_AGAIN}, or NumPy and SciPy into a Python of your own"
+        )
     return f"{worst:.1f} mm off a known hand"
 
 
@@ -166,10 +204,6 @@ def _refitting() -> str:
     started = time.perf_counter()
     warm_up()
     return f"{(time.perf_counter() - started) / len(SIDES) * 1e3:.0f} ms a frame"
-
-
-class _Remedy(HandfitError):
-    """A reason and what to do."""
 
 
 def _reason(error: Exception) -> str:

@@ -7,7 +7,6 @@ thread, one request at a time. Nothing heavy loads before a request needs it.
 from __future__ import annotations
 
 import faulthandler
-import logging
 import os
 import platform
 import queue
@@ -21,8 +20,9 @@ from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Final
 
 from handfit_core.doors.values import shortly
-from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.version import __version__
+from handfit_core.worker.answering import answer
 from handfit_core.worker.protocol import (
     JOBS,
     LONGEST_REQUEST,
@@ -32,22 +32,13 @@ from handfit_core.worker.protocol import (
     decode,
     encode,
 )
+from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, warnings_told
 
 PROGRESS_EVERY: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
 
 GRACE: Final = 1.0
 """seconds that the work gets, once nobody listens any more, to take its temporary files away"""
-
-THREAD_VARIABLES: Final = (
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-)
-"""What torch, SciPy and OpenCV look at when they load"""
-
-OnProgress = Callable[[str, int, int], None]
 
 
 class _Ended(BaseException):
@@ -80,9 +71,6 @@ class Server:
     def run(self, *, leave: Callable[[], None] | None = None) -> None:
         """Say `ready`, then work until the client is done. `leave` is called from another thread when the
         work does not stop `GRACE` seconds after that."""
-        handler = _WarningEvents(self)
-        log = logging.getLogger("handfit")
-        log.addHandler(handler)
         try:
             self._send(
                 event="ready",
@@ -92,19 +80,19 @@ class Server:
                 python=platform.python_version(),
             )
             threading.Thread(target=self._read, args=(leave,), daemon=True).start()
-            while (job := self._waiting.get()) is not None:
-                self._do(job)
+            with warnings_told(self.warn):
+                while (job := self._waiting.get()) is not None:
+                    self._do(job)
         except _Ended:
             pass
         finally:
             self._finished.set()
-            log.removeHandler(handler)
 
     def warn(self, message: str) -> None:
         """Tell the client of something that the current request ran into."""
         job = self._current
         if job is not None:
-            self._send(event="warning", id=job.number, message=_one_line(message))
+            self._send(event="warning", id=job.number, message=message)
 
     # The reading thread
 
@@ -165,7 +153,7 @@ class Server:
             return
         job.cancelled.set()
         if job is not self._current:
-            self._close(job, "error", **_as_error(Cancelled("cancelled before it was begun"), ""))
+            self._close(job, "error", **error_fields(Cancelled("cancelled before it was begun")))
 
     # The main thread
 
@@ -177,11 +165,11 @@ class Server:
                 raise _Ended
             if job.cancelled.is_set():
                 raise Cancelled("cancelled before it was begun")
-            answer = self._answer(job)
+            done = self._answer(job)
         except Exception as error:
-            self._close(job, "error", **_as_error(error, traceback.format_exc()))
+            self._close(job, "error", **error_fields(error))
         else:
-            self._close(job, "done", **answer)
+            self._close(job, "done", **done)
         finally:
             self._current = None
 
@@ -193,25 +181,7 @@ class Server:
                 raise _Ended
             return job.cancelled.is_set()
 
-        if job.kind == "capture":
-            from handfit_core.worker.capturing import answer
-
-            return answer(job.message, should_stop, self._progress_of(job))
-        if job.kind == "refit":
-            from handfit_core import edit
-
-            return edit.answer(job.message, should_stop)
-        if job.kind == "probe":
-            from handfit_core.worker.probing import answer as probe
-
-            return probe(job.message)
-        if job.kind == "warm":
-            from handfit_core.worker.warming import answer as warm
-
-            return warm(job.message, should_stop)
-        from handfit_core.worker.checking import answer as check
-
-        return check(should_stop)
+        return answer(job.message, should_stop, self._progress_of(job))
 
     def _progress_of(self, job: _Job) -> OnProgress:
         last_stage, last_time = "", 0.0
@@ -240,7 +210,7 @@ class Server:
         try:
             self._send(event=event, id=job.number, **fields)
         except ProtocolError as error:  # a defect of ours; the client must still get an answer
-            fields = _as_error(error, traceback.format_exc())
+            fields = error_fields(error)
             self._send(event="error", id=job.number, **fields)
 
     def _send(self, **event: Any) -> None:
@@ -252,37 +222,6 @@ class Server:
         except (OSError, ValueError):  # closed by the other side
             self._ending.set()
             raise _Ended from None
-
-
-class _WarningEvents(logging.Handler):
-    """The core's warnings become events of the request that is worked on."""
-
-    def __init__(self, server: Server) -> None:
-        super().__init__(logging.WARNING)
-        self._server = server
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._server.warn(record.getMessage())
-
-
-def _as_error(error: Exception, details: str) -> dict[str, str]:
-    """The fields of an error's event; `message` is one sentence."""
-    message, kind = str(error), type(error).__name__
-    if isinstance(error, ImportError):
-        message = (
-            f"the Python {sys.executable} lacks what capturing needs ({error}); install handfit-core's "
-            "requirements into it, or choose another Python"
-        )
-    elif isinstance(error, MemoryError):
-        message = "memory ran out; capture fewer frames at a time, or smaller pictures"
-        kind = MemoryError.__name__  # NumPy has one of its own
-    elif not isinstance(error, HandfitError):
-        message = f"unexpected error: {type(error).__name__}: {error}; the details say where"
-    return {"type": kind, "message": _one_line(message), "details": details}
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def serve(threads: int | None = None) -> None:

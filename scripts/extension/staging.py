@@ -1,52 +1,135 @@
-"""The folder that Blender's tool makes the zip of."""
+"""The folder that Blender's own extension tool makes the zip of, that tool, and the zip in a fixed form."""
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import re
 import shutil
+import subprocess
+import sys
 import tomllib
+import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
-from scripts.extension import inventory, licences, sbom
-from scripts.extension.contents import Contents
-from scripts.extension.errors import BuildError
+from scripts.extension.papers import sbom, third_party_licences
+from scripts.extension.wheels import PYTHONS, BuildError, Wheel
 
 ROOT = Path(__file__).resolve().parents[2]
-ADDON = ROOT / "blender_manient"
-MANIFEST = ROOT / "blender_manifest.toml"
-LICENCE = ROOT / "LICENSE"
-WHEELS = "wheels"
+MANIFEST = "blender_manifest.toml"
+SAME_TIME = (2020, 1, 1, 0, 0, 0)
 
 
-def stage(folder: Path, contents: Contents) -> None:
+def stage(folder: Path, platform: str, wheels: Sequence[Wheel]) -> None:
     """Fill the empty `folder`. Raises BuildError where the manifest is not as it is expected to be."""
-    for file in sorted(ADDON.rglob("*.py")):
-        copy = folder / file.relative_to(ADDON)
+    addon = ROOT / "blender_manient"
+    for file in sorted(addon.rglob("*.py")):
+        copy = folder / file.relative_to(addon)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, copy)
-    shutil.copyfile(LICENCE, folder / LICENCE.name)
-    for name, text in (
-        (inventory.FILE_NAME, inventory.inventory(contents)),
-        (licences.FILE_NAME, licences.third_party_licences(contents)),
-        (sbom.FILE_NAME, sbom.sbom(contents)),
+    shutil.copyfile(ROOT / "LICENSE", folder / "LICENSE")
+    (folder / "wheels").mkdir()
+    for wheel in wheels:
+        shutil.copyfile(wheel.path, folder / "wheels" / wheel.path.name)
+    text = (ROOT / MANIFEST).read_text(encoding="utf-8")
+    manifest = tomllib.loads(text)
+    for name, content in (
+        (MANIFEST, staged_manifest(text, platform, wheels)),
+        ("wheels.json", inventory(manifest["version"], platform, wheels)),
+        ("THIRD_PARTY_LICENSES", third_party_licences(wheels)),
+        ("sbom.cdx.json", sbom(manifest["id"], manifest["version"], platform, wheels)),
     ):
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    (folder / WHEELS).mkdir()
-    for wheel, _ in contents.wheels:
-        shutil.copyfile(wheel.path, folder / WHEELS / wheel.path.name)
-    text = staged_manifest(MANIFEST.read_text(encoding="utf-8"), contents)
-    (folder / MANIFEST.name).write_text(text, encoding="utf-8", newline="\n")
+        (folder / name).write_text(content, encoding="utf-8", newline="\n")
 
 
-def staged_manifest(text: str, contents: Contents) -> str:
+def staged_manifest(text: str, platform: str, wheels: Sequence[Wheel]) -> str:
     """The manifest with one platform and the wheels. Raises BuildError."""
-    platforms = f'platforms = ["{contents.platform.name}"]'
-    text, found = re.subn(r"^platforms = \[[^\]]*\]$", platforms, text, flags=re.MULTILINE)
+    text, found = re.subn(
+        r"^platforms = \[[^\]]*\]$", f'platforms = ["{platform}"]', text, flags=re.MULTILINE
+    )
     before, table, after = text.partition("\n[")
     if found != 1 or not table:
         raise BuildError(f"{MANIFEST}: expected one line `platforms = [...]` before the first table")
     # A key of the top level must stand before the first table.
-    wheels = "".join(f'  "./{WHEELS}/{wheel.path.name}",\n' for wheel, _ in contents.wheels)
-    result = f"{before.rstrip()}\nwheels = [\n{wheels}]\n{table}{after}"
-    tomllib.loads(result)
-    return result
+    listed = "".join(f'  "./wheels/{wheel.path.name}",\n' for wheel in wheels)
+    return f"{before.rstrip()}\nwheels = [\n{listed}]\n{table}{after}"
+
+
+def inventory(version: str, platform: str, wheels: Sequence[Wheel]) -> str:
+    """wheels.json: what the zip carries, by which the installed add-on sees whether all of it is there.
+
+    Sizes in bytes; "pythons" of a wheel are those of the zip that can use it.
+    """
+    listed = [
+        {
+            "file": wheel.path.name,
+            "name": wheel.name,
+            "version": wheel.version,
+            "sha256": wheel.sha256,
+            "size": wheel.size,
+            "pythons": list(wheel.pythons),
+        }
+        for wheel in wheels
+    ]
+    content = {
+        "schema": 1,
+        "version": version,
+        "platform": platform,
+        "pythons": PYTHONS,
+        "torch": "cpu" if any(wheel.name == "torch" for wheel in wheels) else "none",
+        "wheels": listed,
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def fix(path: Path) -> None:
+    """Rewrite a zip: entries sorted by name, of one time and mode, not compressed.
+
+    Blender's tool writes files as the file system orders them, with their times. Other builds of zlib
+    compress to other bytes, and the wheels, nearly all of the zip, are compressed already.
+    """
+    beside = path.with_name(f".{path.name}")
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(beside, "w") as target:
+        for entry in sorted(source.infolist(), key=lambda entry: entry.filename):
+            info = zipfile.ZipInfo(entry.filename, SAME_TIME)
+            info.file_size = entry.file_size
+            info.create_system = 3  # Unix, whose modes these are, on whatever system this runs
+            info.external_attr = 0o644 << 16
+            with source.open(entry) as content, target.open(info, "w") as copy:
+                shutil.copyfileobj(content, copy, 1 << 20)
+    beside.replace(path)
+
+
+def extension_tool(blender: str | None = None) -> list[str]:
+    """How to call Blender's extension tool: that of the executable, else of this Python's bpy wheel.
+
+    Raises BuildError.
+    """
+    if blender:
+        if executable := shutil.which(blender):
+            return [executable, "--command", "extension"]
+        raise BuildError(f"{blender}: there is no such Blender; give its executable with --blender")
+    spec = importlib.util.find_spec("bpy")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        if scripts := sorted(Path(folder).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")):
+            return [sys.executable, "-I", str(scripts[-1])]
+    raise BuildError(
+        f"{sys.executable}: this Python has no bpy wheel, whose extension tool makes the zip; "
+        "run `nox -s build`, or name a Blender with --blender"
+    )
+
+
+def run_tool(tool: Sequence[str], *arguments: str) -> None:
+    """`build` or `validate`. Raises BuildError with what the tool says against it."""
+    try:
+        done = subprocess.run(
+            [*tool, *arguments], capture_output=True, text=True, errors="replace", check=False
+        )
+    except OSError as error:
+        raise BuildError(
+            f"{tool[0]}: this cannot be run ({error.strerror}); give a Blender with --blender"
+        ) from error
+    if done.returncode:
+        said = (done.stdout + done.stderr).strip() or f"it ended with {done.returncode} and said nothing"
+        raise BuildError(f"Blender's extension tool refused ({' '.join([*tool, *arguments])}):\n{said}")

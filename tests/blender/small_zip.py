@@ -28,8 +28,6 @@ def small_zip(
     damage: dict[str, Callable[[bytes], bytes | None]] | None = None,
     platform: str = PLATFORM,
     pythons: tuple[str, ...] = (PYTHON,),
-    missing: tuple[dict[str, str], ...] = (),
-    torch: str = "2.13.0+cpu",
     mark: str = "",
 ) -> Path:
     """Write it; the wheels say that they are for `platform` and `pythons`.
@@ -43,15 +41,12 @@ def small_zip(
     wheels = [(_core_wheel(version, last_line), "handfit-core", version, pythons)]
     wheels.append((_wheel("mediapipe", "0.10.31", f"py3-none-{system}"), "mediapipe", "0.10.31", pythons))
     for python, tag in tags.items():
-        wheels.append((_wheel("torch", torch, f"{tag}-{tag}-{system}"), "torch", torch, (python,)))
-    left_out = {(part["name"], part["python"]) for part in missing}
-    wheels = [wheel for wheel in wheels if not all((wheel[1], python) in left_out for python in wheel[3])]
+        wheels.append((_wheel("scipy", "1.11.4", f"{tag}-{tag}-{system}"), "scipy", "1.11.4", (python,)))
     listed = [
         {
             "file": name,
             "name": package,
             "version": number,
-            "sha256": hashlib.sha256(content).hexdigest(),
             "size": len(content),
             "pythons": list(fits),
         }
@@ -62,9 +57,8 @@ def small_zip(
         "version": version,
         "platform": platform,
         "pythons": list(pythons),
-        "torch": "cpu",
+        "torch": "none",
         "wheels": listed,
-        "missing": list(missing),
     }
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("blender_manifest.toml", _manifest(version, platform, [e["file"] for e in listed]))

@@ -13,10 +13,9 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 import blender_manient  # noqa: E402
-from blender_manient import jobs  # noqa: E402
+from blender_manient import jobs, shared_worker  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
-from blender_manient.worker import shared  # noqa: E402
 from handfit_core.errors import HandfitError  # noqa: E402
 from tests.capturing import needs_capture  # noqa: E402
 
@@ -227,7 +226,7 @@ def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
     job = new_job(bpy.context, only_frame=False)
     jobs.submit(job)
     _tick_until(lambda: job.done >= 2)
-    pid = shared.worker().pid
+    pid = shared_worker.worker().pid
     assert pid
     os.kill(pid, 9)
     _tick_until(lambda: job.finished)
@@ -295,7 +294,7 @@ def test_what_is_missing_is_said_before_anything_starts(settings, values, said):
         setattr(settings, name, value)
     with pytest.raises(HandfitError, match=said):
         new_job(bpy.context, only_frame=False)
-    assert shared.current() is None or not shared.current().alive
+    assert shared_worker.current() is None or not shared_worker.current().alive
 
 
 def test_settings_become_the_options_of_the_worker(settings):

@@ -16,6 +16,7 @@ import blender_manient
 from blender_manient import command, preferences
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.take import Take
+from handfit_core.version import __version__
 from tests.capturing import needs_capture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,7 +43,8 @@ def interrupting(tmp_path) -> Path:
     path.write_text(
         f"#!{sys.executable}\n"
         "import json, os, signal, sys, time\n"
-        "ready = {'event': 'ready', 'protocol': 1, 'version': '0', 'pid': 1, 'python': '3'}\n"
+        f"version, python = {__version__!r}, '3'\n"
+        "ready = {'event': 'ready', 'protocol': 1, 'version': version, 'pid': 1, 'python': python}\n"
         "print(json.dumps(ready), flush=True)\n"
         "sys.stdin.readline()\n"
         "os.kill(os.getppid(), signal.SIGINT)\n"

@@ -66,7 +66,7 @@ def test_what_was_set_without_an_entry_ends_with_the_addon():
 def test_the_entry_is_found_by_the_name_of_the_addon(entry):
     entry.preferences.python = "/my/python"
     assert preferences.get(bpy.context).python == "/my/python"
-    assert preferences.ManientPreferences.bl_idname == "blender_manient"
+    assert type(entry.preferences).bl_idname == "blender_manient"
 
 
 def test_the_default_quality_is_for_scenes_without_one(entry):
@@ -172,11 +172,11 @@ def test_clear_keeps_pictures_that_the_file_shows(registered, picture):
 
 
 def test_no_clearing_while_the_worker_writes(registered):
-    from blender_manient.worker import shared
+    from blender_manient import shared_worker
 
-    shared.worker().request("check")
+    shared_worker.worker().submit("check")
     assert not bpy.ops.manient.clear_cache.poll()
-    shared.stop()
+    shared_worker.stop()
     assert bpy.ops.manient.clear_cache.poll()
 
 

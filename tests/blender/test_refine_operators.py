@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import preferences
+from blender_manient import preferences, shared_worker
 from blender_manient.keypoint_mode.mode import KeypointMode
 from blender_manient.operators import edit_keypoints
 from blender_manient.operators.refit_range import replaced
@@ -26,11 +26,11 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
-from blender_manient.worker import shared
-from blender_manient.worker.client import Worker
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
+from handfit_core.version import __version__
+from handfit_core.worker.client import Worker
 from handfit_core.worker.protocol import PROTOCOL
 from tests.capturing import needs_capture
 
@@ -52,7 +52,7 @@ def take_file(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("captured") / "hand.take.npz"
     pictures = sorted(str(p) for p in (ROOT / "samples" / "rendered_hand").glob("*.jpg"))
     with Worker() as worker:
-        worker.wait(worker.request("capture", input=pictures, output=str(path)), timeout=300)
+        worker.wait(worker.submit("capture", input=pictures, output=str(path)), timeout=300)
     return path
 
 
@@ -295,7 +295,9 @@ def test_a_frame_that_was_not_captured(armature):
 def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, tmp_path):
     before = all_keys(armature)
     peer = tmp_path / "peer"
-    hello = json.dumps({"event": "ready", "protocol": PROTOCOL, "version": "0", "pid": 1, "python": "3"})
+    hello = json.dumps(
+        {"event": "ready", "protocol": PROTOCOL, "version": __version__, "pid": 1, "python": "3"}
+    )
     peer.write_text(
         f"#!{sys.executable}\nimport sys\nprint({hello!r}, flush=True)\nsys.stdin.readline()\nsys.exit(3)\n"
     )
@@ -312,9 +314,9 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, tmp
     assert armature.manient.corrections == ""
     drag(armature)
     # One that dies between two moves is not even noticed.
-    os.kill(shared.worker().pid, signal.SIGKILL)
+    os.kill(shared_worker.worker().pid, signal.SIGKILL)
     deadline = time.monotonic() + 5.0
-    while shared.worker().alive and time.monotonic() < deadline:
+    while shared_worker.worker().alive and time.monotonic() < deadline:
         time.sleep(0.01)
     drag(armature)
 
@@ -378,7 +380,7 @@ def test_pins_are_those_of_the_pose_that_is_kept(armature):
     drag.place = fitted + [300.0, 300.0]
     mode.release()
     mode._send(drag)
-    worker = shared.worker()
+    worker = shared_worker.worker()
     worker.wait(drag.request, timeout=120)
     drag.request = 0
     nothing = np.full((1, 16, 4), np.nan), np.full((1, 3), np.nan), np.full((1, 21, 2), np.nan)

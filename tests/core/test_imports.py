@@ -3,42 +3,146 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+BLENDER = ("bpy", "bmesh", "mathutils", "bpy_extras", "gpu")
 HEAVY = ("torch", "scipy", "cv2", "mediapipe")
 THREADED = ("threading", "_thread", "concurrent", "asyncio", "multiprocessing")
 
 
-def imported_modules(path: Path) -> set[str]:
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {
+    module_name(p): p for top in ("blender_manient", "handfit_core") for p in (ROOT / top).rglob("*.py")
+}
+
+
+def imported_modules(path: Path, *, everywhere: bool = True) -> set[str]:
+    """Whole names of what a file imports, each module's own name where it is one of ours. `everywhere`: also
+    inside functions, else only what is loaded with the file."""
+    name, found = module_name(path), set()
+    waiting: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            found.add(node.module)
+        elif isinstance(node, ast.ImportFrom):
+            package = name.split(".") if path.stem == "__init__" else name.split(".")[:-1]
+            base = package[: len(package) - node.level + 1] if node.level else []
+            whole = ".".join([*base, *([node.module] if node.module else [])])
+            found.update(f"{whole}.{a.name}" if f"{whole}.{a.name}" in MODULES else whole for a in node.names)
+        if everywhere or (not isinstance(node, ast.FunctionDef | ast.Lambda) and not is_for_types(node)):
+            waiting += ast.iter_child_nodes(node)
+    return found
+
+
+def is_for_types(node: ast.AST) -> bool:
+    """Whether it is an `if TYPE_CHECKING`, which is never run."""
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def local_imports(name: str, *, everywhere: bool) -> set[str]:
+    """The modules of ours that one of ours imports."""
+    return {m for m in imported_modules(MODULES[name], everywhere=everywhere) if m in MODULES} - {name}
+
+
+def loaded_with(names: Iterable[str]) -> set[str]:
+    """Modules of ours that are loaded together with these, themselves and their packages included."""
+    loaded, waiting = set(), list(names)
+    while waiting:
+        name = waiting.pop()
+        if name and name not in loaded:
+            loaded.add(name)
+            waiting += [name.rpartition(".")[0], *local_imports(name, everywhere=False)]
+    return loaded
+
+
+def imports_blender(name: str) -> bool:
+    """Whether a module names Blender's modules, outside of functions."""
+    return any(m.split(".")[0] in BLENDER for m in imported_modules(MODULES[name], everywhere=False))
+
+
+def components(graph: Mapping[str, set[str]]) -> list[set[str]]:
+    """The strongly connected components: modules that reach each other, after Tarjan."""
+    order: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    path: list[str] = []
+    found: list[set[str]] = []
+
+    def visit(node: str) -> None:
+        order[node] = lowest[node] = len(order)
+        path.append(node)
+        for other in graph[node]:
+            if other not in order:
+                visit(other)
+            if other in path:
+                lowest[node] = min(lowest[node], lowest[other])
+        if lowest[node] == order[node]:
+            start = path.index(node)
+            found.append(set(path[start:]))
+            del path[start:]
+
+    for node in graph:
+        if node not in order:
+            visit(node)
     return found
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "handfit_core").rglob("*.py")), ids=lambda p: p.stem)
 def test_core_knows_nothing_of_blender(path: Path) -> None:
     for module in imported_modules(path):
-        assert module.split(".")[0] not in ("bpy", "bmesh", "mathutils", "bpy_extras", "blender_manient")
+        assert module.split(".")[0] not in (*BLENDER, "blender_manient")
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "blender_manient").rglob("*.py")), ids=lambda p: p.stem)
-def test_addon_imports_nothing_heavy(path: Path) -> None:
-    for module in imported_modules(path):
-        assert module.split(".")[0] not in HEAVY
+def test_no_module_imports_itself_through_others() -> None:
+    """Also not inside functions, where a circle only comes to light when it is called."""
+    graph = {name: local_imports(name, everywhere=True) for name in MODULES}
+    assert [circle for circle in components(graph) if len(circle) > 1] == []
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "blender_manient").rglob("*.py")), ids=lambda p: p.stem)
-def test_addon_has_no_threads(path: Path) -> None:
+def test_a_circle_would_be_found() -> None:
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set(), "e": {"a"}}
+    assert sorted(map(sorted, components(graph))) == [["a"], ["b", "c"], ["d"], ["e"]]
+
+
+def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
     """Blender up to 5.0 can crash when a thread runs Python while an operator runs."""
-    for module in imported_modules(path):
-        assert module.split(".")[0] not in THREADED
+    loaded = loaded_with(name for name in MODULES if name.startswith("blender_manient"))
+    for name in loaded - {"handfit_core.media.read_ahead"}:  # which the worker alone calls
+        of_addon = name.startswith("blender_manient")
+        for module in imported_modules(MODULES[name], everywhere=of_addon):
+            assert module.split(".")[0] not in (*HEAVY, *THREADED), name
+
+
+ASSEMBLIES = ("parts", "batch.order", "batch.run", "exporters", "exporters.take")
+PURE = (
+    "wording",
+    "installation",
+    "batch.arguments",
+    "batch.console",
+    "batch.inputs",
+)
+"""Modules of the add-on that work without Blender"""
+
+
+def test_pure_modules_of_the_addon_need_no_blender() -> None:
+    code = "import sys; sys.modules['bpy'] = sys.modules['mathutils'] = None\n"
+    code += "".join(f"import blender_manient.{name}\n" for name in PURE)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_modules_that_name_no_blender_need_none() -> None:
+    """But those that only put parts together which need it."""
+    pure = [name for name in MODULES if name.startswith("blender_manient.") and not imports_blender(name)]
+    behind = {name for name in pure if any(map(imports_blender, loaded_with([name])))}
+    assert behind <= {f"blender_manient.{name}" for name in ASSEMBLIES}
 
 
 ARROWS = {

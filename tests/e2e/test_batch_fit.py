@@ -20,6 +20,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
 from handfit_core.take import HandTrack, Take
+from handfit_core.version import __version__
 from tests.capturing import can_capture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -279,7 +280,7 @@ def peer(tmp_path, take_file):
         "import json, os, shutil, sys, time\n"
         "def say(**event): print(json.dumps(event), flush=True)\n"
         "open('pids', 'a').write(f'{os.getpid()}\\n')\n"
-        "say(event='ready', protocol=1, version='0', pid=os.getpid(), python='3')\n"
+        f"say(event='ready', protocol=1, version={__version__!r}, pid=os.getpid(), python='3')\n"
         "for line in sys.stdin:\n"
         "    request = json.loads(line)\n"
         "    name = request['input'][0]\n"

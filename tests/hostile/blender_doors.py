@@ -18,16 +18,16 @@ from typing import Any
 import bpy
 
 import blender_manient
-from blender_manient import jobs, parts, source_info
+from blender_manient import jobs, parts, shared_worker, source_info
 from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
-from blender_manient.worker import shared
-from blender_manient.worker.client import Worker, WorkerError, as_error
 from handfit_core.edit import result_from_message
 from handfit_core.errors import HandfitError
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
+from handfit_core.worker.client import Worker
+from handfit_core.worker.runner import WorkerError, as_error
 from scripts import batch_fit
 from tests.drawn import drawn
 from tests.hostile.core_doors import check_ending, check_take
@@ -174,7 +174,7 @@ def client(peer: str, kind: str) -> None:
     if kind == "capture":
         _empty()
         os.environ["HANDFIT_PYTHON"] = peer
-        shared.stop()
+        shared_worker.stop()
         try:
             building = jobs.Building(Remembered.of("scenes", bpy.context.scene))
             job = jobs.Job("x", ("x.jpg",), CaptureOptions(), building)
@@ -187,11 +187,11 @@ def client(peer: str, kind: str) -> None:
         finally:
             jobs.abandon()
             jobs.forget_finished()
-            shared.stop()
+            shared_worker.stop()
             del os.environ["HANDFIT_PYTHON"]
         raise HandfitError(job.message or "done")
     with Worker(peer, threads=1) as worker:
-        number = worker.request(kind, input=["x.jpg"])
+        number = worker.submit(kind, input=["x.jpg"])
         try:
             event = worker.wait(number, timeout=PATIENCE)
         except WorkerError as error:

@@ -30,7 +30,7 @@ from handfit_core.media.opening import open_media
 from handfit_core.pipeline import hand_summaries
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
-from handfit_core.worker import probing, protocol
+from handfit_core.worker import answering, protocol
 from handfit_core.worker.server import Server
 from tests.hostile.engine import MOST_BYTES
 
@@ -80,7 +80,7 @@ def model(path: str, side: str) -> None:
 
 def media(path: str | list[str]) -> None:
     """Probe an input as the panel does, and read its first frames."""
-    answer = probing.answer({"input": [path] if isinstance(path, str) else path})
+    answer = answering.probe({"input": [path] if isinstance(path, str) else path})
     protocol.encode(answer)
     assert 0 < answer["fps"] <= 1000
     opened = open_media(path)

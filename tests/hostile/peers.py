@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL, encode, pack
 from tests.hostile.engine import Case, Place
 from tests.hostile.mutations import MUTATIONS, mutated
@@ -151,14 +152,14 @@ PRELUDE = f"""#!{sys.executable} -S
 import json, os, signal, sys, time
 def raw(data): sys.stdout.buffer.write(data); sys.stdout.buffer.flush()
 def say(**event): raw(json.dumps(event).encode() + b"\\n")
-def ready(**more): say(**{{"event": "ready", "protocol": {PROTOCOL}, "version": "0", "pid": os.getpid(), "python": "3", **more}})
+def ready(**more): say(**{{"event": "ready", "protocol": {PROTOCOL}, "version": "{__version__}", "pid": os.getpid(), "python": "3", **more}})
 def request(): return json.loads(sys.stdin.readline())["id"]
 def begin(): ready(); return request()
 def fail(number): say(event="error", id=number, type="InputError", message="x")
 """
 """What a false worker begins with; without it, one of ours would not be believed."""
 
-_READY = f'"event":"ready","protocol":{PROTOCOL},"version":"0"'
+_READY = f'"event":"ready","protocol":{PROTOCOL},"version":"{__version__}"'
 
 WORKERS: dict[str, str] = {
     "endless-line": "ready()\nraw(b'{')\nwhile 1: raw(b'x' * (1 << 20))",

@@ -6,11 +6,9 @@ The tests themselves import neither bpy nor the add-on: all that is tested runs 
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import shutil
 import sys
-import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -34,25 +32,6 @@ def zipped() -> Path:
     if not path:
         pytest.skip("HANDFIT_ZIP does not name the built zip (nox -s build)")
     return Path(path).resolve()
-
-
-@pytest.fixture(scope="session")
-def left_out(zipped) -> str:
-    """Why the zip cannot capture with this Blender's own Python; empty where it can."""
-    with zipfile.ZipFile(zipped) as archive:
-        missing = json.loads(archive.read("wheels.json"))["missing"]
-    return next((part["why"] for part in missing if part["python"] == PYTHON), "")
-
-
-@pytest.fixture(scope="session")
-def capturing(left_out) -> dict[str, str]:
-    """The variables with which captures work: none, except where the zip has no torch for this Python."""
-    if not left_out:
-        return {}
-    python = os.environ.get("HANDFIT_PYTHON")
-    if not python:
-        pytest.skip(f"HANDFIT_PYTHON names no Python to capture with, and {left_out}")
-    return {"HANDFIT_PYTHON": python}
 
 
 @pytest.fixture(scope="module")

@@ -92,9 +92,7 @@ class Commands:
 
 
 @pytest.fixture(scope="module")
-def commands(
-    zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory, capturing_in_chroot: str
-) -> Commands:
+def commands(zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory) -> Commands:
     folder = tmp_path_factory.mktemp("command")
     shutil.copy(samples / "photos" / "thumb_up.jpg", folder / "photo.jpg")
     shutil.copy(samples / "videos" / "asl_hand.mp4", folder / "clip.mp4")
@@ -111,21 +109,11 @@ def commands(
             **os.environ,
             "CHROOT_SEALED": "1",
             "CHROOT_BIND": f"{folder}:{zipped.parent}",
-            "HANDFIT_PYTHON": capturing_in_chroot,
         },
         check=False,
         timeout=TIMEOUT,
     )  # fmt: skip
     return Commands(folder, mark, done.stdout)
-
-
-@pytest.fixture(scope="module")
-def capturing_in_chroot() -> str:
-    """The Python that captures: there is no torch for the chroot's own."""
-    python = os.environ.get("HANDFIT_PYTHON")
-    if not python:
-        pytest.skip("HANDFIT_PYTHON names no Python to capture with")
-    return python
 
 
 def test_it_installs(commands):

@@ -39,15 +39,6 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def python() -> str:
-    """What captures: there is no torch for the Python of this Blender."""
-    named = os.environ.get("HANDFIT_PYTHON")
-    if not named:
-        pytest.skip("HANDFIT_PYTHON names no Python to capture with")
-    return named
-
-
 @dataclass(frozen=True)
 class Said:
     """A command's exit code and output."""
@@ -76,9 +67,9 @@ class Life:
 class InstalledWindow(BlenderWindow):
     """The window of a Blender with a profile of its own, without network and without the repository."""
 
-    def __init__(self, sealed: Sealed, wrapper: list[str], more: dict[str, str], screenshots: Path) -> None:
+    def __init__(self, sealed: Sealed, wrapper: list[str], screenshots: Path) -> None:
         super().__init__(CHROOT or "", sealed.base / "window", screenshots)
-        self._sealed, self._wrapper, self._more = sealed, wrapper, more
+        self._sealed, self._wrapper = sealed, wrapper
         self._harness = sealed.base / "harness" / "tests" / "window"
         for name in HARNESS:
             source, target = ROOT / "tests" / "window" / name, self._harness / name
@@ -86,7 +77,7 @@ class InstalledWindow(BlenderWindow):
             (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
 
     def _command(self) -> list[str]:
-        more = {**self._more, "MANIENT_ADDON": ADDON, "MESA_SHADER_CACHE_DIR": str(shader_cache())}
+        more = {"MANIENT_ADDON": ADDON, "MESA_SHADER_CACHE_DIR": str(shader_cache())}
         settings = [f"{name}={value}" for name, value in self._sealed.environment(more).items()]
         start = self._start_script(self._harness)
         return [*without_network(), *self._wrapper, "env", "-i", *settings, *start]
@@ -96,25 +87,24 @@ class InstalledWindow(BlenderWindow):
 
 
 @pytest.fixture(scope="module")
-def life(new_sealed, zipped: Path, samples: Path, python: str, tmp_path_factory) -> Life:
+def life(new_sealed, zipped: Path, samples: Path, tmp_path_factory) -> Life:
     sealed = new_sealed()
     bind = f"{sealed.base}:{shader_cache()}"
-    entering = [f"CHROOT_BIND={bind}", "CHROOT_SEALED=1", f"HANDFIT_PYTHON={python}"]
+    entering = ["-u", "HANDFIT_PYTHON", f"CHROOT_BIND={bind}", "CHROOT_SEALED=1"]
     chroot = [str(ROOT / "scripts" / "chroot_blender.sh"), str(Path(CHROOT or "").resolve())]
     wrapper = ["env", *entering, *chroot]
-    more = {"HANDFIT_PYTHON": python}
     zip_file = sealed.give(zipped)
     photo = sealed.give(samples / "photos" / "thumb_up.jpg")
 
     def blender(*arguments: str) -> Said:
-        return Said(*sealed.call(["blender", *arguments], wrapper, more=more))
+        return Said(*sealed.call(["blender", *arguments], wrapper))
 
     validated = blender("--command", "extension", "validate", zip_file)
     installed = blender("--command", "extension", "install-file", "-r", "user_default", "--enable", zip_file)
     unpacked = sealed.left()
     kept = os.environ.get("HANDFIT_KEEP_SCREENSHOTS")
     screenshots = ROOT / "out" / "window" if kept else tmp_path_factory.mktemp("screenshots")
-    window = InstalledWindow(sealed, wrapper, more, screenshots)
+    window = InstalledWindow(sealed, wrapper, screenshots)
     try:
         played = window.play("installed.photo_by_the_button", timeout=240, source=photo).value
         window.play("installed.preferences")

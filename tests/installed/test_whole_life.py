@@ -42,11 +42,10 @@ class Life:
 
 
 @pytest.fixture(scope="module")
-def life(new_sealed: Callable[[], Sealed], zipped: Path, capturing: dict[str, str], samples: Path) -> Life:
+def life(new_sealed: Callable[[], Sealed], zipped: Path, samples: Path) -> Life:
     sealed = new_sealed()
     finished = sealed.run(
         "whole_life",
-        more=capturing,
         zip=sealed.give(zipped),
         photo=sealed.give(samples / "photos" / "thumb_up.jpg"),
         video=sealed.give(samples / "videos" / "asl_hand.mp4"),
@@ -55,14 +54,14 @@ def life(new_sealed: Callable[[], Sealed], zipped: Path, capturing: dict[str, st
     return Life(sealed, finished, sealed.left(), sealed.processes())
 
 
-def test_nothing_but_the_zip_is_in_reach(life, capturing):
+def test_nothing_but_the_zip_is_in_reach(life):
     found = life["surroundings"]
     assert found["interfaces"] == ["lo"]
     assert found["outside"] == "OSError"
     assert found["modules"] == []
     names = set(found["variables"])
-    assert {n for n in names if n.startswith(("PYTHON", "HANDFIT_"))} == set(capturing)
-    assert names <= {*life.sealed.environment(capturing), *BPY_VARIABLES}
+    assert {n for n in names if n.startswith(("PYTHON", "HANDFIT_"))} == set()
+    assert names <= {*life.sealed.environment(), *BPY_VARIABLES}
     assert Path(found["folder"]) == life.sealed.base / "work"
     environment = Path(found["executable"]).parents[1]
     paths = [Path(p) for p in found["path"] if not Path(p).is_relative_to(environment)]
@@ -139,31 +138,24 @@ def test_blender_itself_stays_light_and_loads_from_the_profile_alone(life):
     assert [f for f in found["from"] if not Path(f).is_relative_to(profile)] == []
 
 
-def test_the_worker_has_what_blender_unpacked(life, capturing):
+def test_the_worker_has_what_blender_unpacked(life):
     worker = life["worker"]
     unpacked = life.sealed.base / "profile" / "extensions" / ".local"
-    python = capturing.get("HANDFIT_PYTHON", life["surroundings"]["executable"])
+    python = life["surroundings"]["executable"]
     assert worker["command"][0] == python
     assert MARK in worker["variables"]
     libraries = {name: Path(paths[0]) for name, paths in worker["libraries"].items()}
-    assert set(libraries) == {"torch", "scipy", "cv2", "mediapipe", "numpy"}
-    numpy = libraries.pop("numpy")
-    own = Path(python).parents[1]
-    assert numpy.is_relative_to(own)
-    # A Python of the user's own brings its own packages, and must not be given those of another Python.
-    place = own if capturing else unpacked
-    assert [str(p) for p in libraries.values() if not p.is_relative_to(place)] == []
+    assert set(libraries) == {"scipy", "cv2", "mediapipe", "numpy"}
+    assert libraries.pop("numpy").is_relative_to(Path(python).parents[1])
+    assert [str(p) for p in libraries.values() if not p.is_relative_to(unpacked)] == []
 
 
-def test_what_the_worker_compiles_lies_in_a_folder_that_goes_with_the_extension(life, capturing):
+def test_what_the_worker_compiles_lies_in_a_folder_that_goes_with_the_extension(life):
     """And not beside what Blender has unpacked."""
     variables, compiled = life["worker"]["variables"], life["worker"]["compiled"]
-    if capturing:
-        assert "PYTHONPYCACHEPREFIX" not in variables
-    else:
-        folder = life.sealed.base / "profile" / "extensions" / ".user" / "user_default" / "manient"
-        assert Path(variables["PYTHONPYCACHEPREFIX"]).is_relative_to(folder)
-        assert compiled > 100
+    folder = life.sealed.base / "profile" / "extensions" / ".user" / "user_default" / "manient"
+    assert Path(variables["PYTHONPYCACHEPREFIX"]).is_relative_to(folder)
+    assert compiled > 100
 
 
 def test_disabling_leaves_nothing(life):

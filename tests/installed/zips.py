@@ -12,7 +12,7 @@ from typing import Any
 
 MANIFEST = "blender_manifest.toml"
 CONTENTS = "wheels.json"
-BESIDE_TORCH = ("handfit-core", "mediapipe", "typing-extensions")
+SMALL = ("handfit-core", "mediapipe")
 """Small wheels, with which the add-on itself runs; not without NumPy, which Blender has"""
 Files = dict[str, bytes]
 
@@ -25,14 +25,13 @@ def write(files: Files, path: Path) -> Path:
     return path
 
 
-def light(path: Path, keep: tuple[str, ...] = BESIDE_TORCH) -> Files:
+def light(path: Path, keep: tuple[str, ...] = SMALL) -> Files:
     """The files of the built zip as if it had only the wheels `keep`, and needed no more."""
     with zipfile.ZipFile(path) as archive:
         contents = json.loads(archive.read(CONTENTS))
         dropped = {f"wheels/{wheel['file']}" for wheel in contents["wheels"] if wheel["name"] not in keep}
         files = {name: archive.read(name) for name in archive.namelist() if name not in dropped}
     contents["wheels"] = [wheel for wheel in contents["wheels"] if wheel["name"] in keep]
-    contents["missing"] = []
     files[CONTENTS] = json.dumps(contents).encode()
     for name in dropped:
         unlist(files, name)

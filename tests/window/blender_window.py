@@ -19,6 +19,8 @@ HERE = Path(__file__).resolve().parent
 START_TIMEOUT = 120.0
 """seconds until Blender must answer: compiling shaders without a graphics card takes its time"""
 QUIT_TIMEOUT = 30.0
+INSTALLED = "bl_ext.user_default.manient"
+"""The add-on's name where the zip has brought it"""
 SIGNS_OF_DEFECTS = ("Traceback (most recent call last)", "unknown operator", "rna_ui")
 """What Blender prints where the add-on is wrong"""
 
@@ -38,8 +40,10 @@ class Played:
 class BlenderWindow:
     """One Blender with its window; restarted when it has died.
 
-    Its logs and answers are kept in `folder`, which lies in `reachable`; what scenarios are given to read
-    must lie there as well, or in the repository, the samples or $CHROOT_BIND.
+    Its add-on is the repository's; with a `profile`, the one that is installed in that user's folder, and
+    captures with what was installed. Its logs and answers are kept in `folder`, which lies in `reachable`;
+    what scenarios are given to read must lie there as well, or in the repository, the samples or
+    $CHROOT_BIND.
     """
 
     def __init__(
@@ -49,10 +53,12 @@ class BlenderWindow:
         screenshots: Path,
         size: tuple[int, int] = (1600, 1000),
         reachable: Path | None = None,
+        profile: Path | None = None,
     ):
         self._chroot = chroot
         self._base = folder
         self._reachable = reachable or folder
+        self._profile = profile
         self._kept = screenshots
         self._size = size
         self._process: subprocess.Popen[bytes] | None = None
@@ -123,12 +129,11 @@ class BlenderWindow:
     def _environment(self) -> dict[str, str]:
         shaders = shader_cache()
         bind = ":".join(filter(None, [str(self._reachable), str(shaders), os.environ.get("CHROOT_BIND")]))
-        return {
-            **os.environ,
-            "CHROOT_BIND": bind,
-            "MESA_SHADER_CACHE_DIR": str(shaders),
-            "HANDFIT_PYTHON": os.environ.get("HANDFIT_PYTHON", sys.executable),
-        }
+        found = {**os.environ, "CHROOT_BIND": bind, "MESA_SHADER_CACHE_DIR": str(shaders)}
+        if self._profile is None:
+            return {"HANDFIT_PYTHON": sys.executable, **found}
+        found.pop("HANDFIT_PYTHON", None)
+        return {**found, "BLENDER_USER_RESOURCES": str(self._profile), "MANIENT_ADDON": INSTALLED}
 
     def _ask(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> dict[str, Any]:
         assert self._process is not None
@@ -159,6 +164,24 @@ class BlenderWindow:
         self._kept.mkdir(parents=True, exist_ok=True)
         for picture in (self._folder / "screenshots").glob("*.png"):
             shutil.copy(picture, self._kept / picture.name)
+
+
+def installed_profile(chroot: str, zipped: Path, folder: Path) -> Path:
+    """A new user's folder below `folder`, into which Blender's own command line has installed the zip."""
+    profile = folder / "profile"
+    profile.mkdir()
+    blender = [str(ROOT / "scripts" / "chroot_blender.sh"), chroot, "blender", "--command"]
+    subprocess.run(
+        [*blender, "extension", "install-file", "-r", "user_default", "--enable", str(zipped)],
+        check=True,
+        timeout=START_TIMEOUT,
+        env={
+            **os.environ,
+            "BLENDER_USER_RESOURCES": str(profile),
+            "CHROOT_BIND": f"{profile}:{zipped.parent}",
+        },
+    )
+    return profile
 
 
 def shader_cache() -> Path:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.window.blender_window import ROOT, BlenderWindow
+from tests.window.blender_window import ROOT, BlenderWindow, installed_profile
 from tests.window.inputs import RENDERED_HAND, write_clip, write_long_take
 
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
@@ -26,28 +26,37 @@ def screenshots(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def blender(tmp_path_factory, screenshots) -> Iterator[BlenderWindow]:
-    """Blender at an artist's window size; every scenario gets a new file in it."""
-    yield from _window(tmp_path_factory, screenshots, (1600, 1000))
+def profile(tmp_path_factory) -> Path | None:
+    """A user's folder with the zip that HANDFIT_ZIP names; without it, windows have the checkout's add-on."""
+    if not CHROOT:
+        pytest.skip("HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it")
+    zipped = os.environ.get("HANDFIT_ZIP")
+    return installed_profile(CHROOT, Path(zipped), tmp_path_factory.mktemp("user")) if zipped else None
 
 
 @pytest.fixture(scope="session")
-def small_blender(tmp_path_factory, screenshots) -> Iterator[BlenderWindow]:
+def blender(tmp_path_factory, screenshots, profile) -> Iterator[BlenderWindow]:
+    """Blender at an artist's window size; every scenario gets a new file in it."""
+    yield from _window(tmp_path_factory, screenshots, profile, (1600, 1000))
+
+
+@pytest.fixture(scope="session")
+def small_blender(tmp_path_factory, screenshots, profile) -> Iterator[BlenderWindow]:
     """One with a small window, which is drawn more quickly where there is no graphics card."""
-    yield from _window(tmp_path_factory, screenshots, (640, 480))
+    yield from _window(tmp_path_factory, screenshots, profile, (640, 480))
 
 
 @pytest.fixture
-def own_blender(tmp_path_factory, screenshots) -> Iterator[BlenderWindow]:
+def own_blender(tmp_path_factory, screenshots, profile) -> Iterator[BlenderWindow]:
     """A Blender for one test alone."""
-    yield from _window(tmp_path_factory, screenshots, (640, 480))
+    yield from _window(tmp_path_factory, screenshots, profile, (640, 480))
 
 
-def _window(tmp_path_factory, screenshots: Path, size: tuple[int, int]) -> Iterator[BlenderWindow]:
-    if not CHROOT:
-        pytest.skip("HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it")
-    folder = tmp_path_factory.mktemp("blender")
-    window = BlenderWindow(CHROOT, folder, screenshots, size, reachable=tmp_path_factory.getbasetemp())
+def _window(
+    tmp_path_factory, screenshots: Path, profile: Path | None, size: tuple[int, int]
+) -> Iterator[BlenderWindow]:
+    folder, reachable = tmp_path_factory.mktemp("blender"), tmp_path_factory.getbasetemp()
+    window = BlenderWindow(str(CHROOT), folder, screenshots, size, reachable, profile)
     yield window
     window.stop()
 
@@ -56,9 +65,9 @@ def _window(tmp_path_factory, screenshots: Path, size: tuple[int, int]) -> Itera
 def rendered_hand() -> Path:
     """The bundled image sequence, for tests that capture."""
     python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    code = "import torch, cv2, mediapipe, scipy"
+    code = "import cv2, mediapipe, scipy"
     if subprocess.run([python, "-c", code], capture_output=True, check=False).returncode != 0:
-        pytest.skip("needs a Python with torch, OpenCV and MediaPipe in HANDFIT_PYTHON")
+        pytest.skip("needs a Python with SciPy, OpenCV and MediaPipe in HANDFIT_PYTHON")
     return RENDERED_HAND
 
 

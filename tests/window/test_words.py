@@ -31,12 +31,6 @@ def test_long_names_and_failures_that_are_over(blender, photo, tmp_path):
     assert any(text.startswith("interview") and text.endswith("right hand") for text in played["shown"])
 
 
-def test_a_missing_python_is_said_in_one_line_beside_the_field(blender):
-    shown = blender.play("words.missing_python").value
-    said = [text for text in shown if "python" in text.lower()]
-    assert said == ["Choose a Python that captures", "ManientPreferences.python[0]"]
-
-
 def test_shapes_have_names(blender, photo):
     shown = blender.play("words.shapes", source=photo, timeout=240).value
     names = [text.partition(": ")[0] for text in shown]  # a value follows

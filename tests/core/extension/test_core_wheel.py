@@ -1,11 +1,19 @@
+"""What may go into handfit_core's wheel, and what a zip of it is made of."""
+
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
 
 import pytest
 
-from scripts.extension.core_wheel import BESIDE, ROOT, core_wheel, data_files, source_files
-from scripts.extension.errors import BuildError
+from scripts.extension.core_wheel import BESIDE, core_wheel, source_files
+from scripts.extension.staging import ROOT, extension_tool, fix, run_tool
+from scripts.extension.wheels import BuildError
 
 
 @pytest.fixture
@@ -23,7 +31,6 @@ def checkout(tmp_path):
     [
         "hand_model/data/MANO_RIGHT.pkl",
         "hand_model/data/MANO-RIGHT.npz",
-        "hand_model/data/right.npz",
         "detect/data/notes.txt",
         "detect/data/second.task",
         "hand_model/chain.py.orig",
@@ -36,16 +43,57 @@ def test_what_is_not_the_cores_does_not_go_into_the_zip(checkout, tmp_path, name
     assert not list(tmp_path.glob("*.whl"))
 
 
-def test_what_python_and_the_desktop_leave_behind_is_passed_over(checkout):
+def test_what_python_and_the_desktop_leave_behind_is_passed_over_and_evaluation_stays(checkout):
     before = source_files(checkout)
     (checkout / "handfit_core" / ".DS_Store").touch()
     (checkout / "handfit_core" / "__pycache__").mkdir(exist_ok=True)
     (checkout / "handfit_core" / "__pycache__" / "x.cpython-311.pyc").touch()
     assert source_files(checkout) == before
-    assert "handfit_core/hand_model/chain.py" in before
+    assert {"handfit_core/take.py", "handfit_core/py.typed"} <= set(before)
     assert "handfit_core/hand_model/data/open_hand_right.npz" in before
+    assert not [name for name in before if "/evaluate/" in name]
 
 
-def test_every_listed_file_is_there_but_for_the_landmark_model(checkout):
-    absent = {name for name in data_files(checkout) if not (checkout / name).is_file()}
-    assert absent == {"handfit_core/detect/data/hand_landmarker.task"}
+def test_order_times_and_modes_do_not_matter(tmp_path):
+    content = {"b.py": b"b" * 1000, "a.py": b"a", "wheels/x.whl": b"wheel" * 1000}
+    fixed = []
+    for number, names in enumerate((["b.py", "a.py", "wheels/x.whl"], ["wheels/x.whl", "a.py", "b.py"])):
+        folder = tmp_path / str(number)
+        (folder / "wheels").mkdir(parents=True)
+        with zipfile.ZipFile(folder / "made.zip", "w") as archive:
+            for name in names:
+                (folder / name).write_bytes(content[name])
+                (folder / name).chmod(0o600 if number else 0o755)
+                os.utime(folder / name, (1e9 + 1e6 * number,) * 2)
+                kind = zipfile.ZIP_STORED if name.endswith(".whl") else zipfile.ZIP_DEFLATED
+                archive.write(folder / name, name, kind)
+        fix(folder / "made.zip")
+        fixed.append(folder / "made.zip")
+    assert fixed[0].read_bytes() == fixed[1].read_bytes()
+    with zipfile.ZipFile(fixed[0]) as archive:
+        assert {name: archive.read(name) for name in archive.namelist()} == content
+        # Compressed bytes would depend on the zlib of the Python at work.
+        assert {entry.compress_type for entry in archive.infolist()} == {zipfile.ZIP_STORED}
+
+
+@pytest.mark.skipif(shutil.which("false") is None, reason="there is no program `false` here")
+def test_a_program_that_is_no_blender_is_one_sentence(tmp_path):
+    with pytest.raises(BuildError, match=r"refused .*--command extension build\):\nit ended with 1 and said"):
+        run_tool(extension_tool("false"), "build")
+    nothing = tmp_path / "blender.exe"
+    nothing.write_bytes(b"not a program")
+    nothing.chmod(0o755)
+    with pytest.raises(BuildError, match=r"blender\.exe: this cannot be run .*--blender"):
+        run_tool(extension_tool(str(nothing)), "build")
+    with pytest.raises(BuildError, match="there is no such Blender"):
+        extension_tool(str(tmp_path / "gone"))
+
+
+@pytest.mark.parametrize("script", ["build_extension", "lock_wheels", "fetch_landmark_model"])
+def test_a_python_without_packages_is_one_sentence(script):
+    """As the system's own is: -S leaves out what is installed."""
+    path = Path(ROOT) / "scripts" / f"{script}.py"
+    done = subprocess.run([sys.executable, "-S", str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {sys.executable} has no numpy; run `")
+    assert done.stderr.count("\n") == 1

@@ -294,8 +294,9 @@ def test_a_package_that_is_missing_is_a_line_and_an_error(tmp_path: Path) -> Non
         assert done["event"] == "done"
         assert not done["ok"]
         failed = [line for line in done["report"].splitlines() if "FAILED" in line]
-        assert [line.split(":")[0] for line in failed[:2]] == ["torch", "mediapipe"]
-        assert "install torch>=2.2 into this Python" in failed[0]
+        assert failed[0].startswith("mediapipe")
+        assert "a Python of your own needs mediapipe>=" in failed[0]
+        assert "torch: not installed, which the paper's experiments alone would need: ok" in done["report"]
         assert any(line.startswith("self-test of the detector: FAILED") for line in failed)
     finally:
         worker.end()
@@ -306,14 +307,13 @@ def test_prints_of_libraries_do_not_damage_the_protocol() -> None:
     code = (
         "import os\n"
         "from handfit_core.worker import checking, server\n"
-        "whole = checking.answer\n"
         "def noisy(should_stop):\n"
         "    print('printed')\n"
         "    os.write(1, b'written')\n"
         "    os.system('echo a child')\n"
         "    assert os.read(0, 10) == b''\n"
         "    return {'report': '', 'ok': True}\n"
-        "checking.answer = noisy\n"
+        "checking.check = noisy\n"
         "server.serve()\n"
     )
     worker = Worker(code=code)
@@ -419,7 +419,7 @@ def test_threads_reach_torch_and_the_others() -> None:
         "    import torch\n"
         "    variables = [os.environ.get(name) for name in THREAD_VARIABLES]\n"
         "    return {'torch': torch.get_num_threads(), 'variables': variables}\n"
-        "checking.answer = told\n"
+        "checking.check = told\n"
         "from handfit_core.__main__ import main\n"
         "main()\n"
     )

@@ -24,7 +24,6 @@ def main() -> None:
         facts.add("batch", **steps.command("capture", facts.asked["photo"], "-o", facts.asked["made"]))
         if hasattr(bpy.context.scene, "manient"):
             facts.add("button", said=steps.press_capture(facts.asked["photo"]))
-        facts.add("panels after a while", said=steps.panels())
         steps.uninstall()
     facts.add("left", traces=traces(), enabled=steps.enabled())
 

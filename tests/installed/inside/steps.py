@@ -20,7 +20,7 @@ import bpy
 
 REPOSITORY = "user_default"
 ID = "manient"
-HEAVY = ("torch", "scipy", "cv2", "mediapipe")
+HEAVY = ("scipy", "cv2", "mediapipe")
 """What captures, and must never be loaded by Blender's own process"""
 NOT_HERE = (*HEAVY, "handfit_core", "blender_manient")
 """What only the zip may bring"""
@@ -224,7 +224,7 @@ class _Drawn:
 
 def worker() -> dict[str, Any]:
     """The process that captures, as the system sees it."""
-    process = module("worker.shared").current()
+    process = module("shared_worker").current()
     if process is None or process.pid is None:
         return {}
     folder = Path("/proc") / str(process.pid)
@@ -236,7 +236,7 @@ def worker() -> dict[str, Any]:
         "pid": process.pid,
         "command": (folder / "cmdline").read_bytes().decode().split("\0"),
         "variables": variables,
-        "compiled": sum(1 for _ in Path(compiled).rglob("torch/**/*.pyc")) if compiled else 0,
+        "compiled": sum(1 for _ in Path(compiled).rglob("scipy/**/*.pyc")) if compiled else 0,
         "libraries": {
             name: sorted(path for path in mapped if f"/{name}/" in path and ".so" in path)[:1]
             for name in (*HEAVY, "numpy")

@@ -47,7 +47,7 @@ def main() -> None:
     worker = steps.worker()
     name = steps.module().__name__
     said = steps.attempt(bpy.ops.preferences.addon_disable, module=name)
-    time.sleep(0.5)  # the worker has loaded torch, and is killed while it gives back memory
+    time.sleep(0.5)  # the worker is killed while it gives back memory
     alive = steps.alive(worker["pid"]) if worker else None
     facts.add("disabled", said=said, before=before, left=traces(), worker=alive)
     said = steps.attempt(bpy.ops.preferences.addon_enable, module=name)

@@ -21,7 +21,9 @@ import bpy
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-sys.path[:0] = [str(ROOT), str(HERE), str(HERE.parent)]
+INSTALLED = "MANIENT_ADDON" in os.environ
+"""Whether the add-on is that of the user's profile, which must not find the repository's modules"""
+sys.path[:0] = [*([] if INSTALLED else [str(ROOT)]), str(HERE), str(HERE.parent)]
 
 from meter import Meter  # noqa: E402
 from stage import Stage  # noqa: E402
@@ -37,7 +39,8 @@ class Driver:
         self.folder = folder
         self.number = 1
         self.scenario = None
-        self.meter = Meter(ROOT / "blender_manient")
+        profile = Path(bpy.utils.user_resource("EXTENSIONS")) / "user_default" / "manient"
+        self.meter = Meter(profile if INSTALLED else ROOT / "blender_manient")
         self.stage = Stage(folder / "screenshots", self.meter)
 
     def tick(self) -> float:

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import bpy
+from stage import ADDON
 
 from scenarios.capturing import begin, capture, done, finish, hands, jobs, part, summary
 from scenarios.traces import workers
@@ -338,7 +339,7 @@ def fails(stage, source, shot="", **settings):
 
 def full_disk(stage, source):
     """The cache folder's disk is full."""
-    addon = bpy.context.preferences.addons["blender_manient"].preferences
+    addon = bpy.context.preferences.addons[ADDON].preferences
     before = addon.cache_folder
     addon.cache_folder = "/tmp/small_disk"
     with open("/tmp/small_disk/filler", "wb") as filler, contextlib.suppress(OSError):

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from scenarios.capturing import capture, hands
+from scenarios.capturing import capture, hands, part
 from scenarios.panels import closed_again, opened_by_default
 
 FORMATS = ("fbx", "glb", "usd", "bvh", "abc", "npz")
@@ -149,9 +149,7 @@ def _browser(stage):
 
 def _export(stage, path: Path, fmt: str):
     """The files that were written; none where this Blender lacks the format."""
-    from blender_manient.exporters import EXPORTERS
-
-    if EXPORTERS[fmt].why_not():
+    if part("exporters").EXPORTERS[fmt].why_not():
         return []
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
     yield from stage.invoke("manient.export_hand", file_format=fmt)

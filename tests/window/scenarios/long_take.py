@@ -6,7 +6,7 @@ import time
 
 import bpy
 
-from scenarios.capturing import begin, done, finish, hands, keys_of
+from scenarios.capturing import begin, done, finish, hands, keys_of, part
 
 
 def built_in_slices(stage, take, source):
@@ -16,13 +16,13 @@ def built_in_slices(stage, take, source):
     """
     from pathlib import Path
 
-    from blender_manient import jobs
-    from blender_manient.remembered import Remembered
     from handfit_core.options import CaptureOptions
+
+    jobs, scene_of = part("jobs"), part("remembered").Remembered.of
 
     yield from stage.open_sidebar()
     scene = bpy.context.scene
-    job = jobs.Job("long.mp4", (source,), CaptureOptions(), jobs.Building(Remembered.of("scenes", scene)))
+    job = jobs.Job("long.mp4", (source,), CaptureOptions(), jobs.Building(scene_of("scenes", scene)))
     job.state = "building"
     job._take_path = Path(take)
     jobs.submit(job)

@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 from stage import ADDON
 
-from scenarios.capturing import capture, hands
+from scenarios.capturing import capture, hands, part
 
 
 def all_sections(stage, source, shot="sections"):
@@ -37,15 +37,11 @@ def all_sections(stage, source, shot="sections"):
 
 def preferences(stage):
     """The add-on's preferences, as the artist finds them."""
-    # An extension's manifest would name it to Blender; this Blender runs the repository as it is.
-    listed = types.ModuleType(ADDON)
-    listed.bl_info = {"name": "Manient Hand Capture", "category": "Animation", "blender": (4, 2, 0)}
-    listed.bl_info |= {"author": "", "version": (0, 1, 0), "location": "", "description": "", "warning": ""}
-    listed.bl_info |= {"doc_url": "", "tracker_url": "", "support": "COMMUNITY", "show_expanded": True}
-    listed.__file__ = str(Path(bpy.utils.script_path_user()) / "addons" / ADDON / "__init__.py")
-    listed.__time__ = Path(listed.__file__).stat().st_mtime
     addon_utils.modules_refresh()
-    addon_utils.addons_fake_modules[ADDON] = listed
+    if ADDON == "blender_manient":
+        addon_utils.addons_fake_modules[ADDON] = _listed()
+    else:  # which its manifest names
+        bpy.ops.preferences.addon_expand(module=ADDON)
     bpy.context.preferences.active_section = "ADDONS"
     bpy.context.window_manager.addon_search = "manient"
     area = stage.area()
@@ -53,16 +49,26 @@ def preferences(stage):
     yield 0.3
     yield from stage.screenshot("preferences")
     area.type = "VIEW_3D"
-    del addon_utils.addons_fake_modules[ADDON]
+    addon_utils.addons_fake_modules.pop("blender_manient", None)
     bpy.context.window_manager.addon_search = ""
     yield 0.2
 
 
+def _listed() -> types.ModuleType:
+    """What Blender shows of the repository, where no manifest names it."""
+    listed = types.ModuleType(ADDON)
+    listed.bl_info = {"name": "Manient Hand Capture", "category": "Animation", "blender": (4, 2, 0)}
+    listed.bl_info |= {"author": "", "version": (0, 1, 0), "location": "", "description": "", "warning": ""}
+    listed.bl_info |= {"doc_url": "", "tracker_url": "", "support": "COMMUNITY", "show_expanded": True}
+    listed.__file__ = str(Path(bpy.utils.script_path_user()) / "addons" / ADDON / "__init__.py")
+    listed.__time__ = Path(listed.__file__).stat().st_mtime
+    return listed
+
+
 def sections() -> list[type]:
     """All sections of the sidebar, parents before children."""
-    from blender_manient import parts
-
-    return [c for part in parts.PARTS for c in part.classes if issubclass(c, bpy.types.Panel)]
+    registered = part("parts").PARTS
+    return [c for one in registered for c in one.classes if issubclass(c, bpy.types.Panel)]
 
 
 def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:

@@ -6,8 +6,10 @@ import math
 
 import addon_utils
 import bpy
+from stage import ADDON
 
-from scenarios.capturing import begin, done, finish, hands
+from scenarios.capturing import begin, done, finish, hands, part
+from scenarios.panels import sections
 
 INDEX_TIP = 8
 
@@ -47,7 +49,7 @@ def tour(stage, folder, source, edited_frame=12):
 
 
 def _drag_a_fingertip(stage):
-    from blender_manient.operators import edit_keypoints
+    edit_keypoints = part("operators.edit_keypoints")
 
     with stage.override():
         bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
@@ -68,12 +70,11 @@ def _drag_a_fingertip(stage):
 
 def _open_all_sections():
     """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
-    from scenarios.panels import sections
-
-    for cls in reversed(sections()):
+    shown = sections()
+    for cls in reversed(shown):
         bpy.utils.unregister_class(cls)
-    for cls in sections():
+    for cls in shown:
         if not hasattr(cls, "bl_parent_id"):
             cls.bl_options = set()
         bpy.utils.register_class(cls)
-    assert addon_utils.check("blender_manient")[1]
+    assert addon_utils.check(ADDON)[1]

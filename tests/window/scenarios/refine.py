@@ -293,9 +293,7 @@ def dragged(stage, path):
 
 
 def operator():
-    import blender_manient.operators.edit_keypoints
-
-    return blender_manient.operators.edit_keypoints
+    return part("operators.edit_keypoints")
 
 
 def places():

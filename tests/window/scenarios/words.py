@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import contextmanager
 
 import bpy
@@ -38,7 +37,6 @@ def long_names(stage, source, broken):
 @contextmanager
 def _texts():
     """A list that gets all texts and properties which the sections draw, each once, in their order."""
-
     shown: list[str] = []
 
     def collect(parts) -> None:
@@ -63,24 +61,6 @@ def _texts():
     finally:
         for cls, draw in originals.items():
             cls.draw = draw
-
-
-def missing_python(stage):
-    """The sidebar where the zip has no torch for this Blender's Python, and nobody has chosen another."""
-    verification, installation = part("verification"), part("installation")
-    sentence = f"this Blender cannot capture by itself, since it has no torch: {installation.CHOOSE}"
-    problem = installation.Problem("left-out", sentence, "torch")
-    chosen = os.environ.pop("HANDFIT_PYTHON", None)
-    verification._known.append(problem)
-    try:
-        with _texts() as shown:
-            yield from stage.open_sidebar()
-            yield from stage.screenshot("words-missing-python")
-        return shown
-    finally:
-        verification._known.remove(problem)
-        if chosen is not None:
-            os.environ["HANDFIT_PYTHON"] = chosen
 
 
 def shapes(stage, source):

@@ -1,0 +1,72 @@
+"""What stands in Edit > Preferences > Add-ons > Manient Hand Capture, one block per subject."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import cache, preferences, shared_worker
+from ..operators import check_installation, check_mano
+from ..section import sentence
+
+
+class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
+    """The add-on's own preferences, as Blender keeps and shows them."""
+
+    bl_idname = preferences.ADDON
+
+    def draw(self, context):
+        """One block per subject."""
+        layout = self.layout
+        assert layout is not None
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits):
+            draw(self, layout.column(), context)
+
+
+def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    layout.prop(self, "python")
+    text = shared_worker.capture_sentence()
+    if text:
+        sentence(layout, context, text, "ERROR", alert=True)
+    layout.prop(self, "threads")
+    layout.prop(self, "max_megapixels")
+    row = layout.row(align=True)
+    row.operator("manient.check_installation", icon="CHECKMARK")
+    if check_installation.running():
+        layout.label(text="Checking, which takes up to half a minute", icon="TIME")
+        return
+    result = check_installation.last_result()
+    if result is not None:
+        show = row.operator("manient.show_details", text="Show", icon="TEXT")
+        copy = row.operator("manient.copy_details", text="Copy", icon="COPYDOWN")
+        show.text = copy.text = check_installation.TEXT_NAME
+        if result.sentence != text:
+            icon = "CHECKMARK" if result.ok else "ERROR"
+            sentence(layout, context, result.sentence, icon, alert=not result.ok)
+
+
+def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    layout.separator()
+    layout.prop(self, "mano_folder")
+    row = layout.row()
+    row.enabled = bool(self.mano_folder)
+    row.operator("manient.check_mano", icon="CHECKMARK").path = self.mano_folder
+    for result in check_mano.results(self.mano_folder):
+        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok)
+
+
+def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
+    layout.separator()
+    layout.prop(self, "cache_folder")
+    size = cache.shown_size()
+    row = layout.row()
+    row.label(text="..." if size is None else f"{size / 1e6:.1f} MB in use", icon="BLANK1", translate=False)
+    row.operator("manient.clear_cache", icon="TRASH")
+
+
+def _draw_habits(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
+    layout.separator()
+    layout.prop(self, "default_preset")
+    layout.prop(self, "drop_captures")
+    layout.prop(self, "hand_opacity")

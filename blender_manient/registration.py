@@ -1,0 +1,160 @@
+"""Registration of all parts of the add-on, or of the one that says why they cannot run.
+
+Nothing of handfit_core is imported before the installation was looked at.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import sys
+import traceback
+from collections.abc import Iterable, Iterator
+from types import ModuleType
+from typing import Any
+
+import bpy
+
+from . import command, installation, unusable, verification
+
+PACKAGE = __package__ or ""
+
+
+def _forget(names: Iterable[str]) -> None:
+    """Have modules imported anew. Where the package holds one as an attribute, `from . import` finds it."""
+    for name in list(names):
+        sys.modules.pop(name, None)
+        package, _, leaf = name.rpartition(".")
+        if package in sys.modules:
+            vars(sys.modules[package]).pop(leaf, None)
+
+
+def _own() -> list[str]:
+    """The names of this package's modules that are loaded."""
+    return [name for name in sys.modules if name.startswith(f"{PACKAGE}.")]
+
+
+_WITHOUT_CORE = frozenset(_own())
+"""Modules that can be imported where handfit_core cannot"""
+_registered: list[Any] = []
+"""In the order of registration"""
+_core: ModuleType | None = None
+"""The handfit_core with which the parts were imported"""
+
+
+def register() -> None:
+    """Register every part of the add-on, or only what tells why it cannot run."""
+    parts = _parts() if _can_run() else (unusable,)
+    try:
+        for part in (verification, *parts):
+            _registered.append(part)  # before: where it fails, half of it may be registered
+            part.register()
+        _take_command()
+    except Exception:
+        with contextlib.suppress(Exception):
+            unregister()
+        raise
+    if not bpy.app.binary_path:
+        # Blender disables its add-ons when it quits; as a Python module it does not, and can then hang.
+        atexit.register(unregister)
+
+
+def unregister() -> None:
+    """Undo `register`, in reverse; all of it, whatever a part raises. Raises the first such error then."""
+    atexit.unregister(unregister)
+    errors: list[Exception] = []
+    while _registered:
+        try:
+            _registered.pop().unregister()
+        except Exception as error:
+            errors.append(error)
+    if errors:
+        _unregister_classes()
+        raise errors[0]
+
+
+def runs() -> bool:
+    """Whether the add-on is registered with all its parts."""
+    return bool(_registered) and unusable not in _registered
+
+
+def _can_run() -> bool:
+    verification.look()
+    if verification.refused():
+        return False
+    other = _running_copy()
+    if other:
+        verification.refuse(installation.second_copy_problem(other))
+    return not other
+
+
+def _take_command() -> None:
+    """Register the command, of which Blender knows one of a name: the copy's that runs, else the first's."""
+    others = [module for _, module in _copies() if isinstance(getattr(module, "command", None), ModuleType)]
+    if runs():
+        for other in others:
+            other.command.unregister()
+    elif any(getattr(other.command, "_handle", None) is not None for other in others):
+        return
+    _registered.append(command)
+    command.register()
+
+
+def _copies() -> Iterator[tuple[str, ModuleType]]:
+    """Other copies of the add-on that are loaded, from others of Blender's repositories."""
+    leaf = PACKAGE.rpartition(".")[2]
+    for name, module in list(sys.modules.items()):
+        if name.startswith("bl_ext.") and name.endswith(f".{leaf}") and name != PACKAGE:
+            yield name, module
+
+
+def _running_copy() -> str:
+    """The name of another copy that runs."""
+    for name, module in _copies():
+        running = getattr(module, "runs", None)
+        if callable(running) and running():
+            return name
+    return ""
+
+
+def _parts() -> tuple[Any, ...]:
+    """All parts, or the one that says why they cannot be imported."""
+    global _core
+    installed = installation.is_installed()
+    if installed and verification.core_problem() is not None:
+        verification.forget_core()
+    if installed and _core is not None and _core is not sys.modules.get("handfit_core"):
+        # Another copy of the add-on has run meanwhile, with a handfit_core of its own.
+        _forget(name for name in _own() if name not in _WITHOUT_CORE)
+    before = set(sys.modules)
+    try:
+        from . import parts
+    except Exception as error:
+        if not installed:
+            raise
+        traceback.print_exc()
+        # Half of them would be met again.
+        _forget(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
+        verification.refuse(installation.import_problem(error))
+        return (unusable,)
+    _core = sys.modules.get("handfit_core")
+    problem = verification.core_problem()
+    if problem is not None:
+        verification.refuse(problem)
+        return (unusable,)
+    return parts.PARTS
+
+
+def _unregister_classes() -> None:
+    """Take away what parts that failed have left with Blender: it would refuse them the next time."""
+    modules = [sys.modules[name] for name in _own()]
+    classes = {cls for module in modules for cls in vars(module).values() if isinstance(cls, type)}
+    for cls in classes:
+        if cls.__module__.startswith(f"{PACKAGE}.") and "bl_rna" in vars(cls):
+            with contextlib.suppress(RuntimeError, ValueError):
+                bpy.utils.unregister_class(cls)
+
+
+if installation.is_installed() and not _running_copy():
+    # The one that is loaded may be of another zip: the add-on was replaced in a running Blender.
+    verification.forget_core()

@@ -1,0 +1,139 @@
+"""The one warm worker of this Blender, and others made for it: what of them depends on Blender's settings."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.interpreter import find_python, runs_here
+from handfit_core.worker.process import wait_for_killed
+from handfit_core.worker.runner import WorkerError
+
+from . import installation, preferences, verification
+from .cache import remove_temporary_takes
+from .wording import capitalised
+
+_LAST_WAIT = 3.0
+"""seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
+
+ADVICE = Advice(
+    where=installation.IN_PREFERENCES,
+    crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
+)
+"""For who sits before a window"""
+
+
+class BlendersWorker(Worker):
+    """A worker that refuses captures for which this installation is known to be unfit."""
+
+    def submit(self, kind: str, /, **fields: Any) -> int:
+        """Ask for something. Raises WorkerError also where a part that captures need is missing."""
+        if kind == "capture" and (problem := _problem_of(self.python)):
+            sentence = problem.sentence
+            if sentence.endswith(installation.IN_PREFERENCES):
+                sentence = sentence.removesuffix(installation.IN_PREFERENCES) + self._advice.where
+            raise WorkerError(sentence)
+        return super().submit(kind, **fields)
+
+
+@dataclass(frozen=True)
+class _Settings:
+    python: str | None
+    threads: int | None
+    debug: bool
+
+
+_worker: Worker | None = None
+_made_for: _Settings | None = None
+
+
+def worker() -> Worker:
+    """The shared worker; its process starts with the first request, or with `start()`.
+
+    Another one after the preferences have changed, as soon as the old one has nothing left to do.
+    """
+    global _worker, _made_for
+    settings = _settings()
+    if _worker is None or (settings != _made_for and not _worker.busy):
+        if _worker is not None:
+            _worker.stop()
+        _worker, _made_for = own(), settings
+    return _worker
+
+
+def current() -> Worker | None:
+    """The shared worker if there is one already; for those who only look."""
+    return _worker
+
+
+def own(python: str | None = None) -> Worker:
+    """A worker of one's own, with the preferences' settings, or with another `python`."""
+    settings = _settings()
+    return make(python or settings.python, settings.threads, settings.debug)
+
+
+def make(
+    python: str | None, threads: int | None = None, debug: bool = False, advice: Advice = ADVICE
+) -> Worker:
+    """A worker with settings that somebody else has chosen."""
+    if installation.is_installed():
+        broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
+        advice = Advice(advice.where, advice.crash, broken)
+    return BlendersWorker(python, threads, debug, advice=advice, bytecode=_bytecode_folder())
+
+
+def capture_sentence(python: str | None = None) -> str:
+    """Why `python`, or the Python that the preferences choose, cannot capture, as far as is known; empty
+    where nothing is. For labels: with a capital, and it costs nothing."""
+    problem = _problem_of(python or find_python(_settings().python))
+    return capitalised(problem.sentence) if problem is not None else ""
+
+
+def stop() -> None:
+    """End the shared worker and remove what it left in the cache folder."""
+    global _worker, _made_for
+    if _worker is not None:
+        _worker.stop()
+    _worker = _made_for = None
+    remove_temporary_takes()
+
+
+def _problem_of(python: str) -> installation.Problem | None:
+    return verification.capture_problem() if runs_here(python) else None
+
+
+def _settings() -> _Settings:
+    chosen = preferences.get()
+    debug = bpy.app.debug or bpy.app.debug_python
+    return _Settings(preferences.full_path(chosen.python) or None, chosen.threads or None, debug)
+
+
+def _bytecode_folder() -> Path | None:
+    """Where Blender's own Python keeps what it compiles for the worker; compiling anew costs each start.
+
+    Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it
+    removes them; so a folder that goes with the extension. In it whole paths are repeated, which Windows
+    finds too long.
+    """
+    if sys.platform == "win32" or not (
+        installation.is_installed() and preferences.ADDON.startswith("bl_ext.")
+    ):
+        return None
+    return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))
+
+
+def register() -> None:
+    """Say on the console why nothing can be captured; the worker starts with the first request."""
+    if sentence := capture_sentence():
+        verification.print_sentence(sentence)
+
+
+def unregister() -> None:
+    """End the worker now, and wait until it is gone: Blender may be about to remove the files it runs."""
+    stop()
+    wait_for_killed(_LAST_WAIT)

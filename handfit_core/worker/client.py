@@ -1,0 +1,340 @@
+"""Starts the process that captures, handfit_core's worker, and talks to it.
+
+Capturing needs MediaPipe, OpenCV and SciPy, which Blender's own process must not import.
+docs/worker-protocol.md lists the messages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from handfit_core.errors import Cancelled, ProtocolError
+from handfit_core.version import __version__
+from handfit_core.worker import protocol
+from handfit_core.worker.interpreter import find_python, runs_here, worker_command, worker_environment
+from handfit_core.worker.process import ChildProcess, out_of_memory_kills
+from handfit_core.worker.runner import Event, Runner, WorkerError
+
+_START_LIMIT = 60.0
+"""seconds until a started process must have said that it is ready"""
+_NOISE_LIMIT = 200
+"""lines before that which are no messages"""
+_GRACE = 0.03
+"""seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
+0.1, all of it to give back memory"""
+_PATIENCE = 3.0
+"""seconds that a script gives it"""
+
+_LONGEST_SENTENCE = 2000
+"""characters of what a worker says for people"""
+_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
+"""What a process does to itself; other signals come from outside"""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What errors tell the user to do; parts of sentences."""
+
+    where: str
+    """where the interpreter is chosen"""
+    crash: str
+    """what to do after a crash"""
+    broken: str = ""
+    """what to do where a package does not load that the Python which runs here was given; empty where nobody
+    gave it any"""
+
+    @property
+    def python(self) -> str:
+        """What to do about an unfit interpreter."""
+        return f"choose a Python that has SciPy, OpenCV and MediaPipe {self.where}"
+
+
+ADVICE = Advice(where="with --python or in $HANDFIT_PYTHON", crash="try again with --debug")
+"""For a worker that no window starts"""
+
+
+class Worker(Runner):
+    """One process that captures. It starts with the first request; after a crash the next one starts another.
+
+    Nothing but `wait` blocks, and `stop` for a moment. No thread runs for it: what the process says is taken
+    in by `events` and `wait`, and it works on only as long as somebody calls them.
+    """
+
+    def __init__(
+        self,
+        python: str | None = None,
+        threads: int | None = None,
+        debug: bool = False,
+        *,
+        advice: Advice = ADVICE,
+        bytecode: Path | None = None,
+    ) -> None:
+        """`python`: the interpreter, as `find_python` takes it. `threads`: how many it may use, None for
+        its own choice. `debug`: its stderr, with tracebacks, is repeated on ours. `bytecode`: where the
+        Python that runs here keeps what it compiles for the process; None: nowhere."""
+        super().__init__()
+        self.python = find_python(python)
+        self._threads = threads
+        self._debug = debug
+        self._advice = advice
+        self._bytecode = bytecode if self.runs_here else None
+        self._child: ChildProcess | None = None
+        self._last_child: ChildProcess | None = None
+        self._hello: Event | None = None
+        self._start_deadline = 0.0
+        self._kills_before: int | None = None
+        """`out_of_memory_kills` when the last request was sent"""
+
+    def __exit__(self, *_: object) -> None:
+        self.stop(_PATIENCE)
+
+    @property
+    def runs_here(self) -> bool:
+        """Whether it is the interpreter that runs here."""
+        return runs_here(self.python)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._child is not None and self._child.exit_code is None
+
+    @property
+    def pid(self) -> int | None:
+        """The running process's id."""
+        return self._child.pid if self.alive and self._child else None
+
+    @property
+    def ready(self) -> Event | None:
+        """The process's `ready` event, with its versions; None until `poll` or `wait` has seen it."""
+        return self._hello
+
+    def start(self) -> None:
+        """Start the process unless it runs; returns at once. Raises WorkerError."""
+        self._collect(0.0)
+        if self._child is not None:
+            return
+        if Path(self.python).is_dir() and not shutil.which(self.python):
+            raise WorkerError(f"'{self.python}' is a folder, not a Python; {self._advice.python}")
+        command = worker_command(self.python)
+        if self._threads:
+            command += ["--threads", str(self._threads)]
+        if self._debug:
+            command.append("--debug")
+        try:
+            self._child = ChildProcess(
+                command, worker_environment(self.python, self._bytecode), echo=self._debug
+            )
+        except OSError as error:
+            raise WorkerError(
+                f"cannot start the Python '{self.python}' ({error.strerror or error}); {self._advice.python}"
+            ) from error
+        self._last_child = self._child
+        self._hello = None
+        self._start_deadline = time.monotonic() + _START_LIMIT
+
+    def submit(self, kind: str, /, **fields: Any) -> int:
+        """Ask for something; returns the number that its events carry as `id`.
+
+        Starts the process if need be. Raises WorkerError when it cannot be started; ProtocolError for values
+        that JSON cannot hold, and for more of them than the process reads.
+        """
+        line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
+        if len(line) > protocol.LONGEST_REQUEST:
+            raise ProtocolError(f"a {kind} of {len(line) // 1_000_000} MB is too large; give it fewer frames")
+        self.start()
+        assert self._child is not None
+        self._kills_before = out_of_memory_kills()
+        self._child.send(line)
+        return self._opened(kind)
+
+    def cancel(self, request: int) -> None:
+        """Have a request stopped as soon as it can be; its last event still comes."""
+        if request not in self._open or self._child is None:
+            return
+        self._number += 1
+        self._child.send(protocol.encode({"id": self._number, "request": "cancel", "job": request}))
+
+    def stop(self, seconds: float = _GRACE) -> None:
+        """End the process; open requests get an `error` of type Cancelled.
+
+        One that has not ended after `seconds` is killed. A take is written whole or not at all; of what
+        was being written a temporary file may stay beside it.
+        """
+        child, self._child, self._hello = self._child, None, None
+        if child is not None:
+            child.stop(seconds)
+        self._answer_all(Cancelled.__name__, "stopped before it was finished", "")
+
+    def details(self) -> str:
+        """What the process, or the last one, said on stderr, and how it ended; for a bug report."""
+        child = self._last_child
+        if child is None:
+            return ""
+        code = child.exit_code
+        ending = "" if code is None else f"the process ended {_ending(code)}"
+        return "\n".join(filter(None, (child.last_words().strip(), ending)))
+
+    def _collect(self, wait: float) -> None:
+        """Take in what the process said since the last time. Where it has died, every open request gets an
+        `error` of type WorkerError."""
+        child = self._child
+        if child is None:
+            return
+        if wait:
+            child.wait_for_news(wait)
+        child.exchange()
+        ended = child.ended()
+        for message in child.received():
+            try:
+                if self._hello is None:
+                    self._greet(message)
+                else:
+                    self._receive(message)
+            except ProtocolError as error:
+                self._give_up(
+                    f"the worker process said something unknown: {error}; {self._advice.crash}",
+                    ProtocolError.__name__,
+                )
+            if self._child is None:
+                return
+        if child.endless:
+            self._give_up(
+                f"the worker process wrote a line of more than {protocol.LONGEST_EVENT >> 20} MB, and was "
+                f"stopped; {self._advice.crash}"
+                if self._hello
+                else f"the Python '{self.python}' is not one; {self._advice.python}"
+            )
+        elif ended:
+            self._give_up(self._why_it_died(child))
+        elif self._hello is None and child.noise > _NOISE_LIMIT:
+            self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
+        elif self._hello is None and time.monotonic() > self._start_deadline:
+            self._give_up(
+                f"the Python '{self.python}' did not answer within {_START_LIMIT:g} seconds; "
+                f"{self._advice.python}"
+            )
+
+    def _greet(self, message: Event) -> None:
+        """Take in the first message; gives up on the process if it is not the right one."""
+        unknown = f"the Python '{self.python}' answered in an unknown way; {self._advice.python}"
+        try:
+            protocol.check_event(message)
+        except ProtocolError:
+            self._give_up(unknown)
+            return
+        version = message.get("protocol")
+        if message.get("event") == "unfit":
+            self._give_up(
+                f"the Python '{self.python}' is version {message.get('python')}, and capturing needs 3.11 or "
+                f"newer; {self._advice.python}"
+            )
+        elif message.get("event") != "ready":
+            self._give_up(unknown)
+        elif version != protocol.PROTOCOL:
+            self._give_up(
+                f"the worker of '{self.python}' speaks protocol {version}, this add-on needs "
+                f"{protocol.PROTOCOL}; install the handfit-core that belongs to the add-on there"
+            )
+        elif message.get("version") != __version__:
+            self._give_up(
+                f"the add-on was updated from version {__version__} to {message.get('version')} while "
+                "Blender was running; restart Blender"
+            )
+        else:
+            self._hello = message
+
+    def _receive(self, message: Event) -> None:
+        """Take in an event of a request that is open. Raises ProtocolError."""
+        kind = message.get("event")
+        if kind not in ("progress", "warning", "done", "error"):
+            return
+        if kind == "error" and message.get("id") is None:  # of a line that was none of the requests'
+            return
+        job = protocol.check_id(message)
+        if job not in self._open:
+            return
+        protocol.check_event(message, self._open[job])
+        if kind in ("warning", "error"):
+            message = {**message, "message": " ".join(message["message"].split())[:_LONGEST_SENTENCE]}
+        if kind in ("done", "error"):
+            del self._open[job]
+        if kind == "error" and message.get("type") in ("ModuleNotFoundError", "ImportError"):
+            message = {**message, "type": WorkerError.__name__, "message": self._what_is_missing(message)}
+        self._events.append(message)
+
+    def _give_up(self, why: str, kind: str = WorkerError.__name__) -> None:
+        """Kill the process and answer every open request with an error of this kind."""
+        child, self._child, self._hello = self._child, None, None
+        if child is not None:
+            child.kill()
+        self._answer_all(kind, why, self.details())
+
+    def _what_is_missing(self, message: Event) -> str:
+        """One sentence for a part that the process could not import."""
+        if self.runs_here and self._advice.broken:
+            return self._broken_part(_last_line(str(message.get("details", ""))))
+        return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"
+
+    def _broken_part(self, said: str) -> str:
+        """One sentence for a package that does not load although it was brought along."""
+        return f"a package that capturing needs does not load ({said}): {self._advice.broken}"
+
+    def _why_it_died(self, child: ChildProcess) -> str:
+        """One sentence for a process that ended without saying why."""
+        code = child.exit_code or 0
+        last = _last_line(child.last_words())
+        if "No module named" in last:
+            if self.runs_here and self._advice.broken:
+                return self._broken_part(last)
+            return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
+        said = f", last saying: {last}" if last else ""
+        if child.hung:
+            return f"the worker process closed its output and did not end{said}; {self._advice.crash}"
+        kills, before, signal_name = out_of_memory_kills(), self._kills_before, _signal_name(code)
+        by_system = signal_name == "SIGKILL" and kills is not None and before is not None and kills > before
+        if by_system or _says_memory_ran_out(child.last_words()):
+            return (
+                f"memory ran out, and the worker process ended {_ending(code)}{said}; capture fewer frames "
+                "at a time, or smaller pictures"
+            )
+        if signal_name and signal_name not in _CRASHES:
+            # A system that does not count may have done it itself, for whatever reason.
+            who = "from outside" if kills is not None else "from outside or by the system"
+            return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
+        if self._hello is None and not self.runs_here:
+            return (
+                f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
+                f"{self._advice.python}"
+            )
+        return f"the worker process ended {_ending(code)}{said}; {self._advice.crash}"
+
+
+def _last_line(words: str) -> str:
+    """What a process said last; of a crash, its kind rather than the lines about where it was."""
+    lines = [line.strip() for line in words.splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith("Fatal Python error")), lines[-1] if lines else "")
+
+
+def _says_memory_ran_out(words: str) -> bool:
+    """Whether that is what ended a process: an error of Python's or NumPy's, or of C++, which then aborts."""
+    return "MemoryError" in _last_line(words).partition(":")[0] or "std::bad_alloc" in words
+
+
+def _signal_name(code: int) -> str:
+    """The signal that ended a process, by its exit code; empty where none did."""
+    with contextlib.suppress(ValueError):
+        return signal.Signals(-code).name if code < 0 else ""
+    return f"{-code}"
+
+
+def _ending(code: int) -> str:
+    if code < 0:
+        return f"by signal {_signal_name(code)}"
+    # Windows gives what Unix calls a signal as a large number that is known in hexadecimal.
+    return f"with exit code {code if code < 256 else hex(code)}"

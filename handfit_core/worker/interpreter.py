@@ -1,0 +1,89 @@
+"""The Python that captures: which one, how the worker is started with it, and what its process inherits.
+
+The Python that runs here, Blender's own, finds everything in the folder that handfit_core lies in. A Python
+of the user's own brings NumPy, MediaPipe and the others itself, and gets nothing but handfit_core: packages
+for the one need not fit the other.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+import handfit_core
+
+PYTHON_VARIABLE = "HANDFIT_PYTHON"
+"""Names the Python that captures, when it is not the one that is running"""
+
+
+def find_python(python: str | None = None) -> str:
+    """The interpreter to capture with: the argument, $HANDFIT_PYTHON, else the running one."""
+    typed = unquoted(python or "") or unquoted(os.environ.get(PYTHON_VARIABLE, ""))
+    return os.path.expanduser(typed) or sys.executable  # noqa: PTH111
+
+
+def unquoted(text: str) -> str:
+    """Without the spaces and quotes around it that come with a copied path."""
+    text = text.strip()
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1].strip()
+    return text
+
+
+@lru_cache(maxsize=16)
+def runs_here(python: str) -> bool:
+    """Whether it is the interpreter that runs here, maybe by another name, with the same packages."""
+    python = shutil.which(python) or python
+    if _plain(python) == _plain(sys.executable):
+        return True
+    # A virtual environment's interpreter is often only a link, and has packages of its own all the same.
+    if _environment(python) or _environment(sys.executable):
+        return False
+    try:
+        return Path(python).samefile(sys.executable)
+    except OSError:
+        return False
+
+
+def worker_command(python: str) -> list[str]:
+    """What starts the worker with this interpreter, as `find_python` gives it."""
+    if runs_here(python):
+        # -P: not from the folder in which Blender happens to have been started.
+        return [python, *_own_flags(), "-P", "-u", "-m", "handfit_core", "worker"]
+    return [python, "-u", str(_core_folder() / "worker" / "launch.py"), "worker"]
+
+
+def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, str]:
+    """The process's environment: nothing that is meant for the Python that runs here, except for that one
+    itself. `bytecode`: where it keeps what it compiles; None: nowhere."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    if runs_here(python):
+        environment["PYTHONPATH"] = str(_core_folder().parent)
+    environment["PYTHONIOENCODING"] = "utf-8"
+    if bytecode is None:
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    else:
+        environment["PYTHONPYCACHEPREFIX"] = str(bytecode)
+    return environment
+
+
+def _own_flags() -> list[str]:
+    """Blender takes nothing from the folder where pip puts packages for one user; nor does its worker."""
+    return ["-s"] if sys.flags.no_user_site else []
+
+
+def _core_folder() -> Path:
+    return Path(handfit_core.__file__).resolve().parent
+
+
+def _plain(python: str) -> str:
+    """Without ".." and the like, and with links kept, unlike Path.resolve."""
+    return os.path.normcase(os.path.abspath(python))  # noqa: PTH100
+
+
+def _environment(python: str) -> bool:
+    """Whether it belongs to a virtual environment."""
+    return any((folder / "pyvenv.cfg").is_file() for folder in list(Path(_plain(python)).parents)[:2])

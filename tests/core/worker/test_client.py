@@ -1,0 +1,629 @@
+"""The worker's client: messages, errors, deaths. Its peer is the real worker, or a script that misbehaves."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import Cancelled, InputError, NoHandFoundError, ProtocolError
+from handfit_core.version import __version__
+from handfit_core.worker import client, pipes, process, protocol
+from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.process import reap
+from handfit_core.worker.runner import WorkerError, as_error
+from tests.conftest import ROOT
+
+needs_scripts = pytest.mark.skipif(
+    sys.platform == "win32", reason="misbehaving peers are scripts with a #! line"
+)
+
+IN_A_WINDOW = Advice("in the add-on's preferences", "try again, and then press Check Installation")
+
+SLEEPS = 60
+"""seconds that a peer sleeps: nothing here may last as long"""
+
+PRELUDE = f"""#!{sys.executable}
+import json, os, signal, sys, time
+
+def say(**event):
+    print(json.dumps(event), flush=True)
+
+def ready(version={protocol.PROTOCOL}):
+    say(event="ready", protocol=version, version={__version__!r}, pid=os.getpid(), python="3")
+
+def requests():
+    for line in sys.stdin:
+        yield json.loads(line)
+
+"""
+
+
+@pytest.fixture
+def peer(tmp_path):
+    """peer(code) -> an interpreter that runs `code` whatever it is asked to run."""
+
+    def make(code: str, name: str = "peer") -> str:
+        path = tmp_path / name
+        path.write_text(PRELUDE + code + "\n")
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+        return str(path)
+
+    return make
+
+
+@pytest.fixture
+def start():
+    """start(python, ...) -> Worker, stopped after the test."""
+    made: list[Worker] = []
+
+    def make(*args, **kwargs) -> Worker:
+        made.append(Worker(*args, **{"advice": IN_A_WINDOW, **kwargs}))
+        return made[-1]
+
+    yield make
+    for worker in made:
+        worker.stop()
+
+
+def exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def gone(pid: int, seconds: float = 5.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        reap()
+        if not exists(pid):
+            return True
+        time.sleep(0.02)
+    return False
+
+
+# The real worker
+
+
+def test_the_real_worker_answers_and_stays(start, tmp_path):
+    worker = start(threads=1)
+    first = worker.submit("capture", input=[str(tmp_path / "nowhere.jpg")], output=str(tmp_path / "a.npz"))
+    with pytest.raises(InputError, match=r"nowhere\.jpg") as caught:
+        worker.wait(first, timeout=60)
+    assert "Traceback" in caught.value.__notes__[0]
+    assert "Traceback" not in str(caught.value)
+    hello, pid = worker.ready, worker.pid
+    assert hello is not None
+    assert hello["protocol"] == protocol.PROTOCOL
+    second = worker.submit("capture", input=["x"], output="y", options={"magic": 1})
+    with pytest.raises(Exception, match="magic"):
+        worker.wait(second, timeout=60)
+    assert worker.pid == pid
+    worker.stop(5.0)
+    assert not worker.alive
+    assert pid is not None
+    assert not exists(pid)
+
+
+def test_the_real_worker_ends_with_its_client(tmp_path):
+    """As when Blender crashes: nobody says goodbye."""
+    import subprocess
+
+    code = (
+        "import os, sys, time\n"
+        "from handfit_core.worker.client import Worker\n"
+        "worker = Worker(); worker.start()\n"
+        "while worker.ready is None: worker.events(); time.sleep(0.01)\n"
+        "print(worker.pid, flush=True); os._exit(1)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert gone(int(done.stdout.split()[-1]))
+
+
+# Requests and events
+
+
+@needs_scripts
+def test_events_arrive_in_order_and_noise_does_not(peer, start):
+    worker = start(
+        peer(
+            "ready()\n"
+            "for r in requests():\n"
+            "    print('some library says hello')\n"
+            "    say(event='progress', id=r['id'], stage='detect', done=3, total=30)\n"
+            "    say(event='progress', id=999, stage='detect', done=1, total=1)\n"
+            "    say(event='warning', id=r['id'], message='dark')\n"
+            "    say(event='done', id=r['id'], got=r)"
+        )
+    )
+    events = []
+    request = worker.submit("capture", input=["a"], output="b")
+    done = worker.wait(request, events.append, timeout=20)
+    assert [(e["event"], e["id"]) for e in events] == [("progress", request), ("warning", request)]
+    assert done["got"] == {"id": request, "request": "capture", "input": ["a"], "output": "b"}
+    assert "some library says hello" in worker.details()
+    assert not worker.busy
+
+
+@needs_scripts
+def test_each_asker_gets_its_own_events(peer, start):
+    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], kind=r['request'])"))
+    first, second = worker.submit("capture"), worker.submit("refit")
+    assert worker.wait(second, timeout=20)["kind"] == "refit"
+    assert worker.busy  # the other answer was not taken
+    assert [e["kind"] for e in worker.events(first)] == ["capture"]
+    assert worker.events() == []
+    with pytest.raises(ValueError, match="answered before"):
+        worker.wait(first)
+
+
+@pytest.fixture
+def waited(monkeypatch):
+    """waited() -> the seconds that the client asked to wait for, since the last call. A call that waits
+    without a limit lasts as long as its peer sleeps."""
+    asked: list[float] = []
+
+    def counted(original, seconds_of):
+        def wait(*args, **kwargs):
+            asked.append(seconds_of(*args, **kwargs))
+            return original(*args, **kwargs)
+
+        return wait
+
+    def by_process(_process, timeout=None):
+        return float("inf") if timeout is None else timeout
+
+    for place, name, seconds_of in (
+        (process, "wait_for", lambda _readers, _writer, seconds: seconds),
+        (pipes, "wait_for", lambda _readers, _writer, seconds: seconds),
+        (subprocess.Popen, "wait", by_process),
+        (time, "sleep", lambda seconds: seconds),
+    ):
+        monkeypatch.setattr(place, name, counted(getattr(place, name), seconds_of))
+
+    def so_far() -> float:
+        total = sum(asked)
+        asked.clear()
+        return total
+
+    return so_far
+
+
+@needs_scripts
+def test_poll_and_request_never_wait(peer, start, waited):
+    """A peer that reads nothing and says nothing, and a request larger than any pipe."""
+    worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
+    began = time.monotonic()
+    worker.submit("refit", data=protocol.pack(np.zeros((300, 1000))))
+    for _ in range(10):
+        worker.events()
+    assert waited() < 0.01  # a child that has just read gets a moment to read on
+    worker.stop()
+    assert 0.0 < waited() < 0.1
+    assert time.monotonic() - began < SLEEPS
+
+
+@needs_scripts
+@pytest.mark.parametrize("where", ["stdout", "stderr"])
+def test_a_flood_is_taken_in_parts(peer, start, where, monkeypatch):
+    """A peer that prints as fast as it can: each call ends all the same, and the answer is heard."""
+    code = (
+        "ready()\n"
+        "for r in requests():\n"
+        "    say(event='done', id=r['id'])\n"
+        f"    while True: sys.{where}.write('noise\\n' * 1000)"
+    )
+    worker = start(peer(code))
+    worker.wait(worker.submit("check"), timeout=20)
+    deadline = time.monotonic() + 20
+    while "noise" not in worker.details() and time.monotonic() < deadline:
+        worker.events()
+    assert "noise" in worker.details()
+
+    # By a clock on which each chunk takes a millisecond, a call takes no more chunks than it has time for.
+    clock, read = itertools.count(0.0, 0.001), pipes.ReadEnd.read
+    chunks = []
+    slow = SimpleNamespace(perf_counter=clock.__next__, monotonic=time.monotonic)
+    monkeypatch.setattr(process, "time", slow)
+    monkeypatch.setattr(pipes.ReadEnd, "read", lambda end, most: chunks.append(most) or read(end, most))
+    for _ in range(30):
+        time.sleep(0.002)  # the peer fills the pipe
+        before = len(chunks)
+        worker.events()
+        assert 0 < len(chunks) - before <= 10
+    assert max(chunks) <= 1 << 16
+
+
+@needs_scripts
+def test_what_was_said_while_nobody_looked_is_not_lost(peer, start):
+    """More than any pipe holds: the peer waits, and goes on."""
+    code = (
+        "ready()\n"
+        "for r in requests():\n"
+        "    for i in range(40_000): say(event='progress', id=r['id'], stage='fit', done=i, total=40_000)\n"
+        "    say(event='done', id=r['id'])"
+    )
+    worker = start(peer(code))
+    request = worker.submit("capture")
+    time.sleep(0.5)
+    events = []
+    worker.wait(request, events.append, timeout=60)
+    assert [event["done"] for event in events] == list(range(40_000))
+
+
+@needs_scripts
+def test_a_large_request_arrives_whole_at_a_peer_that_reads_late(peer, start):
+    code = "ready()\ntime.sleep(0.3)\nfor r in requests(): say(event='done', id=r['id'], got=len(r['text']))"
+    worker = start(peer(code))
+    assert worker.wait(worker.submit("refit", text="x" * 5_000_000), timeout=20)["got"] == 5_000_000
+
+
+@needs_scripts
+def test_a_dead_peer_does_not_take_blender_with_it(peer):
+    """Blender leaves SIGPIPE deadly, where Python alone ignores it."""
+    import subprocess
+
+    code = (
+        "import os, signal, sys, time\n"
+        "from handfit_core.worker.client import Worker\n"
+        "signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n"
+        "worker = Worker(sys.argv[1]); job = worker.submit('capture')\n"
+        "while worker.ready is None: worker.events(); time.sleep(0.01)\n"
+        "os.kill(worker.pid, signal.SIGKILL); time.sleep(0.2)\n"
+        "worker.cancel(job)\n"
+        "print(worker.events()[0]['type'], signal.sigpending(), flush=True); os._exit(0)\n"
+    )
+    command = [sys.executable, "-c", code, peer("ready()\ntime.sleep(60)")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "WorkerError set()" in done.stdout.splitlines()
+
+
+@needs_scripts
+def test_a_large_answer_arrives_whole(peer, start):
+    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], text='x' * 3_000_000)"))
+    assert len(worker.wait(worker.submit("check"), timeout=20)["text"]) == 3_000_000
+
+
+@needs_scripts
+def test_cancel_reaches_the_peer(peer, start):
+    worker = start(
+        peer(
+            "ready()\n"
+            "job = None\n"
+            "for r in requests():\n"
+            "    if r['request'] == 'cancel':\n"
+            "        say(event='error', id=r['job'], type='Cancelled', message='stopped')"
+        )
+    )
+    request = worker.submit("capture")
+    worker.cancel(request)
+    with pytest.raises(Cancelled, match="stopped"):
+        worker.wait(request, timeout=20)
+    worker.cancel(request)  # over already: nothing happens
+    assert worker.events() == []
+
+
+@pytest.mark.parametrize("kind", [NoHandFoundError, InputError])
+def test_errors_are_raised_as_what_they_were(kind):
+    error = as_error(
+        {"event": "error", "id": 1, "type": kind.__name__, "message": "what", "details": "where"}
+    )
+    assert type(error) is kind
+    assert str(error) == "what"
+    unknown = as_error(
+        {"event": "error", "id": 1, "type": "ZeroDivisionError", "message": "oh", "details": "x"}
+    )
+    assert isinstance(unknown, WorkerError)
+    assert unknown.details == "x"
+
+
+# Deaths
+
+
+@needs_scripts
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        (
+            "sys.stderr.write(\"No module named 'handfit_core'\\n\"); sys.exit(1)",
+            r"handfit_core.*preferences",
+        ),
+        (
+            "ready()\nos.kill(os.getpid(), signal.SIGKILL)",
+            r"^the worker process was killed from outside[^;]*, by signal SIGKILL; try again",
+        ),
+        (
+            "ready()\nos.kill(os.getpid(), signal.SIGTERM)",
+            "killed from outside.*by signal SIGTERM; try again",
+        ),
+        (
+            "ready()\nsys.stderr.write('Traceback ...\\nMemoryError\\n'); sys.exit(1)",
+            "^memory ran out, and the worker process ended with exit code 1.*fewer frames",
+        ),
+        (
+            "ready()\nsys.stderr.write('numpy._core._exceptions._ArrayMemoryError: no\\n'); sys.exit(1)",
+            "^memory ran out.*fewer frames",
+        ),
+        (
+            "import faulthandler; faulthandler.enable(); ready()\n"
+            "sys.stderr.write(\"terminate called after throwing an instance of 'std::bad_alloc'\\n\")\n"
+            "sys.stderr.flush(); os.abort()",
+            "^memory ran out, and the worker process ended by signal SIGABRT.*fewer frames",
+        ),
+        (
+            "ready()\nos.close(1); os.close(2); time.sleep(60)",
+            "^the worker process closed its output and did not end; try again",
+        ),
+        (
+            "ready()\nsys.stderr.write('out of paper\\n\\n'); sys.stderr.flush(); os.abort()",
+            "SIGABRT.*out of paper",
+        ),
+        ("ready()\nsys.exit(0)", "exit code 0.*Check Installation"),
+        (
+            "import faulthandler, ctypes; faulthandler.enable(); ready(); ctypes.string_at(0)",
+            "Segmentation fault",
+        ),
+        ("ready(99)\ntime.sleep(60)", "protocol 99.*needs 1.*install"),
+        ("say(event='done', id=1)\ntime.sleep(60)", "unknown way"),
+        ("say(event='ready', protocol=[1])\ntime.sleep(60)", "unknown way"),
+        ("say(event=['ready'])\ntime.sleep(60)", "unknown way"),
+        ("say(event='unfit', python={})\ntime.sleep(60)", "unknown way"),
+        ("say(event='unfit', python='3.9.1'); sys.exit(3)", "version 3.9.1.*3.11 or newer.*choose a Python"),
+        ("while True: print('y')", "is not one.*choose a Python"),
+    ],
+    ids=[
+        "no-package",
+        "killed",
+        "terminated",
+        "python-memory",
+        "numpy-memory",
+        "c++-memory",
+        "hung",
+        "abort",
+        "silent",
+        "segfault",
+        "version",
+        "no-ready",
+        "odd-protocol",
+        "odd-event",
+        "odd-python",
+        "old-python",
+        "garbage",
+    ],
+)
+def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected):
+    worker = start(peer(code))
+    requests = [worker.submit("capture"), worker.submit("refit")]
+    for request in requests:
+        with pytest.raises(WorkerError, match=expected) as caught:
+            worker.wait(request, timeout=30)
+        assert "\n" not in str(caught.value)
+    assert not worker.alive
+
+
+@needs_scripts
+def test_the_systems_own_count_tells_that_memory_ran_out(peer, start, monkeypatch):
+    """A SIGKILL while Linux has killed for memory is called that; its count is /proc/vmstat's."""
+    counts = iter([4, 5])
+    monkeypatch.setattr(client, "out_of_memory_kills", lambda: next(counts))
+    worker = start(peer("ready()\nfor r in requests(): os.kill(os.getpid(), signal.SIGKILL)"))
+    with pytest.raises(WorkerError, match=r"^memory ran out.*by signal SIGKILL; capture fewer frames"):
+        worker.wait(worker.submit("capture"), timeout=20)
+
+
+@pytest.mark.skipif(not Path("/proc/vmstat").exists(), reason="only Linux counts what it kills for memory")
+def test_linux_counts_what_it_kills_for_memory():
+    count = process.out_of_memory_kills()
+    assert isinstance(count, int)
+    assert count >= 0
+
+
+@needs_scripts
+@pytest.mark.parametrize("hello", ["ready()", ""], ids=["worker", "no-worker"])
+def test_an_endless_line_is_cut_off(peer, start, monkeypatch, hello):
+    """After so much of it, nothing more is kept, and the process ends. Here after 1 MB."""
+    monkeypatch.setattr(process, "LONGEST_EVENT", 1 << 20)
+    worker = start(peer(f"{hello}\nwhile True: sys.stdout.write('{{' * 10_000)"))
+    expected = "a line of more than .* MB, and was stopped; try again" if hello else "is not one; choose"
+    with pytest.raises(WorkerError, match=expected):
+        worker.wait(worker.submit("capture"), timeout=60)
+    assert not worker.alive
+
+
+@needs_scripts
+def test_what_is_kept_of_an_endless_line_is_bounded(peer, start, monkeypatch):
+    monkeypatch.setattr(process, "LONGEST_EVENT", 1 << 20)
+    worker = start(peer("ready()\nwhile True: sys.stdout.write('x' * 100_000)"))
+    worker.start()
+    child = worker._child
+    assert child is not None
+    deadline = time.monotonic() + 20
+    while not child.endless and time.monotonic() < deadline:
+        child.exchange()
+        assert sum(map(len, child._line)) <= 1 << 20
+    assert child.endless
+    assert not child._line
+
+
+@needs_scripts
+@pytest.mark.parametrize(
+    "event",
+    [
+        "event='done', id=[1]",
+        "event='done', id={}",
+        "event='done', id=True",
+        "event='done', id='1'",
+        "event='done', id=1.0",
+        "event='done', id=-1",
+        "event='done', id=10**30",
+        "event='progress', id=None, stage='fit', done=0, total=1",
+        "event='progress', id=r['id'], stage='fit', done='1', total=2",
+        "event='progress', id=r['id'], stage='fit', done=[], total=2",
+        "event='progress', id=r['id'], stage='fit', done=1, total=None",
+        "event='progress', id=r['id']",
+        "event='warning', id=r['id'], message=[]",
+        "event='error', id=r['id'], type=[], message='a'",
+        "event='error', id=r['id'], type='InputError', message={}",
+        "event='done', id=r['id'], kind='photo', width='4', height=3, fps=24, frames=1, first=1, last=1",
+        "event='done', id=r['id'], message=3",
+    ],
+)
+def test_an_event_of_wrong_types_is_a_protocol_error(peer, start, event):
+    """Nothing else leaves the client, whatever the process says; then it is ended."""
+    worker = start(peer(f"ready()\nfor r in requests(): say({event})\ntime.sleep({SLEEPS})"))
+    with pytest.raises(ProtocolError, match="worker process said something unknown") as caught:
+        worker.wait(worker.submit("probe", input=["a"]), timeout=20)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+    assert not worker.alive
+
+
+@needs_scripts
+def test_sentences_of_a_worker_are_sentences(peer, start):
+    code = "say(event='error', id=r['id'], type='InputError', message='a\\nb  ' + 'c' * 10**6)"
+    worker = start(peer(f"ready()\nfor r in requests(): {code}"))
+    with pytest.raises(InputError, match=r"^a b ccc") as caught:
+        worker.wait(worker.submit("probe"), timeout=20)
+    assert len(str(caught.value)) <= 2000
+
+
+def test_more_than_the_worker_reads_is_not_sent(start, monkeypatch):
+    monkeypatch.setattr(protocol, "LONGEST_REQUEST", 1000)
+    worker = start()
+    with pytest.raises(ProtocolError, match=r"a refit of .* is too large; give it fewer frames"):
+        worker.submit("refit", hand="x" * 1000)
+    assert not worker.busy
+
+
+@needs_scripts
+def test_a_package_that_is_missing_later_names_the_remedy(peer, start):
+    error = "event='error', type='ModuleNotFoundError', message='no torch'"
+    worker = start(peer(f"ready()\nfor r in requests(): say(id=r['id'], {error})"))
+    with pytest.raises(WorkerError, match="no torch in the add-on's preferences"):
+        worker.wait(worker.submit("capture"), timeout=20)
+
+
+def test_a_missing_interpreter_is_one_sentence(start, tmp_path):
+    worker = start(str(tmp_path / "nowhere"))
+    with pytest.raises(WorkerError, match=r"nowhere.*preferences"):
+        worker.submit("capture")
+    assert not worker.busy
+    with pytest.raises(WorkerError):
+        worker.start()
+
+
+@needs_scripts
+def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
+    mark = tmp_path / "crashed"
+    worker = start(
+        peer(
+            "ready()\n"
+            "for r in requests():\n"
+            f"    if not os.path.exists({str(mark)!r}):\n"
+            f"        open({str(mark)!r}, 'w').close(); sys.stderr.write('last words\\n'); os._exit(7)\n"
+            "    say(event='done', id=r['id'], pid=os.getpid())"
+        )
+    )
+    first = worker.submit("capture")
+    deadline = time.monotonic() + 20
+    events = []
+    while not events and time.monotonic() < deadline:
+        events = worker.events()
+        time.sleep(0.01)
+    (event,) = events
+    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerError")
+    assert "last words" in event["details"]
+    assert "exit code 7" in event["details"]
+    assert worker.wait(worker.submit("capture"), timeout=20)["pid"] == worker.pid
+
+
+@needs_scripts
+def test_a_death_while_idle_costs_nothing(peer, start):
+    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'])"))
+    worker.wait(worker.submit("warm"), timeout=20)
+    first = worker.pid
+    assert first is not None
+    os.kill(first, 9)
+    deadline = time.monotonic() + 5
+    while worker.alive and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.05)
+    assert worker.events() == []
+    worker.wait(worker.submit("warm"), timeout=20)
+    assert worker.pid != first
+
+
+@needs_scripts
+def test_much_stderr_does_not_block_and_is_cut(peer, start):
+    worker = start(
+        peer("ready()\nfor r in requests(): sys.stderr.write('x' * 5_000_000); say(event='done', id=r['id'])")
+    )
+    worker.wait(worker.submit("capture"), timeout=20)
+    assert 1000 < len(worker.details()) < 20_000
+
+
+@needs_scripts
+def test_time_limit_kills(peer, start, waited):
+    worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
+    request, other = worker.submit("capture"), worker.submit("refit")
+    pid = worker.pid
+    assert pid is not None
+    with pytest.raises(WorkerError, match=r"capture took longer than 0\.5 seconds.*fewer frames"):
+        worker.wait(request, timeout=0.5)
+    assert 0.4 < waited() < 5
+    assert gone(pid)
+    assert [e["id"] for e in worker.events()] == [other]
+
+
+@needs_scripts
+def test_stop_answers_what_is_open_and_kills_what_hangs(peer, start, waited):
+    """A peer that ignores the end of its stdin and every signal that can be ignored."""
+    worker = start(peer(f"signal.signal(signal.SIGTERM, signal.SIG_IGN)\nready()\ntime.sleep({SLEEPS})"))
+    request = worker.submit("capture")
+    while worker.ready is None:
+        worker.events()
+        time.sleep(0.01)
+    pid = worker.pid
+    assert pid is not None
+    waited()
+    worker.stop()
+    assert waited() < 0.1
+    (event,) = worker.events()
+    assert (event["id"], event["type"]) == (request, "Cancelled")
+    assert gone(pid)
+
+
+@needs_scripts
+def test_an_interrupt_passes_through_and_leaves_nothing(peer):
+    code = "ready()\nfor r in requests(): say(event='progress', id=r['id'], stage='fit', done=0, total=1)"
+
+    def interrupt(_event):
+        raise KeyboardInterrupt
+
+    with Worker(peer(code)) as worker:
+        request = worker.submit("capture")
+        pid = worker.pid
+        with pytest.raises(KeyboardInterrupt):
+            worker.wait(request, interrupt, timeout=20)
+    assert pid is not None
+    assert not exists(pid)
+
+
+@needs_scripts
+def test_debug_repeats_what_it_says(peer, start, capfd):
+    speak = "sys.stderr.write(' '.join(sys.argv[1:]) + '\\n'); say(event='done', id=r['id'])"
+    worker = start(peer(f"ready()\nfor r in requests(): {speak}"), threads=3, debug=True)
+    worker.wait(worker.submit("warm"), timeout=20)
+    worker.stop()
+    assert "launch.py worker --threads 3 --debug" in capfd.readouterr().err

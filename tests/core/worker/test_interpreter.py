@@ -1,0 +1,207 @@
+"""Which Python captures, and what it gets: Blender's own everything, one of the user's handfit_core only."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import InputError
+from handfit_core.worker import interpreter
+from handfit_core.worker.client import Worker
+from handfit_core.worker.interpreter import find_python, runs_here, worker_environment
+from handfit_core.worker.runner import WorkerError
+from tests.conftest import ROOT
+
+LAUNCHER = ROOT / "handfit_core" / "worker" / "launch.py"
+
+
+@pytest.fixture(scope="module")
+def bare_python(tmp_path_factory) -> str:
+    """A Python without any packages, in a folder whose name has spaces and more than ASCII."""
+    folder = tmp_path_factory.mktemp("python") / "mein Python für Hände"
+    venv.create(folder, with_pip=False)
+    return str(folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python"))
+
+
+@pytest.fixture
+def own_python(bare_python) -> str:
+    """The same with the packages of the environment that runs the tests."""
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    found = subprocess.run([bare_python, "-c", code], capture_output=True, text=True, check=True)
+    path = Path(found.stdout.strip()) / "others.pth"
+    path.write_text(str(Path(np.__file__).parents[1]), encoding="utf-8")
+    return bare_python
+
+
+@pytest.fixture
+def shared_folder(tmp_path, monkeypatch) -> Path:
+    """handfit_core as Blender unpacks it, among packages that are for another Python."""
+    folder = tmp_path / "geteilte Pakete é"
+    for name in ("numpy", "torch", "scipy", "cv2", "mediapipe"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "__init__.py").write_text(f"raise ImportError('{name} of another Python')\n")
+    (folder / "handfit_core").symlink_to(ROOT / "handfit_core", target_is_directory=True)
+    monkeypatch.setattr(interpreter, "_core_folder", lambda: folder / "handfit_core")
+    return folder
+
+
+def test_choice_of_the_interpreter(monkeypatch):
+    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
+    assert find_python() == sys.executable
+    monkeypatch.setenv("HANDFIT_PYTHON", "/env/python")
+    assert find_python() == "/env/python"
+    assert find_python("/my/python") == "/my/python"
+
+
+def test_blenders_own_python_by_other_names(bare_python):
+    assert runs_here(sys.executable)
+    assert runs_here(os.path.relpath(sys.executable))
+    # The same program behind a link, with packages of its own.
+    assert not runs_here(bare_python)
+    assert not runs_here("/nowhere/python")
+
+
+def test_paths_as_they_are_typed_and_copied(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    for typed in (f'"{sys.executable}"', f"  '{sys.executable}'", f" {sys.executable} "):
+        monkeypatch.setenv("HANDFIT_PYTHON", typed)
+        assert find_python() == find_python(typed) == sys.executable
+    monkeypatch.setenv("HANDFIT_PYTHON", "~/python")
+    assert Path(find_python()) == tmp_path / "python"
+    assert find_python("python3") == "python3"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows looks into the folder it is in, too")
+def test_a_name_without_a_folder_is_looked_up_as_programs_are(monkeypatch, tmp_path):
+    """Not in the folder in which Blender happens to have been started."""
+    name = "python-of-this-test"
+    (tmp_path / "here").mkdir()
+    (tmp_path / "programs").mkdir()
+    (tmp_path / "here" / name).symlink_to(sys.executable)
+    (tmp_path / "programs" / name).write_text("#!/bin/sh\n")
+    (tmp_path / "programs" / name).chmod(0o755)
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("PATH", str(tmp_path / "programs"), prepend=os.pathsep)
+    runs_here.cache_clear()
+    assert not runs_here(name)
+    assert not runs_here("python-that-is-nowhere")
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    runs_here.cache_clear()
+    assert runs_here(Path(sys.executable).name)
+    runs_here.cache_clear()
+
+
+def test_blenders_own_python_gets_all_packages(monkeypatch):
+    monkeypatch.setenv("PYTHONHOME", "/blender/python")
+    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
+    environment = worker_environment(sys.executable)
+    assert "PYTHONHOME" not in environment
+    assert (Path(environment["PYTHONPATH"]) / "handfit_core").is_dir()
+
+
+def test_a_python_of_the_users_own_is_not_told_of_blenders_packages(monkeypatch, bare_python):
+    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
+    assert "PYTHONPATH" not in worker_environment(bare_python)
+
+
+def test_only_handfit_core_comes_from_the_shared_folder(shared_folder, own_python):
+    """The others would fail to import there; the add-on's own modules beside the launcher stay out, too."""
+    with Worker(own_python) as worker:
+        done = worker.wait(worker.submit("check"), timeout=120)
+    assert "of another Python" not in done["report"]
+    assert f"numpy: {np.__version__}: ok" in done["report"]
+    assert "mein Python für Hände" in done["report"].splitlines()[1]
+
+
+def test_blenders_own_python_takes_what_lies_in_the_shared_folder(shared_folder):
+    """The other side of the same coin: the decoys above are real."""
+    with Worker(sys.executable) as worker, pytest.raises(WorkerError, match="numpy of another Python"):
+        worker.wait(worker.submit("check"), timeout=60)
+
+
+def test_nothing_comes_from_the_folder_in_which_blender_was_started(tmp_path, monkeypatch):
+    (tmp_path / "handfit_core").mkdir()
+    (tmp_path / "handfit_core" / "__init__.py").write_text("raise ImportError('somebody else')\n")
+    monkeypatch.chdir(tmp_path)
+    with Worker() as worker, pytest.raises(InputError, match=r"nowhere\.jpg"):
+        worker.wait(worker.submit("probe", input=[str(tmp_path / "nowhere.jpg")]), timeout=60)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has another folder for a user's packages")
+@pytest.mark.parametrize("isolated", [True, False], ids=["as Blender", "as a plain Python"])
+def test_the_users_own_packages_are_seen_where_they_are_here(tmp_path, isolated):
+    """Blender takes nothing from the folder where pip puts packages for one user."""
+    venv.create(tmp_path / "python", with_pip=False, system_site_packages=True)
+    python = tmp_path / "python" / "bin" / "python"
+    (site,) = (tmp_path / "python" / "lib").glob("python*/site-packages")
+    (site / "others.pth").write_text(str(Path(np.__file__).parents[1]))
+    users = tmp_path / "home" / ".local" / "lib" / site.parent.name / "site-packages"
+    users.mkdir(parents=True)
+    seen = tmp_path / "seen"
+    # Python imports it where it looks into the folder at all.
+    (users / "usercustomize.py").write_text(f"open({str(seen)!r}, 'w').close()\n")
+    code = (
+        f"import os, sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "from handfit_core.worker import client\n"
+        f"os.environ['HOME'] = {str(tmp_path / 'home')!r}\n"
+        "with client.Worker() as worker:\n"
+        "    worker.start()\n"
+        "    while worker.alive and worker.ready is None: worker.events()\n"
+        "    print('READY', worker.ready, worker.details())\n"
+        "sys.stdout.flush(); os._exit(0)\n"
+    )
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "HANDFIT"))}
+    env["HOME"] = str(tmp_path)
+    command = [str(python), *(["-I"] if isolated else []), "-c", code]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+    assert "READY {'event': 'ready'" in done.stdout, done.stdout + done.stderr
+    assert seen.exists() == (not isolated)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the programs are Unix's")
+@pytest.mark.parametrize(
+    ("program", "expected"),
+    [
+        ("/bin/true", "is not a Python that can capture (it ended with exit code 0); choose a Python"),
+        ("/bin/false", "is not a Python that can capture (it ended with exit code 1); choose a Python"),
+        ("/bin", "'/bin' is a folder, not a Python; choose a Python"),
+    ],
+)
+def test_what_is_no_python_is_named(program, expected):
+    with Worker(program) as worker, pytest.raises(WorkerError) as caught:
+        worker.wait(worker.submit("check"), timeout=60)
+    assert expected in str(caught.value)
+    assert "SciPy, OpenCV and MediaPipe with --python or in $HANDFIT_PYTHON" in str(caught.value)
+
+
+def test_a_python_without_packages_is_one_sentence(bare_python):
+    others = next(Path(bare_python).parents[1].rglob("others.pth"), None)
+    if others is not None:
+        others.unlink()
+    with (
+        Worker(bare_python) as worker,
+        pytest.raises(
+            WorkerError, match=r"cannot capture.*No module named.*choose a Python that has"
+        ) as caught,
+    ):
+        worker.wait(worker.submit("check"), timeout=60)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_old_python_can_read_the_launcher_and_says_its_version():
+    ast.parse(LAUNCHER.read_text(encoding="utf-8"), feature_version=(3, 6))
+    code = (
+        "import sys, runpy; sys.version_info = (3, 9, 1); sys.argv = ['launch.py', 'worker'];"
+        f"runpy.run_path({str(LAUNCHER)!r}, run_name='__main__')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 3
+    assert '"event": "unfit"' in done.stdout
