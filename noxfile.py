@@ -41,8 +41,8 @@ BPY = {
 DEMO_BPY = BPY["4.5"]
 
 NUMBERS = [
-    *("tests/core/solvers", "tests/core/residuals", "tests/core/detect/correction", "tests/core/geometry"),
-    *("tests/core/test_refine.py", "tests/core/test_drags.py", "tests/core/test_placement.py"),
+    *("tests/core/fit", "tests/core/edit", "tests/core/detect/correction", "tests/core/geometry"),
+    "tests/core/paper/test_placement.py",
     *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
 ]
 """Tests of what hangs on sums: they run a second time as on another processor"""

@@ -22,6 +22,7 @@ from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, Input
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
 from handfit_core.slices import retold, slice_clock
+from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
 from . import details, shared_worker
@@ -273,8 +274,9 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
     part = done / total if total else 0.0
-    # Detection takes nearly all of a capture's time, except with the paper's solvers.
-    share = 0.1 if job.options.solver.startswith("paper") else 0.85
+    # Detection takes nearly all of a capture's time, except with slow solvers.
+    solver = SOLVERS.all().get(job.options.solver)
+    share = 0.1 if solver is not None and solver.slow else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 
 

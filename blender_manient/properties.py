@@ -20,6 +20,7 @@ from bpy.props import (
 
 from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
+from handfit_core.solvers import SOLVERS
 
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
@@ -31,17 +32,7 @@ PRESETS = (
     ("PAPER", "Paper", "The published method's experiments, slow"),
 )
 
-EXPERIMENTS = (
-    ("paper-a", "A: L-BFGS, Mean Squares", "Mean squared error, fingertips counted again"),
-    ("paper-b", "B: Without Fingertips", "Mean squared error of the 21 keypoints"),
-    ("paper-c", "C: Geman-McClure", "Geman-McClure error, fingertips counted again"),
-    ("paper-d", "D: Geman-McClure, Plain", "Geman-McClure error of the 21 keypoints"),
-    ("paper-e", "E: Huber", "Huber error, fingertips counted again"),
-    ("paper-f", "F: Huber, Plain", "Huber error of the 21 keypoints"),
-    ("paper-g", "G: BFGS", "Mean squared error with the BFGS optimizer"),
-    ("paper-h", "H: Anatomical Stage", "A second stage that keeps joints within their range"),
-    ("paper-a-plus", "A+: With Pose Prior", "Experiment A, held by a relaxed pose, with a camera stage"),
-)
+EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.all().items() if s.slow)
 
 
 listeners: dict[str, Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]] = {}

@@ -13,11 +13,11 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
+from handfit_core.edit import RefineHand, landmark_points, result_from_message, to_message
 from handfit_core.edit.corrections import Pins, changed_quats
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.kept import kept_model
-from handfit_core.refine import RefineHand, landmark_points, result_from_message, to_message
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.take import HandTrack

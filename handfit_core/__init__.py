@@ -4,7 +4,7 @@
     take = handfit_core.capture("clip.mp4")
     take.save("clip.take.npz")
 
-Importing this package is light: torch, scipy, OpenCV and MediaPipe load with the first capture.
+Importing this package is light: SciPy, OpenCV and MediaPipe load with the first capture.
 """
 
 from __future__ import annotations

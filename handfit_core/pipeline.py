@@ -22,6 +22,7 @@ from handfit_core.files import check_writable
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
+from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media
@@ -29,8 +30,7 @@ from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Media, Source
 from handfit_core.options import OPTIONS, CaptureOptions, HandChoice
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-from handfit_core.solvers import FAST_SOLVERS, TrackFit, get_solver
-from handfit_core.solvers.result import ShouldStop, never
+from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import HandTrack, Take
 
 Stage = Literal["detect", "fit", "score"]
@@ -58,8 +58,8 @@ FARTHEST_FOCAL = 1000.0
 telescope's picture may have"""
 
 LAST_FITS_SECONDS = 0.3
-"""What solvers that fit frame by frame get for what was found when detection was stopped. The fast solver
-gets the time that it needs, since that is a small part of what detecting took."""
+"""What slow solvers get for what was found when detection was stopped. Others get the time that they need,
+since that is a small part of what detecting took."""
 
 
 def capture(
@@ -112,8 +112,8 @@ def capture(
         How smooth motion is, for the solvers that smooth: 0 takes every frame by itself.
     hand_length
         Metres from the wrist joint to the tip of the middle finger of the flat hand; None for an average
-        adult's. Pictures do not show how large a hand is: its size decides its distance. For the fast
-        solvers.
+        adult's. Pictures do not show how large a hand is: its size decides its distance. For
+        solvers that take notice of it.
     intrinsics
         The camera in pixels of the upright picture, or its fx, fy, cx and cy; by default what the file tells
         about its lens, or else one with a 53 degree view.
@@ -144,8 +144,9 @@ def capture_with(
     """`capture`, with options that somebody has put together elsewhere."""
     solver, hand_length = options.solver, options.hand_length
     solve = get_solver(solver, options.smoothing, hand_length)
+    can = SOLVERS.get(solver)
     DETECTORS.get(options.detector)  # before any picture is read, as with the solver
-    if hand_length is not None and solver not in FAST_SOLVERS:
+    if hand_length is not None and not can.takes_hand_length:
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
     report = progress or (lambda _: None)
@@ -171,7 +172,7 @@ def capture_with(
         raise NoHandFoundError(f"{media.source.name}: {error}") from None
     _tell_of_others(hands, len(tracks), seen if hands in SIDES else max(seen, at_once))
     if stop():
-        stop = never if solver in FAST_SOLVERS else _after(LAST_FITS_SECONDS)
+        stop = _after(LAST_FITS_SECONDS) if can.slow else never
 
     total = sum(int(track.detected.sum()) for track in tracks)
     done = 0
@@ -182,10 +183,8 @@ def capture_with(
         report(Progress("fit", done, total))
 
     models = {track.side: load_model(model, track.side) for track in tracks}
-    if hand_length is not None and solver in FAST_SOLVERS:
-        # Torch loads here and not with the pipeline. Both hands' models have one length.
-        from handfit_core.solvers.fast.fit import tell_of_odd_shapes
-
+    if hand_length is not None and can.takes_hand_length:
+        # Both hands' models have one length.
         tell_of_odd_shapes(next(iter(models.values())), hand_length)
     fitted: list[HandTrack] = []
     for track in tracks:

@@ -52,6 +52,9 @@ FINGER_JOINTS: Final[dict[str, tuple[int, int, int]]] = {
 }
 """The three joints of each finger, from the palm outwards."""
 
+JOINTS_BY_FINGER: Final = np.array([FINGER_JOINTS[f] for f in FINGERS])
+"""(5, 3) the same, finger by finger as keypoints go"""
+
 KEYPOINT_NAMES: Final = ("wrist", *(f"{f}_{i}" for f in FINGERS for i in (1, 2, 3, 4)))
 """MediaPipe's 21 keypoints; `*_4` is the fingertip."""
 

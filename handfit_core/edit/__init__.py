@@ -1,1 +1,23 @@
-"""Changing a captured hand afterwards."""
+"""Re-fitting frames of a captured hand with an artist's corrections: points that are pinned to where they
+belong in the picture, and joints that are locked.
+
+Light to import: SciPy loads with the first range.
+"""
+
+from handfit_core.edit.hand import RefineHand, RefineResult
+from handfit_core.edit.handles import landmark_points
+from handfit_core.edit.messages import answer, from_message, result_from_message, to_message
+from handfit_core.edit.refit import refit_each, refit_range, warm_up
+
+__all__ = [
+    "RefineHand",
+    "RefineResult",
+    "answer",
+    "from_message",
+    "landmark_points",
+    "refit_each",
+    "refit_range",
+    "result_from_message",
+    "to_message",
+    "warm_up",
+]

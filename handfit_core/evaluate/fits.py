@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ class Fits:
         self._protocol: ProtocolName = protocol
         self._model = model
         self.models: Mapping[Side, HandModel] = _load_models(model, sides)
-        libraries = "|".join(version(name) for name in ("numpy", "scipy", "torch"))
+        libraries = "|".join(_version(name) for name in ("numpy", "scipy", "torch"))
         self._made_with = f"{protocol}|{libraries}|{_code()}"
         self._of_model = {side: _content(model) for side, model in self.models.items()}
 
@@ -95,17 +95,25 @@ def _content(model: HandModel) -> str:
     return f"{model.digest}|{hashlib.sha256(np.ascontiguousarray(model.hands_mean).tobytes()).hexdigest()}"
 
 
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
+
+
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    from handfit_core import geometry, residuals, skeleton, solvers
+    from handfit_core import fit, geometry, paper, skeleton, solvers
     from handfit_core.detect import correction
     from handfit_core.detect.correction import network
     from handfit_core.evaluate import methods, raw_landmarks
-    from handfit_core.hand_model import anatomy, data, landmarks, layer
+    from handfit_core.hand_model import anatomy, chain, data, landmarks
 
-    of_models = (anatomy, data, landmarks, layer)
+    of_models = (anatomy, chain, data, landmarks)
     learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
-    code = code_digest(solvers, residuals, correction, geometry, skeleton, methods, raw_landmarks, *of_models)
+    of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
+    code = code_digest(*of_solvers, methods, raw_landmarks, *of_models)
     return "|".join([code, *learnt])
 
 

@@ -21,8 +21,9 @@ from handfit_core.evaluate.raw_landmarks import (
 from handfit_core.evaluate.scores import ProtocolName
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel
+from handfit_core.paper.fitter import EXPERIMENTS
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
-from handfit_core.solvers import PAPER_SOLVERS, get_solver, solver_names
+from handfit_core.solvers import get_solver, solver_names
 
 Models = Mapping[Side, HandModel]
 
@@ -88,10 +89,10 @@ def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrin
 def published(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
     """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
     the inverse of its alignment, with no camera anywhere."""
-    from handfit_core.solvers.paper import PaperFitter
+    from handfit_core.paper.fitter import PaperFitter
 
     model = models[track.side]
-    fitter = PaperFitter(model, PAPER_SOLVERS[solver])
+    fitter = PaperFitter(model, EXPERIMENTS[solver])
     count = len(track.detections)
     points, picture, spent = _empty(count), _empty(count), np.full(count, np.nan)
     for i, detection in enumerate(track.detections):
@@ -127,7 +128,7 @@ _TITLES: Final = {
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),
-    "paper": tuple(name for name, options in PAPER_SOLVERS.items() if not options.camera_stage),
+    "paper": tuple(name for name, options in EXPERIMENTS.items() if not options.camera_stage),
     "all": (*_RAW, *solver_names()),
 }
 """Names that stand for several."""
@@ -152,7 +153,7 @@ def get_method(name: str, protocol: ProtocolName) -> Method:
     """The method of that name, as the protocol runs it."""
     if name in _RAW:
         return partial(raw, _RAW[name])
-    options = PAPER_SOLVERS.get(name)
+    options = EXPERIMENTS.get(name)
     if protocol == "paper" and options is not None and not options.camera_stage:
         return partial(published, name)
     return partial(solved, name)

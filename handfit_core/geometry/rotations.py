@@ -1,31 +1,71 @@
 """Rotation conversions in NumPy. Axis-angle in radians, quaternions as (w, x, y, z).
 
-Used by everything that must run without torch (Blender above all); the torch layer has its own
-`rotvec_to_rotmat` in `hand_model.layer`, checked against this one.
+The differentiable layer in torch has a `rotvec_to_rotmat` of its own, checked against this one.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+_SMALLEST = 1e-150
+
 
 def rotvec_to_rotmat(rotvec: np.ndarray) -> np.ndarray:
     """(..., 3) axis-angle -> (..., 3, 3) matrices (Rodrigues' formula; exact at zero)."""
     rotvec = np.asarray(rotvec, dtype=np.float64)
-    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
-    small = angle < 1e-8
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    k = skew(rotvec)
-    return np.eye(3) + a * k + b * (k @ k)
+    angle = np.sqrt(np.square(rotvec).sum(axis=-1, keepdims=True))
+    # Off zero by so little that sin(t) / t is exactly 1 long before.
+    safe = np.maximum(angle, _SMALLEST)
+    half = np.sin(0.5 * safe) / safe
+    outer = (rotvec * (2.0 * half * half))[..., None] * rotvec[..., None, :]
+    return outer + skew(np.sin(safe) / safe * rotvec) + np.cos(angle)[..., None] * np.eye(3)
+
+
+def euler_to_rotmat(angles: np.ndarray) -> np.ndarray:
+    """(..., 3) intrinsic Euler angles XYZ -> (..., 3, 3): Rx Ry Rz."""
+    sines, cosines = np.sin(angles), np.cos(angles)
+    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(sines, -1, 0), np.moveaxis(cosines, -1, 0)
+    rotmat = np.empty((*np.shape(angles), 3))
+    rotmat[..., 0, 0], rotmat[..., 0, 1], rotmat[..., 0, 2] = cy * cz, -cy * sz, sy
+    along, across = sy * cz, sy * sz
+    rotmat[..., 1, 0], rotmat[..., 1, 1], rotmat[..., 1, 2] = (
+        cx * sz + sx * along,
+        cx * cz - sx * across,
+        -sx * cy,
+    )
+    rotmat[..., 2, 0], rotmat[..., 2, 1], rotmat[..., 2, 2] = (
+        sx * sz - cx * along,
+        sx * cz + cx * across,
+        cx * cy,
+    )
+    return rotmat
+
+
+def rotmat_to_euler(rotmat: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) -> (..., 3) intrinsic Euler angles XYZ, the second within 90 degrees of zero."""
+    return np.stack(
+        [
+            np.arctan2(-rotmat[..., 1, 2], rotmat[..., 2, 2]),
+            np.arcsin(np.clip(rotmat[..., 0, 2], -1.0, 1.0)),
+            np.arctan2(-rotmat[..., 0, 1], rotmat[..., 0, 0]),
+        ],
+        axis=-1,
+    )
+
+
+def turn_from_axis(rays: np.ndarray) -> np.ndarray:
+    """(..., 3) unit vectors -> (..., 3, 3) the smallest rotations that lead from +z to them."""
+    across = skew(np.stack([-rays[..., 1], rays[..., 0], np.zeros_like(rays[..., 0])], axis=-1))  # z x ray
+    return np.eye(3) + across + across @ across / (1.0 + rays[..., 2])[..., None, None]
 
 
 def skew(vector: np.ndarray) -> np.ndarray:
     """(..., 3) -> (..., 3, 3) with skew(v) @ u = v x u."""
-    x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*np.shape(x), 3, 3)
+    vector = np.asarray(vector, dtype=np.float64)
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = np.moveaxis(vector, -1, 0)
+    matrix[..., 1, 2], matrix[..., 2, 0], matrix[..., 0, 1] = np.moveaxis(-vector, -1, 0)
+    return matrix
 
 
 def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:

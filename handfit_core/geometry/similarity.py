@@ -35,21 +35,30 @@ class Similarity:
         return matrix
 
 
-def align(source: np.ndarray, target: np.ndarray, *, with_scale: bool) -> Similarity:
-    """The transform that brings (N, 3) `source` nearest to (N, 3) `target` in the least-squares sense.
+def laid_over(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (N, 3, 3) and scales (N,) that lay centred sources (N, K, 3) over centred targets (N, K, 3)
+    with the least squared distance.
 
-    Never a mirror image: the rotation's determinant is +1 even where a reflection would fit better.
-    Degenerate sets (all points equal) give the identity rotation and scale 1.
+    Never mirror images: determinants are +1 even where a reflection would fit better. Points that are not
+    finite get a meaningless rotation, and harm no other set.
     """
+    # LAPACK raises on NaN.
+    covariance = np.nan_to_num(np.swapaxes(target, 1, 2) @ source, posinf=0.0, neginf=0.0)
+    u, singular, vt = np.linalg.svd(covariance)
+    sign = np.ones_like(singular)
+    sign[:, 2] = np.where(np.linalg.det(u @ vt) < 0.0, -1.0, 1.0)
+    scale = (singular * sign).sum(axis=1) / np.maximum(np.square(source).sum(axis=(1, 2)), 1e-12)
+    return (u * sign[:, None]) @ vt, scale
+
+
+def align(source: np.ndarray, target: np.ndarray, *, with_scale: bool) -> Similarity:
+    """The transform that brings (K, 3) `source` nearest to (K, 3) `target` in the least-squares sense, as
+    `laid_over` does. Degenerate sets (all points equal) give the identity rotation and scale 1."""
     source, target = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     centred = source - source_mean
-    u, singular, vt = np.linalg.svd((target - target_mean).T @ centred)
-    sign = np.ones(3)
-    sign[2] = np.sign(np.linalg.det(u @ vt)) or 1.0
-    rotation = (u * sign) @ vt
-    scale = 1.0
-    variance = float(np.sum(centred**2))
-    if with_scale and variance > 0.0:
-        scale = float(np.sum(singular * sign)) / variance or 1.0
+    rotations, scales = laid_over(centred[None], (target - target_mean)[None])
+    rotation = rotations[0]
+    scale = float(scales[0]) if with_scale else 1.0
+    scale = scale or 1.0
     return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler, rotmat_to_rotvec
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
@@ -54,25 +54,13 @@ def _frame(twist: np.ndarray, towards_back: np.ndarray) -> np.ndarray:
 
 def anatomical_angles(rotmats: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """(..., 15, 3, 3) local joint rotations, (15, 3, 3) axes -> (..., 15, 3) twist, spread, bend."""
-    local = np.swapaxes(axes, -1, -2) @ rotmats @ axes
-    return np.stack(
-        [
-            np.arctan2(-local[..., 1, 2], local[..., 2, 2]),
-            np.arcsin(np.clip(local[..., 0, 2], -1.0, 1.0)),
-            np.arctan2(-local[..., 0, 1], local[..., 0, 0]),
-        ],
-        axis=-1,
-    )
+    return rotmat_to_euler(np.swapaxes(axes, -1, -2) @ rotmats @ axes)
 
 
 def rotmats_from_angles(angles: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """The inverse of `anatomical_angles`: (..., 15, 3) twist, spread, bend in radians, (15, 3, 3) axes ->
     (..., 15, 3, 3) local joint rotations, Rx(twist) Ry(spread) Rz(bend) about the joint's own axes."""
-    angles = np.asarray(angles, dtype=np.float64)
-    local = rotvec_to_rotmat(angles[..., 0:1] * np.array([1.0, 0.0, 0.0]))
-    local = local @ rotvec_to_rotmat(angles[..., 1:2] * np.array([0.0, 1.0, 0.0]))
-    local = local @ rotvec_to_rotmat(angles[..., 2:3] * np.array([0.0, 0.0, 1.0]))
-    return axes @ local @ np.swapaxes(axes, -1, -2)
+    return axes @ euler_to_rotmat(np.asarray(angles, dtype=np.float64)) @ np.swapaxes(axes, -1, -2)
 
 
 def relaxed_pose(model: HandModel) -> np.ndarray:

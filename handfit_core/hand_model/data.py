@@ -1,7 +1,7 @@
 """The arrays of a hand model in MANO's format, whoever made it, and its NumPy forward pass.
 
 Everything here needs NumPy only: Blender builds rigs from it. The differentiable, batched twin in
-torch is `hand_model.layer`; a test holds the two together.
+torch is `handfit_core.layer`; a test holds the two together.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from typing import Final
+
 import numpy as np
 
 from handfit_core.hand_model.data import HandModel
@@ -9,6 +12,13 @@ from handfit_core.skeleton import FINGERS, NUM_BETAS
 
 _MIDDLE = FINGERS.index("middle")
 _STEPS = 8
+
+ODD_SHAPE: Final = 3.0
+FARTHEST_SHAPE: Final = 6.0
+"""Standard deviations from the mean: where a given hand length is remarked on, and where it ends. The open
+hand's mesh begins to fold at six and a half."""
+
+log = logging.getLogger("handfit")
 
 
 def flat_hand_length(model: HandModel, betas: np.ndarray | None = None) -> float:
@@ -46,3 +56,26 @@ def betas_of_length(model: HandModel, length: float) -> np.ndarray:
         # The least-norm solution of the length, linearised where the betas are now.
         betas = slope * ((length - now + slope @ betas) / steepness)
     return betas
+
+
+def betas_of_measured(model: HandModel, length: float) -> np.ndarray:
+    """(10,) the shape nearest to the mean that has that length in metres, no farther from the mean than
+    meshes keep their form."""
+    betas = betas_of_length(model, length)
+    return betas * min(1.0, FARTHEST_SHAPE / max(float(np.linalg.norm(betas)), 1e-9))
+
+
+def tell_of_odd_shapes(model: HandModel, length: float) -> None:
+    """Warn where a hand length in metres asks for a shape that hardly any hand has."""
+    away = float(np.linalg.norm(betas_of_length(model, length)))
+    if away <= ODD_SHAPE:
+        return
+    reached = flat_hand_length(model, betas_of_measured(model, length))
+    log.warning(
+        "a hand %.0f mm long is %.1f standard deviations from the model's average of %.0f mm; its "
+        "proportions may look odd%s",
+        length * 1e3,
+        away,
+        flat_hand_length(model) * 1e3,
+        "" if abs(reached - length) < 5e-4 else f", and {reached * 1e3:.0f} mm is as far as it goes",
+    )

@@ -18,9 +18,9 @@ def answer(
 
             return capturing.answer(message, should_stop, on_progress)
         case "refit":
-            from handfit_core import refine
+            from handfit_core import edit
 
-            return refine.answer(message, should_stop)
+            return edit.answer(message, should_stop)
         case "probe":
             return probe(message)
         case "warm":

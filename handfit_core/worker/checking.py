@@ -96,7 +96,7 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
     if not isinstance(model, str):
         raise OptionError(f"a warm request's model must be a path or '{OPEN_HAND}', not {model!r}")
 
-    from handfit_core.refine import warm_up
+    from handfit_core.edit import warm_up
 
     started = time.perf_counter()
     later = [partial(importlib.import_module, name) for name in _LATER]
@@ -119,8 +119,8 @@ def blank_picture_hands() -> int:
 def synthetic_fit_error_mm(side: Side = "right") -> float:
     """Mean distance in mm of the 21 keypoints that the fast solver finds, from those of the relaxed open hand
     that was projected for it, laid over each other."""
-    from handfit_core.refine import landmark_points
-    from handfit_core.solvers.fast.fit import fit_frames
+    from handfit_core.edit import landmark_points
+    from handfit_core.fit.fast import fit_frames
 
     model = load_model(None, side)
     orient, transl = np.array([[-np.pi / 2, 0.0, 0.0]]), np.array([[0.0, 0.0, _DISTANCE]])
@@ -198,7 +198,7 @@ def _solver() -> str:
 
 
 def _refitting() -> str:
-    from handfit_core.refine import warm_up
+    from handfit_core.edit import warm_up
 
     warm_up()
     started = time.perf_counter()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,10 +14,10 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
+from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, hand_length
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, TIP_KEYPOINTS, Side
-from handfit_core.solvers.fast.chain import Chain, State
-from handfit_core.solvers.placement import turn_to_ray
+from handfit_core.paper.placement import turn_to_ray
+from handfit_core.skeleton import JOINTS_BY_FINGER, SIDES, TIP_KEYPOINTS, Side
 from scripts.benchmark.kinematics import model_of
 
 Samples = dict[str, np.ndarray]
@@ -51,14 +51,9 @@ class TrueHands:
         before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
         index = np.flatnonzero(before == SIDES.index(side))
         chain = Chain(model_of(side), landmarks)
-        identity = np.broadcast_to(np.eye(3), (len(index), 3, 3))
         zero = np.zeros((len(index), 3))
-        betas = np.asarray(samples["betas"][index], dtype=np.float64)
-        return cls(
-            index,
-            chain,
-            State(identity, chain.local_from_pose(samples["hand_pose"][index]), zero, betas, zero[:, :1]),
-        )
+        state = chain.state(samples["betas"][index], zero, samples["hand_pose"][index], zero, zero[:, 0])
+        return cls(index, chain, replace(state, wrist=zero))
 
 
 def calibrate(samples: Samples) -> np.ndarray:
@@ -74,8 +69,12 @@ def calibrate(samples: Samples) -> np.ndarray:
         hands = TrueHands.of(samples, side, NO_OFFSETS)
         posed = hands.chain.pose(hands.state)
         points = posed.points
+        of_joints = posed.frames.reshape(-1, 5, 3, 4, 3).swapaxes(2, 3)[:, :, :3]
         frames = np.concatenate(
-            [np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)), _by_joint(posed.frames[:, :, :3])],
+            [
+                np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)),
+                _by_joint(of_joints),
+            ],
             axis=1,
         )
         for row, sample in enumerate(hands.index):
@@ -105,7 +104,7 @@ def _as_right(side: Side) -> np.ndarray:
 
 def _by_joint(frames: np.ndarray) -> np.ndarray:
     """(M, 5, 3, ...) finger by finger -> (M, 15, ...) in MANO's order."""
-    order = np.array([FINGER_JOINTS[f] for f in FINGERS]).reshape(-1) - 1
+    order = JOINTS_BY_FINGER.reshape(-1) - 1
     ordered = np.empty((len(frames), 15, *frames.shape[3:]))
     ordered[:, order] = frames.reshape(len(frames), 15, *frames.shape[3:])
     return ordered
@@ -136,7 +135,7 @@ def pose_prior(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
             rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side))
         )
         collected.append(angles * (1.0 if side == "right" else np.array([-1.0, -1.0, 1.0])))
-    order = np.array([FINGER_JOINTS[f] for f in FINGERS]) - 1
+    order = JOINTS_BY_FINGER - 1
     fingers = np.concatenate(collected)[:, order].reshape(-1, 5, 9)
     covariance = np.stack([np.cov(fingers[:, f].T) for f in range(5)])
     return fingers.mean(axis=0), covariance * PRIOR_WIDER**2 + np.eye(9) * PRIOR_FLOOR**2

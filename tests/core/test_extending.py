@@ -70,6 +70,18 @@ def test_a_detector(tmp_path: Path) -> None:
     assert "bright-spot" in run(tmp_path, "capture", "--help").stdout
 
 
+def test_a_solver(tmp_path: Path) -> None:
+    install("A solver", tmp_path)
+    pictures, output = ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg", tmp_path / "flat.npz"
+    done = run(tmp_path, "capture", pictures, "--frames", "1-2", "--solver", "flat", "-o", output)
+    assert done.returncode == 0, done.stderr
+    take = Take.load(output)
+    (hand,) = take.hands
+    assert take.solver == "flat"
+    assert not hand.hand_pose.any()
+    np.testing.assert_allclose(hand.transl[:, 2], 0.5)
+
+
 def test_a_reader_of_labelled_pictures(tmp_path: Path) -> None:
     install("A reader of labelled pictures", tmp_path)
     sample = ROOT / "samples" / "rendered_hand"

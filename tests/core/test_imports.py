@@ -194,7 +194,7 @@ import numpy as np
 from handfit_core import capture
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.refine import RefineHand, refit_each, refit_range, warm_up
+from handfit_core.edit import RefineHand, refit_each, refit_range, warm_up
 
 take = capture("samples/rendered_hand/hand.%04d.jpg", frames=FrameRange(1, 6))
 hand, = take.hands

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.hand_model.layer import HandLayer, HandOutput, rotvec_to_rotmat
+from handfit_core.layer import HandLayer, HandOutput, rotvec_to_rotmat
 from tests.imitation_mano import imitation_model
 
 torch.set_num_threads(1)

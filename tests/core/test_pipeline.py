@@ -20,8 +20,7 @@ from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.pipeline import _rate, hand_summaries, hand_track
-from handfit_core.solvers import TrackSolver, get_solver
-from handfit_core.solvers.result import TrackFit
+from handfit_core.solvers import TrackFit, TrackSolver, get_solver
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"

@@ -22,10 +22,10 @@ from blender_manient import jobs, parts, shared_worker, source_info
 from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
+from handfit_core.edit import result_from_message
 from handfit_core.errors import HandfitError
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
-from handfit_core.refine import result_from_message
 from handfit_core.worker.client import Worker
 from handfit_core.worker.runner import WorkerError, as_error
 from scripts import batch_fit

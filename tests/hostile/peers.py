@@ -35,8 +35,8 @@ CAPTURE: dict[str, Any] = {
 @cache
 def refit() -> dict[str, Any]:
     """A request for two frames, as the add-on sends it."""
-    from handfit_core.refine import to_message
-    from handfit_core.refine.hand import RefineHand
+    from handfit_core.edit import to_message
+    from handfit_core.edit.hand import RefineHand
     from tests.hostile.takes import good_take
 
     take = good_take()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.similarity import laid_over
 from handfit_core.skeleton import NUM_KEYPOINTS, WRIST_KEYPOINT, Side
 
 KNUCKLES = (5, 9, 13, 17)
@@ -80,20 +81,10 @@ def canonical_arrays(
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, -sin, sin, cos, 1.0
     points = (points / size[:, None, None]) @ np.swapaxes(turn, -1, -2)
     laid = laid @ np.swapaxes(turn, -1, -2)
-    over = _laid_over(laid, points)
+    rotation, scale = laid_over(laid, points)
+    over = scale[:, None, None] * laid @ np.swapaxes(rotation, -1, -2)
     fused = points.copy()
     fused[..., 2] = (points[..., 2] + over[..., 2]) / 2.0
     flat = [part.reshape(len(points), 3 * NUM_KEYPOINTS) for part in (points, WORLD_SCALE * laid, over)]
     features = np.concatenate([*flat, agreement[:, None]], axis=1)
     return Canonical(features, fused, turn, mirror, size, middle)
-
-
-def _laid_over(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Centred (N, K, 3) sources after the similarity transforms that lay them over centred targets
-    (Umeyama, 1991)."""
-    u, s, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ source)
-    sign = np.ones_like(s)
-    sign[:, 2] = np.sign(np.linalg.det(u @ vt))
-    rotation = (u * sign[:, None, :]) @ vt
-    scale = (s * sign).sum(axis=1) / np.maximum(np.square(source).sum(axis=(1, 2)), 1e-12)
-    return scale[:, None, None] * source @ np.swapaxes(rotation, -1, -2)

@@ -9,8 +9,7 @@ from handfit_core.evaluate.methods import get_method, method_names
 from handfit_core.evaluate.raw_landmarks import fused_landmarks, in_metres, world_landmarks
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
-from handfit_core.solvers import PAPER_SOLVERS
-from handfit_core.solvers.paper import PaperFitter
+from handfit_core.paper.fitter import EXPERIMENTS, PaperFitter
 from tests.core.evaluate.hands import CAMERA, joints, seen
 
 
@@ -69,6 +68,6 @@ def test_a_fitted_hand_keeps_the_parameters_that_give_its_surface() -> None:
 def test_the_papers_protocol_takes_the_papers_own_picture_points() -> None:
     model, detection = load_model(None, "right"), seen(joints())
     result = get_method("paper-b", "paper")({"right": model}, DetectedTrack("right", (detection,)), CAMERA)
-    fit = PaperFitter(model, PAPER_SOLVERS["paper-b"]).fit(detection.keypoints)
+    fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints)
     fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
     np.testing.assert_allclose(result.picture_points[0], fit.in_picture(fitted))

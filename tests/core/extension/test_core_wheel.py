@@ -33,7 +33,7 @@ def checkout(tmp_path):
         "hand_model/data/MANO-RIGHT.npz",
         "detect/data/notes.txt",
         "detect/data/second.task",
-        "hand_model/layer.py.orig",
+        "hand_model/chain.py.orig",
     ],
 )
 def test_what_is_not_the_cores_does_not_go_into_the_zip(checkout, tmp_path, name):

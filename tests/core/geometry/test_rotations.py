@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from handfit_core.geometry.rotations import (
+    euler_to_rotmat,
     quat_to_rotmat,
+    rotmat_to_euler,
     rotmat_to_quat,
     rotmat_to_rotvec,
     rotvec_to_rotmat,
     skew,
+    turn_from_axis,
     unflip_quats,
 )
 
@@ -101,3 +104,24 @@ def test_unflip_makes_neighbours_near_and_keeps_rotations() -> None:
     np.testing.assert_allclose(unflip_quats(flipped), np.stack([smooth, smooth], axis=1), atol=1e-15)
     np.testing.assert_array_equal(flipped, before)
     assert unflip_quats(np.zeros((0, 4))).shape == (0, 4)
+
+
+def test_euler_angles_are_turns_about_x_then_y_then_z() -> None:
+    angles = np.concatenate([np.random.default_rng(0).normal(size=(6, 3)) * 0.6, np.zeros((1, 3))])
+    expected = np.eye(3)
+    for i in range(3):
+        expected = expected @ rotvec_to_rotmat(angles[:, i : i + 1] * np.eye(3)[i])
+    np.testing.assert_allclose(euler_to_rotmat(angles), expected, atol=1e-14)
+    np.testing.assert_allclose(rotmat_to_euler(expected), angles, atol=1e-12)
+    pole = np.array([[0.3, np.pi / 2, 0.2], [0.3, -np.pi / 2, 0.2]])
+    back = euler_to_rotmat(rotmat_to_euler(euler_to_rotmat(pole)))
+    np.testing.assert_allclose(back, euler_to_rotmat(pole), atol=1e-7)
+
+
+def test_turns_lead_from_the_axis_to_the_ray_on_the_shortest_way() -> None:
+    rays = np.random.default_rng(1).normal(size=(5, 3)) + [0.0, 0.0, 2.0]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    turns = turn_from_axis(rays)
+    np.testing.assert_allclose(turns[:, :, 2], rays, atol=1e-12)
+    np.testing.assert_allclose(turns @ turns.swapaxes(1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose((turns.trace(axis1=1, axis2=2) - 1) / 2, rays[:, 2], atol=1e-12)

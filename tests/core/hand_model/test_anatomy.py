@@ -11,8 +11,8 @@ from handfit_core.hand_model.anatomy import (
     relaxed_pose,
     rotmats_from_angles,
 )
+from handfit_core.paper.anatomical import AnatomicalPenalty
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
-from handfit_core.solvers.anatomical import AnatomicalPenalty
 
 MIRROR = np.array([1.0, -1.0, -1.0])
 """Mirroring in x turns a rotation vector (a, b, c) into (a, -b, -c)."""

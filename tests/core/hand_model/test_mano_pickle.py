@@ -409,7 +409,7 @@ def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> N
     smplx = pytest.importorskip("smplx", reason="smplx is not installed (its licence is non-commercial)")
     import torch
 
-    from handfit_core.hand_model.layer import HandLayer
+    from handfit_core.layer import HandLayer
 
     model = imitation_model(side) if which == "imitation" else load_model(None, side)
     path = save_mano_pickle(model, tmp_path / f"MANO_{side.upper()}.pkl")

@@ -14,7 +14,7 @@ from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side, other_side
 from scripts.training import learn
 from scripts.training.learn import Samples
 from scripts.training.samples import Sample
-from tests.core.solvers.fast.detections import keypoints_of, landmarks_of, mirrored, poses, seen
+from tests.core.fit.detections import keypoints_of, landmarks_of, mirrored, poses, seen
 
 torch.set_num_threads(1)
 SIZE = 480

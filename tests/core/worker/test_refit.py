@@ -9,11 +9,11 @@ import pytest
 
 from handfit_core import Intrinsics, Take
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.edit import RefineHand, to_message
+from handfit_core.edit.messages import answer, from_message
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
-from handfit_core.refine import RefineHand, to_message
-from handfit_core.refine.messages import answer, from_message
-from handfit_core.solvers.fast import smooth
-from handfit_core.solvers.result import never
+from handfit_core.fit import clips
+from handfit_core.solvers import never
 from tests.conftest import ROOT
 
 COUNT = 8
@@ -46,9 +46,9 @@ def hand() -> RefineHand:
 def test_a_range_is_stopped_once_smoothing_began(
     hand: RefineHand, monkeypatch: pytest.MonkeyPatch, iterations: int
 ) -> None:
-    monkeypatch.setattr(smooth, "ITERATIONS", iterations)
-    solve, solved = smooth._solve, []
-    monkeypatch.setattr(smooth, "_solve", lambda *a: solved.append(1) or solve(*a))
+    monkeypatch.setattr(clips, "ITERATIONS", iterations)
+    solve, solved = clips._solve, []
+    monkeypatch.setattr(clips, "_solve", lambda *a: solved.append(1) or solve(*a))
     message = {"mode": "range", "hand": to_message(hand)}
     assert "result" in answer(message, never)
     assert solved

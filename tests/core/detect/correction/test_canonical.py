@@ -11,7 +11,7 @@ from handfit_core.detect.correction.canonical import FEATURES, KNUCKLES, WORLD_S
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.geometry.similarity import align
 from handfit_core.skeleton import Side, other_side
-from tests.core.solvers.fast.detections import landmarks_of, poses, seen
+from tests.core.fit.detections import landmarks_of, poses, seen
 
 RIGHT: Side = "right"
 DETECTIONS = [seen(p, RIGHT, noise=4.0, seed=i) for i, p in enumerate(landmarks_of(RIGHT, *poses(8, seed=1)))]

@@ -17,7 +17,7 @@ from handfit_core.detect.correction.network import (
     side_probability,
 )
 from handfit_core.skeleton import Side
-from tests.core.solvers.fast.detections import landmarks_of, mirror_image, poses, seen
+from tests.core.fit.detections import landmarks_of, mirror_image, poses, seen
 
 RIGHT: Side = "right"
 POINTS = landmarks_of(RIGHT, *poses(12, seed=2))

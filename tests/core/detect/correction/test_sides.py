@@ -8,7 +8,7 @@ import numpy as np
 
 from handfit_core.detect.correction.network import side_probability
 from handfit_core.detect.correction.sides import DETECTOR_ODDS, with_side_judged
-from tests.core.solvers.fast.detections import landmarks_of, poses, seen
+from tests.core.fit.detections import landmarks_of, poses, seen
 
 POINTS = landmarks_of("right", *poses(12, seed=3))
 DETECTIONS = [seen(p, "right", noise=1.0, seed=i) for i, p in enumerate(POINTS)]

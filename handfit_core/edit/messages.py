@@ -1,0 +1,205 @@
+"""Re-fitting as the worker's messages: docs/worker-protocol.md."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.doors.values import Unfit, number, shortly
+from handfit_core.edit.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.recent import Recent
+from handfit_core.edit.refit import refit_each, refit_range
+from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model import OPEN_HAND
+from handfit_core.skeleton import NUM_KEYPOINTS, other_side
+from handfit_core.solvers import DEFAULT_SMOOTHING, ShouldStop
+from handfit_core.take import LARGEST
+from handfit_core.worker.protocol import pack, unpack
+
+MODES = ("each", "draft", "range")
+_POINTS = ("keypoints", "world")
+_RECENT = Recent()
+
+
+def to_message(hand: RefineHand) -> dict[str, Any]:
+    """A hand as JSON's types: the `hand` of a `refit` request.
+
+    Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
+    (whether the detector named this side), NaN rows where there is none.
+    """
+    count = len(hand)
+    points = {name: np.full((count, NUM_KEYPOINTS, 3), np.nan, np.float32) for name in _POINTS}
+    score, agrees = np.full(count, np.nan, np.float32), np.ones(count, dtype=bool)
+    for row, detection in enumerate(hand.detections):
+        if detection is not None:
+            points["keypoints"][row], points["world"][row] = detection.keypoints, detection.world
+            score[row], agrees[row] = detection.score, detection.side == hand.side
+    camera = hand.intrinsics
+    return {
+        "side": hand.side,
+        "model": hand.model,
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "fps": float(hand.fps),
+        "smoothing": float(hand.smoothing),
+        "holes": [int(row) for row in hand.holes],
+        "betas": pack(np.asarray(hand.betas, dtype=np.float64)),
+        **{name: pack(np.asarray(getattr(hand, name), dtype=np.float64)) for name in START_ARRAYS},
+        "pins": pack(np.asarray(hand.pins, dtype=np.float64)),
+        "locked": pack(np.asarray(hand.locked, dtype=bool)),
+        **{name: pack(array) for name, array in points.items()},
+        "score": pack(score),
+        "agrees": pack(agrees),
+    }
+
+
+def from_message(message: Mapping[str, Any]) -> RefineHand:
+    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes` and `agrees` may be missing.
+
+    Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
+    shape or range; both name it.
+    """
+    if not isinstance(message, Mapping):
+        raise ProtocolError("refit: hand must be an object")
+    side = message.get("side")
+    if side not in ("left", "right"):
+        raise OptionError(f"side must be left or right, not {shortly(side)}")
+    points = {name: _array(message, name) for name in _POINTS}
+    count = points["keypoints"].shape[0] if points["keypoints"].ndim else 0
+    for name, array in points.items():
+        if array.shape != (count, NUM_KEYPOINTS, 3):
+            raise OptionError(f"{name} must have the shape {(count, NUM_KEYPOINTS, 3)}, not {array.shape}")
+    score = _array(message, "score")
+    agrees = _array(message, "agrees") if "agrees" in message else np.ones(count, dtype=bool)
+    for name, array in (("score", score), ("agrees", agrees)):
+        if array.shape != (count,):
+            raise OptionError(f"{name} must have the shape {(count,)}, not {array.shape}")
+    there = [bool(np.isfinite([points[name][row] for name in _POINTS]).all()) for row in range(count)]
+    detections = tuple(
+        HandDetection(
+            side if agrees[row] else other_side(side),
+            float(np.nan_to_num(score[row], nan=0.5)),
+            points["keypoints"][row].astype(np.float64),
+            points["world"][row].astype(np.float64),
+        )
+        if there[row]
+        else None
+        for row in range(count)
+    )
+    return RefineHand(
+        side=side,
+        betas=_array(message, "betas"),
+        intrinsics=Intrinsics(*_numbers(message, "intrinsics", 4)),
+        detections=detections,
+        # Whole numbers would have no NaN for what is not pinned.
+        pins=_array(message, "pins").astype(np.float64),
+        **{name: _array(message, name).astype(np.float64) for name in START_ARRAYS},
+        locked=_array(message, "locked"),
+        model=_text(message, "model", OPEN_HAND),
+        fps=_number(message, "fps", 25.0),
+        smoothing=_number(message, "smoothing", DEFAULT_SMOOTHING),
+        holes=_rows(message, "holes"),
+    )
+
+
+def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
+    """What the `done` event of a `refit` request says: {"result": {...}, "seconds": s}.
+
+    The request's `mode` is "each", "draft" (see `refit_each`) or "range", its `hand` what `to_message` made.
+    The result's arrays are those of RefineResult, packed as float32. Raises HandfitError; Cancelled when
+    stopped.
+    """
+    mode = message.get("mode", "each")
+    if mode not in MODES:
+        raise OptionError(f"refit: mode must be one of {', '.join(MODES)}; not {mode!r}")
+    if "hand" not in message:
+        raise ProtocolError("refit: hand is missing")
+    begin = time.perf_counter()
+    hand = from_message(message["hand"])
+    if should_stop():
+        raise Cancelled("re-fitting was stopped; nothing was changed")
+    if mode == "range":
+        result = refit_range(hand, should_stop)
+    else:
+        draft = mode == "draft"
+        result = refit_each(hand, _RECENT.of(hand) if draft else None, draft=draft)
+        _RECENT.keep(hand, result)
+    if should_stop():
+        raise Cancelled("re-fitting was stopped; nothing was changed")
+    arrays = {f.name: getattr(result, f.name) for f in fields(RefineResult)}
+    # A fit that ran away, as one close to the camera can, costs its own frame and no other.
+    lost = np.logical_or.reduce(
+        [(np.abs(a) > LARGEST).reshape(len(a), -1).any(axis=1) for a in arrays.values()]
+    )
+    packed = {
+        name: pack(np.where(lost.reshape(-1, *[1] * (a.ndim - 1)), np.nan, a).astype(np.float32))
+        for name, a in arrays.items()
+    }
+    return {"result": packed, "seconds": time.perf_counter() - begin}
+
+
+def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
+    """What the `done` event of a `refit` request for `count` frames carries. Raises ProtocolError."""
+    result = done.get("result")
+    if not isinstance(result, Mapping):
+        raise ProtocolError("refit: the answer has no result")
+    arrays = {f.name: _array(result, f.name).astype(np.float64) for f in fields(RefineResult)}
+    for name, array in arrays.items():
+        if array.shape != (count, *RESULT_SHAPES[name]):
+            raise ProtocolError(f"refit: the answer's {name} has the wrong shape, {array.shape}")
+        if np.any(np.abs(array) > LARGEST):  # NaN, in rows without a hand, is not
+            raise ProtocolError(f"refit: the answer's {name} holds numbers beyond {LARGEST:g}")
+    return RefineResult(**arrays)
+
+
+def _array(message: Mapping[str, Any], name: str) -> np.ndarray:
+    if name not in message:
+        raise ProtocolError(f"refit: {name} is missing")
+    try:
+        return unpack(message[name])
+    except HandfitError as error:
+        raise ProtocolError(f"refit: {name}: {error}") from error
+
+
+def _numbers(message: Mapping[str, Any], name: str, count: int | None = None) -> list[float]:
+    values = message.get(name)
+    numbers = isinstance(values, list) and all(_is_number(v) for v in values)
+    if not isinstance(values, list) or not numbers or (count is not None and len(values) != count):
+        expected = "numbers" if count is None else f"{count} numbers"
+        raise ProtocolError(f"refit: {name} must be a list of {expected}, not {shortly(values)}")
+    return values
+
+
+def _rows(message: Mapping[str, Any], name: str) -> tuple[int, ...]:
+    """Optional whole numbers."""
+    values = _numbers(message, name) if name in message else []
+    if any(v != int(v) for v in values):
+        raise ProtocolError(f"refit: {name} must be whole numbers, not {shortly(values)}")
+    return tuple(int(v) for v in values)
+
+
+def _number(message: Mapping[str, Any], name: str, default: float) -> float:
+    value = message.get(name, default)
+    if not _is_number(value):
+        raise ProtocolError(f"refit: {name} must be a number, not {shortly(value)}")
+    return float(value)
+
+
+def _text(message: Mapping[str, Any], name: str, default: str) -> str:
+    value = message.get(name)
+    if value is not None and not isinstance(value, str):
+        raise ProtocolError(f"refit: {name} must be a text, not {shortly(value)}")
+    return value or default
+
+
+def _is_number(value: object) -> bool:
+    try:
+        number("it", value)
+    except Unfit:
+        return False
+    return True

@@ -1,0 +1,31 @@
+"""What was answered last: the next answer of the same drag is near."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
+
+
+class Recent:
+    """The last result of a single frame. A drag asks many times for the same frame with a pin that has moved
+    a little: the solver needs a few steps from the last result, and many from where the drag began."""
+
+    def __init__(self) -> None:
+        self._key: tuple[object, ...] | None = None
+        self._result: RefineResult | None = None
+
+    def of(self, hand: RefineHand) -> RefineResult | None:
+        """The last result, if it was of the same frame, pose and shape."""
+        return self._result if self._key == _key(hand) else None
+
+    def keep(self, hand: RefineHand, result: RefineResult) -> None:
+        """Remember a result; of many frames none."""
+        self._key, self._result = (_key(hand), result) if len(hand) == 1 else (None, None)
+
+
+def _key(hand: RefineHand) -> tuple[object, ...]:
+    arrays = [hand.betas, *(getattr(hand, name) for name in START_ARRAYS), hand.locked]
+    seen = [d.keypoints for d in hand.detections if d is not None]
+    numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in (*arrays, *seen))
+    return (hand.side, hand.model, hand.intrinsics, len(hand), *numbers)

@@ -1,0 +1,111 @@
+"""Re-fitting: frame by frame while the artist drags, or a range over time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.handles import landmark_points
+from handfit_core.errors import HandModelError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model import OPEN_HAND, HandModel
+from handfit_core.hand_model.kept import kept_model
+from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.solvers import ShouldStop, never
+
+
+def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bool = False) -> RefineResult:
+    """Every frame by itself, with the shape as it is.
+
+    A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
+    as it is, and with pins the joints of fingers that none of them moves do. Where the pinned fingers reach
+    their pins by themselves, the palm stays too, and only what they fall short of moves it (see `pins`).
+    A frame without a pose is fitted to its detection and pins; without a detection too it stays empty.
+
+    `draft`: a few steps from `guess`, an earlier result for the same hand, for the time until a mouse button
+    is released. Otherwise the guess does not count: the result depends on where the pins are alone.
+
+    Raises HandModelError.
+    """
+    from handfit_core.edit import solving
+
+    model = kept_model(hand.model, hand.side)
+    return _result(hand, model, solving.each(hand, model, guess, draft=draft))
+
+
+def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResult:
+    """All frames anew from their detections and pins, over time, with the shape as it is.
+
+    As a capture does it: smooth as `hand.smoothing` says, short gaps filled from both sides. Pinned
+    frames without a detection are held loosely to their pose. The pose is otherwise no more than a start for
+    the solver, but for locked joints. Frames that are neither detected nor pinned nor in a short gap come
+    back empty.
+
+    Raises HandModelError; Cancelled when `should_stop` said so.
+    """
+    from handfit_core.edit import solving
+
+    model = kept_model(hand.model, hand.side)
+    return _result(hand, model, solving.over_range(hand, model, should_stop))
+
+
+def warm_up(model: str = OPEN_HAND) -> None:
+    """Load all that re-fitting needs, and use it once, so that the first drag is as fast as any.
+
+    Raises HandModelError if there is no hand of either side in `model`.
+    """
+    from handfit_core.edit import solving
+
+    solving.load()
+    errors: list[HandModelError] = []
+    for side in SIDES:
+        try:
+            loaded = kept_model(model, side)
+        except HandModelError as error:  # a MANO file of one side is enough
+            errors.append(error)
+            continue
+        refit_each(_dragged(loaded, model, side))
+    if len(errors) == len(SIDES):
+        raise errors[0]
+
+
+def _dragged(loaded: HandModel, model: str, side: Side) -> RefineHand:
+    """A flat hand before a camera, one fingertip of which is pulled."""
+    camera = Intrinsics(600.0, 600.0, 320.0, 240.0)
+    pose = np.array([[-np.pi / 2, 0.0, 0.0]]), np.zeros((1, 45)), np.array([[0.0, 0.0, 0.6]])
+    points = landmark_points(loaded, np.zeros(NUM_BETAS), *pose)
+    pixels = camera.project(points)
+    pins = np.full((1, NUM_KEYPOINTS, 2), np.nan)
+    pins[0, 8] = pixels[0, 8] + 10.0
+    depth = (points[..., 2:] - points[:, :1, 2:]) * camera.fx / points[..., 2:].mean()
+    detection = HandDetection(
+        side, 0.9, np.concatenate([pixels, depth], axis=2)[0], (points - points.mean(axis=1))[0]
+    )
+    locked = np.zeros(NUM_JOINTS, dtype=bool)
+    return RefineHand(side, np.zeros(NUM_BETAS), camera, (detection,), pins, *pose, locked, model)
+
+
+def _result(hand: RefineHand, model: HandModel, pose: dict[str, np.ndarray]) -> RefineResult:
+    """What follows from the poses: the three arrays of START_ARRAYS, NaN rows where there is none."""
+    count = len(hand)
+    present = np.isfinite(pose["transl"]).all(axis=1)
+    rows = [pose[name][present] for name in START_ARRAYS]
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        whole = np.full((count, *values.shape[1:]), np.nan)
+        whole[present] = values
+        return whole
+
+    joints = model.keypoints(hand.betas, *rows)
+    projected = spread(hand.intrinsics.project(joints))
+    distance = np.linalg.norm(projected - hand.keypoints_2d, axis=-1)
+    known = np.isfinite(distance)
+    error = np.where(known, distance, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return RefineResult(
+        **pose,
+        joints_3d=spread(joints),
+        projected=projected,
+        landmarks_2d=spread(hand.intrinsics.project(landmark_points(model, hand.betas, *rows))),
+        reprojection_error=np.where(known.any(axis=1), error, np.nan),
+    )

@@ -1,0 +1,432 @@
+"""The heavy half of re-fitting: what is fitted to, and the fast solver over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.edit import pins as pinning
+from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.handles import landmark_points
+from handfit_core.errors import Cancelled
+from handfit_core.fit.fast import CHUNK, TRUST, FastFitter, fitter_of, over_time
+from handfit_core.fit.gaps import jumps, missing_between
+from handfit_core.fit.observation import Kept, Landmarked, Observation, landmarked
+from handfit_core.fit.problem import Held
+from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.anatomy import joint_limits
+from handfit_core.hand_model.chain import State, joined
+from handfit_core.hand_model.data import HandModel
+from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, Side
+from handfit_core.solvers import ShouldStop
+
+LOOSE: Final = 4.0
+"""times the expected errors of a pose's points, where they stand in for a detection among others"""
+MAX_ITERATIONS: Final = 50
+"""More than captures take. Where they are too few, a drag's result does still not depend on the way there:
+from the frame's own pose the steps are the same every time."""
+DRAFT_ITERATIONS: Final = 6
+"""While a point is dragged, each answer goes on where the one before ended"""
+CHEAPER: Final = 0.9
+"""of the cost from the first start: where another leads to less, its result counts"""
+OTHER_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
+"""of what a finger's three joints can do: where a finger that cannot reach its pin begins again"""
+
+
+def load() -> None:
+    """What is else imported with the first range."""
+    import scipy.linalg  # noqa: F401
+
+
+def each(
+    hand: RefineHand, model: HandModel, guess: RefineResult | None, *, draft: bool = False
+) -> dict[str, np.ndarray]:
+    """Poses (T rows) of all frames, each by itself. `draft`: a few steps from the guess, or from the frame's
+    own pose where there is none."""
+    pose = {name: np.array(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
+    posed, points = _posed(hand, model)
+    for values in pose.values():
+        values[~posed] = np.nan
+    rows = np.flatnonzero(np.where(posed, hand.pinned.any(axis=1), hand.detected))
+    if not len(rows):
+        return pose
+    detected = _detected(hand, rows)
+    seen = _first_or_second(posed[rows], pinning.kept(points[rows], hand.intrinsics), detected)
+    held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
+    fitter = fitter_of(model)
+    for at, part in _chunks(rows):
+        observed = _rows(seen, part).observation(hand.intrinsics)
+        own = _start(fitter, hand, hand, posed[at], observed, at)
+        near = own if draft else None
+        if draft and guess is not None:
+            there = guess.present[at]
+            near = _start(fitter, hand, guess, there, observed, at).where(there, own)
+        frames = _Frames(
+            fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
+            _rows(seen, part), _rows(detected, part), own, near,
+        )  # fmt: skip
+        state, held[at] = frames.corrected()
+        for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
+            pose[name][at] = values
+    return _with_held(hand, held, pose)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """B frames that are corrected, each by itself."""
+
+    fitter: FastFitter
+    intrinsics: Intrinsics
+    pins: np.ndarray
+    """(B, 21, 2) pixels"""
+    posed: np.ndarray
+    """(B,) bool: frames that have a pose, which is corrected"""
+    locked: np.ndarray
+    """(B, 16) bool: joints of those that stay as they are"""
+    seen: Landmarked
+    """That pose's landmarks, or the detected ones where there is none"""
+    detected: Landmarked
+    """NaN where nothing is detected"""
+    own: State
+    """That pose, or a relaxed hand"""
+    near: State | None
+    """Where a draft begins; None: this is no draft"""
+
+    def corrected(self) -> tuple[State, np.ndarray]:
+        """Their poses, and which joints (B, 16) bool have not moved."""
+        state, held = self.own, self.locked | self.posed[:, None]
+        alone = np.flatnonzero(self.posed & ~pinning.unpinned(self.pins).all(axis=1))
+        if len(alone):
+            some = self._select(alone)
+            found, held[alone] = some._fingers_alone()
+            state = _put(state, alone, found)
+        seen = _first_or_second(
+            self.posed, pinning.kept(_points(self.fitter, state), self.intrinsics), self.seen
+        )
+        left = pinning.displacement(self.pins, seen.pixels)
+        fall_short = (left.max(axis=1) > pinning.REACHED) & ~self.locked[:, 0]
+        palm = np.flatnonzero(fall_short | ~self.posed)
+        if len(palm):
+            some = self._select(palm)
+            found, held[palm] = some._palm_follows(state.select(palm), _rows(seen, palm), left[palm])
+            state = _put(state, palm, found)
+        return state, held
+
+    def _select(self, rows: np.ndarray) -> _Frames:
+        return replace(
+            self, pins=self.pins[rows], posed=self.posed[rows], locked=self.locked[rows],
+            seen=_rows(self.seen, rows), detected=_rows(self.detected, rows), own=self.own.select(rows),
+            near=None if self.near is None else self.near.select(rows),
+        )  # fmt: skip
+
+    def _fingers_alone(self) -> tuple[State, np.ndarray]:
+        """Fingers with pins beyond their knuckles go for these; all else is held."""
+        pins = pinning.of_fingers(self.pins)
+        doubt = pinning.followed(pinning.displacement(pins, self.seen.pixels))
+        seen = pinning.pinned(pinning.forgetting(self.seen, self.detected, doubt), pins, doubt)
+        held = self.locked | _joints(np.ones(len(pins), dtype=bool), pinning.unpinned(pins))
+        anywhere = np.full(len(pins), np.inf)
+        # A pin that a finger cannot reach must not pull it beyond what joints can do.
+        seen = replace(seen, pinned=None)
+        start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
+        found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+        if self.near is None:
+            left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
+            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
+            if len(short):
+                some, kept = self._select(short), self.own.select(short)
+                starts = [found.select(short), *some._other_bends()]
+                others = _rows(seen, short), kept, anywhere[short], doubt[short], held[short], starts
+                found = _put(found, short, some._solved(*others))
+        return found, held
+
+    def _other_bends(self) -> list[State]:
+        """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
+        upper = joint_limits(self.fitter.model.side).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
+        states = []
+        for bends in OTHER_BENDS:
+            angles = np.zeros((1, 5, 3, 3))
+            angles[0, ..., 2] = np.array(bends) * upper[..., 2]
+            states.append(
+                replace(self.own, angles=np.broadcast_to(angles.reshape(1, 5, 9), self.own.angles.shape))
+            )
+        return states
+
+    def _palm_follows(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
+        """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
+        (B, 21) pixels."""
+        doubt, size = pinning.followed(left), pinning.sizes(seen.pixels)
+        forget = pinning.followed(pinning.of_palm(left))
+        far = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
+        aim = pinning.pinned(pinning.forgetting(seen, self.detected, forget), self.pins, doubt)
+        still = pinning.untouched(doubt) & pinning.unpinned(self.pins)
+        held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
+        # A finger draws the hand along as it is; wrist and knuckles rather turn it.
+        starts = [self._shifted(reached, seen.pixels)]
+        turns = pinning.of_palm(left).any(axis=1)
+        if self.near is not None:
+            starts.insert(0, replace(self.near, angles=reached.angles))
+        elif turns.any():
+            starts.insert(0, reached.where(np.asarray(turns), starts[0]))
+        return self._solved(aim, reached, far, doubt, held, starts), held
+
+    def _shifted(self, state: State, pixels: np.ndarray) -> State:
+        """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
+        average."""
+        at = np.asarray(np.isfinite(self.pins).all(axis=-1))
+        off = (
+            np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1)
+            / np.maximum(at.sum(axis=1), 1)[:, None]
+        )
+        focal = np.array([self.intrinsics.fx, self.intrinsics.fy])
+        moved = state.wrist.copy()
+        moved[:, :2] += state.wrist[:, 2:] * (off / focal)
+        return replace(state, wrist=moved)
+
+    def _solved(
+        self,
+        seen: Landmarked,
+        kept: State,
+        far: np.ndarray,
+        doubt: np.ndarray,
+        held: np.ndarray,
+        starts: list[State],
+    ) -> State:
+        observed = seen.observation(self.intrinsics)
+        # A frame without a pose has nothing to keep.
+        turned = np.where(self.posed[:, None], pinning.angle_sigma(doubt, pinning.sizes(seen.pixels)), np.inf)
+        near = Kept(
+            kept.wrist, far, kept.angles,
+            turned, pinning.LIMITS_SIGMA,
+        )  # fmt: skip
+        most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
+        return _cheapest(self.fitter, replace(observed, kept=near), starts, _held(held, kept), most)
+
+
+def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
+    """Poses (T rows) of all frames, over time. Those with pins are found twice: without them, which tells how
+    far away the wrist is, and with them."""
+    pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
+    posed, points = _posed(hand, model)
+    rows = np.flatnonzero(hand.detected | (posed & hand.pinned.any(axis=1)))
+    if not len(rows):
+        return pose
+    keep = pinning.kept(points[rows], hand.intrinsics)
+    seen = _first_or_second(hand.detected[rows], _detected(hand, rows), _loosely(keep))
+    # Before the pins, of which one may lie far away.
+    cuts = jumps(seen.pixels) | missing_between(rows, hand.holes)
+    locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
+    fitter = fitter_of(model)
+    everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
+
+    def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
+        return over_time(
+            fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
+            lambda: _check(should_stop),
+        )  # fmt: skip
+
+    observed = seen.observation(hand.intrinsics)
+    states = []
+    for at, part in _chunks(rows):
+        _check(should_stop)
+        here = observed.select(part)
+        own = _start(fitter, hand, hand, posed[at], here, at)
+        states.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
+    alone = joined(states)
+    frames, state = smoothly(observed, alone)
+    if hand.pinned[rows].any():
+        plain = state.select(np.searchsorted(frames, rows))
+        observed, touched = _corrected(hand, seen, rows, plain)
+        corrected = [alone]
+        for at, _ in _chunks(touched):
+            _check(should_stop)
+            held = None if everywhere is None else everywhere.select(rows[at])
+            start = [plain.select(at)]
+            corrected.append(_cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS))
+        latest = np.arange(len(rows))
+        latest[touched] = len(rows) + np.arange(len(touched))
+        frames, state = smoothly(observed, joined(corrected).select(latest))
+    for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
+        pose[name][frames] = values
+    return _with_held(hand, locked, pose)
+
+
+def _corrected(
+    hand: RefineHand, seen: Landmarked, rows: np.ndarray, plain: State
+) -> tuple[Observation, np.ndarray]:
+    """What is seen of those frames with their pins, and which of them that touches. Distances are kept as
+    they are without pins, in `plain`."""
+    pins, size = hand.pins[rows], pinning.sizes(seen.pixels)
+    displaced = pinning.over_time(pinning.displacement(pins, seen.pixels), rows, hand.fps)
+    doubt = pinning.followed(displaced)
+    touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1)
+    far = np.where(touched, pinning.distance_sigma(displaced, size), np.inf)
+    observed = pinning.pinned(seen, pins, doubt).observation(hand.intrinsics)
+    anywhere = np.full((len(rows), 5), np.inf)
+    kept = Kept(plain.wrist, far, plain.angles, anywhere)
+    return replace(observed, kept=kept), np.flatnonzero(touched)
+
+
+def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The solver's poses with the joints that are held, (T, 16) bool, as they came, to the last bit."""
+    wrist, fingers = held[:, :1].repeat(3, axis=1), held[:, 1:].repeat(3, axis=1)
+    parts = {"global_orient": wrist, "hand_pose": fingers, "transl": wrist}
+    return {
+        name: np.where(np.isfinite(rows) & parts[name], getattr(hand, name), rows)
+        for name, rows in pose.items()
+    }
+
+
+def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
+    """(N,) of wrists and (N, 5) of fingers -> (N, 16) of their joints, in MANO's order."""
+    joints = np.empty((len(fingers), NUM_JOINTS), dtype=fingers.dtype)
+    joints[:, 0] = wrist
+    joints[:, JOINTS_BY_FINGER] = fingers[..., None]
+    return joints
+
+
+def _points(fitter: FastFitter, state: State) -> np.ndarray:
+    """(B, 21, 3) landmarks, metres, camera frame."""
+    return fitter.chain.points(state)
+
+
+def _put(state: State, rows: np.ndarray, found: State) -> State:
+    """`state` with other poses in those rows."""
+    order = np.arange(len(state))
+    order[rows] = len(state) + np.arange(len(rows))
+    return joined([state, found]).select(order)
+
+
+def _check(should_stop: ShouldStop) -> None:
+    if should_stop():
+        raise Cancelled("re-fitting was stopped; nothing was changed")
+
+
+def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
+    """(T,) bool: frames whose pose can be seen, which is before the camera; and the landmarks (T, 21, 3) of
+    those poses, of others some that harm nothing."""
+    posed = hand.posed
+    points = np.ones((len(hand), NUM_KEYPOINTS, 3))
+    points[posed] = landmark_points(model, hand.betas, *(getattr(hand, n)[posed] for n in START_ARRAYS))
+    behind = points[..., 2].min(axis=1) <= NEAREST
+    points[behind] = 1.0
+    return posed & ~behind, points
+
+
+def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
+    """Corrected landmarks of those frames; NaN where nothing is detected."""
+    detections = [d for row in rows if (d := hand.detections[row]) is not None]
+    there = hand.detected[rows]
+    count = len(rows)
+    points = (count, NUM_KEYPOINTS)
+    whole = Landmarked(*(np.full(shape, np.nan) for shape in ((*points, 2), (*points, 2), points, points)))
+    if detections:
+        found = _corrected_once(hand.side, detections)
+        for name in _ARRAYS:
+            getattr(whole, name)[there] = getattr(found, name)
+    return whole
+
+
+_LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
+"""The landmarks of the last single detection: a drag asks for the same ones again and again"""
+
+
+def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
+    if len(detections) > 1:
+        return landmarked(detections, side, TRUST)
+    (one,) = detections
+    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes())
+    if "one" not in _LAST or _LAST["one"][0] != key:
+        _LAST["one"] = key, landmarked(detections, side, TRUST)
+    return _LAST["one"][1]
+
+
+_ARRAYS = tuple(f.name for f in fields(Landmarked) if f.name != "pinned")
+
+
+def _first_or_second(choose_first: np.ndarray, first: Landmarked, second: Landmarked) -> Landmarked:
+    def choose(name: str) -> np.ndarray:
+        mine, theirs = getattr(first, name), getattr(second, name)
+        return np.where(choose_first.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
+
+    return Landmarked(*(choose(name) for name in _ARRAYS))
+
+
+def _loosely(seen: Landmarked) -> Landmarked:
+    return Landmarked(seen.pixels, LOOSE * seen.pixel_sigma, seen.depth, LOOSE * seen.depth_sigma)
+
+
+def _rows(seen: Landmarked, rows: np.ndarray) -> Landmarked:
+    return Landmarked(*(getattr(seen, name)[rows] for name in _ARRAYS))
+
+
+def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(frames, which of `rows` they are), as many as are solved at once."""
+    for first in range(0, len(rows), CHUNK):
+        part = np.arange(first, min(first + CHUNK, len(rows)))
+        yield rows[part], part
+
+
+def _poses(
+    fitter: FastFitter,
+    hand: RefineHand,
+    source: RefineHand | RefineResult,
+    known: np.ndarray,
+    rows: np.ndarray,
+) -> State:
+    """Those frames' poses as `source` has them; where they are not `known`, a flat hand at the camera."""
+    orient, fingers, place = (
+        np.where(known[:, None], np.asarray(getattr(source, name), dtype=np.float64)[rows], 0.0)
+        for name in START_ARRAYS
+    )
+    betas = np.broadcast_to(np.asarray(hand.betas, dtype=np.float64), (len(rows), len(hand.betas)))
+    return fitter.chain.state(betas, orient, fingers, place, np.zeros(len(rows)))
+
+
+def _start(
+    fitter: FastFitter,
+    hand: RefineHand,
+    source: RefineHand | RefineResult,
+    known: np.ndarray,
+    observed: Observation,
+    rows: np.ndarray,
+) -> State:
+    """Where the solver begins: those poses with the depth's zero, and a relaxed hand where none is known."""
+    state = _poses(fitter, hand, source, known, rows)
+    along = (fitter.chain.points(state) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
+    state = replace(state, depth_zero=along)
+    if known.all():
+        return state
+    return state.where(known, fitter.start(observed, np.asarray(hand.betas, dtype=np.float64)))
+
+
+def _cheapest(
+    fitter: FastFitter,
+    observed: Observation,
+    starts: Sequence[State],
+    held: Held | None,
+    max_iterations: int | None = None,
+) -> State:
+    """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
+    difference, from the first. `max_iterations`: None for those of captures."""
+    count = len(observed)
+    index = np.tile(np.arange(count), len(starts))
+    held = held if held is None or len(starts) == 1 else held.select(index)
+    start = joined(starts)
+    problem = fitter.problem(observed if len(starts) == 1 else observed.select(index), held=held)
+    solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)
+    if len(starts) == 1:
+        return solution.state
+    cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
+    cost[0] *= CHEAPER
+    return solution.state.select(cost.argmin(axis=0) * count + np.arange(count))
+
+
+def _held(joints: np.ndarray, state: State) -> Held | None:
+    """Joints (B, 16) of B hands that stay as they are in `state`."""
+    return Held(joints, state) if joints.any() else None

@@ -1,0 +1,26 @@
+"""Fitting hands to what is seen of them: a `Problem` in, a `Solution` out. NumPy; SciPy for clips.
+
+Made of it are two solvers, which load with the first fit.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from handfit_core.solvers import Solver, TrackSolver
+
+
+def _fast(smoothing: float, hand_length: float | None) -> TrackSolver:
+    from handfit_core.fit.fast import fit_track
+
+    return partial(fit_track, smoothing, hand_length=hand_length)
+
+
+def _per_frame(_smoothing: float, hand_length: float | None) -> TrackSolver:
+    return _fast(0.0, hand_length)
+
+
+FAST = Solver(_fast, "Fast", "Smooth over time", smooths=True, takes_hand_length=True)
+FAST_PER_FRAME = Solver(
+    _per_frame, "Fast, Per Frame", "Other frames tell the hand's shape only", takes_hand_length=True
+)

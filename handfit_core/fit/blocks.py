@@ -1,0 +1,105 @@
+"""Normal equations of a hand, solved by its structure.
+
+A finger's nine angles move its own four points only, so that the matrix of a hand is an arrow: a corner of
+the hand's own variables (root, shape, place, depth's zero), five blocks of 9, and what couples each with the
+corner. The blocks are eliminated first (Schur complement). In a clip with one shape, each frame's own
+variables are eliminated next, and the shape is solved over all frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.hand_model.chain import BETAS, Index
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Gauss-Newton matrices of B problems, H x = -g, with the gradients (J^T r: half the costs') as their
+    last column."""
+
+    hand: np.ndarray
+    """(B, n, n + 1)"""
+    finger: np.ndarray
+    """(B, 5, 9, 9 + n + 1): the block, what couples it with the hand, and the gradient"""
+    cost: np.ndarray
+    """(B,)"""
+
+    def put(self, index: Index, other: Blocks) -> None:
+        """The other's problems in place of these, where the index says so."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name)[index] = getattr(other, name)[index]
+
+    def select(self, index: Index) -> Blocks:
+        """The problems of that index."""
+        return Blocks(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+    def holding(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
+        """The same problems with some variables held: their increments come out as exactly zero, and the
+        others' as if they were no variables. `of_hand` (B, n) and `of_fingers` (B, 5, 9) bool."""
+        batch, n, _ = self.hand.shape
+        free = 1.0 - np.concatenate([of_hand, np.zeros((batch, 1))], axis=1)
+        finger_free = 1.0 - of_fingers
+        beside = np.concatenate([finger_free, np.broadcast_to(free[:, None], (batch, 5, n + 1))], axis=2)
+        hand = self.hand * free[:, :n, None] * free[:, None]
+        finger = self.finger * finger_free[..., None] * beside[:, :, None]
+        np.einsum("bii->bi", hand[..., :n])[...] += of_hand
+        np.einsum("bfii->bfi", finger[..., :9])[...] += of_fingers
+        return Blocks(hand, finger, self.cost)
+
+    def step(self, damping: np.ndarray, *, shared_shape: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Increments (B, n) and (B, 5, 9) under Levenberg-Marquardt damping (B,), relative to the diagonals.
+
+        With `shared_shape` the betas are the same in all B problems.
+        """
+        batch, n, _ = self.hand.shape
+        # Faster than to solve for the few right sides, and as good for a step.
+        inverse = np.linalg.inv(_damped(self.finger[..., :9], damping[:, None]))
+        solved = inverse @ self.finger[..., 9:]
+        mixed = self.finger.reshape(batch, 45, 10 + n)[..., 9:-1]
+        reduced = self.hand - mixed.swapaxes(1, 2) @ solved.reshape(batch, 45, n + 1)
+        diagonal = np.einsum("bii->bi", reduced[..., :n])
+        diagonal += damping[:, None] * np.einsum("bii->bi", self.hand[..., :n]) + FLOOR
+        if shared_shape:
+            of_hand = -_with_one_shape(reduced)
+        else:
+            of_hand = -np.linalg.solve(reduced[..., :-1], reduced[..., -1:])[..., 0]
+        # Back to the fingers: D y = -(g + M x).
+        of_fingers = -(solved[..., :-1] @ of_hand[:, None, :, None])[..., 0] - solved[..., -1]
+        return of_hand, of_fingers
+
+    def promised(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> np.ndarray:
+        """(B,) by how much a step lowers the cost, at the least, if the residuals are linear: -g^T x."""
+        of_all = (self.finger[..., -1] * of_fingers).sum(axis=(1, 2))
+        return -of_all - (self.hand[..., -1] * of_hand).sum(axis=1)
+
+
+FLOOR = 1e-6
+"""Added to every diagonal beside the relative damping"""
+
+
+def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    damped = matrix.copy()
+    diagonal = np.einsum("...ii->...i", damped)
+    diagonal *= 1.0 + damping[..., None]
+    diagonal += FLOOR
+    return damped
+
+
+def _with_one_shape(system: np.ndarray) -> np.ndarray:
+    """(B, n) solutions of systems (B, n, n + 1) whose betas are common to all."""
+    batch, n, _ = system.shape
+    common = np.arange(n)[BETAS]
+    own = np.setdiff1d(np.arange(n), common)
+    rest = np.append(common, n)
+    right = system[:, own][:, :, rest]
+    solved = np.linalg.solve(system[:, own][:, :, own], right)
+    total = (system[:, common][:, :, np.append(common, n)] - right[..., :-1].swapaxes(1, 2) @ solved).sum(
+        axis=0
+    )
+    found = np.empty((batch, n))
+    found[:, common] = shape = np.linalg.solve(total[:, :-1], total[:, -1])
+    found[:, own] = solved[..., -1] - solved[..., :-1] @ shape
+    return found

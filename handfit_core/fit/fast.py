@@ -1,0 +1,305 @@
+"""The fast solver: single frames in one batch, clips with one shape and over all frames at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.fit.clips import smoothed
+from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
+from handfit_core.fit.levenberg import solve
+from handfit_core.fit.observation import Observation, Trust, landmarked
+from handfit_core.fit.problem import Held, Motion, Problem, SharedShape
+from handfit_core.fit.solution import Solution
+from handfit_core.fit.start import relaxed_start
+from handfit_core.fit.terms import (
+    Limits,
+    PosePrior,
+    Shape,
+    Term,
+    coupling,
+    depth,
+    distance,
+    near_pose,
+    reprojection,
+)
+from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.chain import Chain, State, joined
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.landmarks import FILE, detector_landmarks
+from handfit_core.hand_model.length import betas_of_measured, length_rates
+from handfit_core.skeleton import NUM_BETAS
+from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
+
+TRUST: Final = Trust()
+MAX_ITERATIONS: Final = 20
+"""Most need five to eight. Fists need more; on other hands what comes after eight does not show."""
+TOLERANCE: Final = 2e-3
+
+SHAPE_FRAMES: Final = 48
+"""So many frames, evenly spread over a clip, decide the hand's one shape"""
+CHUNK: Final = 512
+"""Frames fitted until somebody may stop; bounds the memory"""
+SLICE: Final = 256
+"""Frames solved at once; bounds the memory, and what is computed of so many stays near the processor"""
+SHAPE_EVIDENCE: Final = 3.0
+"""So many of a clip's frames count as independent evidence of the shape: what is off is off in all"""
+
+DOUBTFUL_ERROR: Final = 0.05
+"""Of the hand's size in the picture: where landmarks' sigmas (half of what the network expects) are larger on
+average, the pose may be wrong. On rendered pictures such hands err twice as much as the others."""
+DOUBTFUL_RESIDUAL: Final = 0.2
+"""Of the hand's size: where the fit is so far from the landmarks on average, they are no hand's"""
+
+SMOOTH_ROTATION: Final = 12.5
+"""radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
+SMOOTH_PLACE: Final = 1.05
+"""metres per second squared, of the wrist"""
+OVERLAP_SECONDS: Final = 2.4
+"""Shared by two windows of a long clip at strength 1"""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFits:
+    """B independent fits, in the camera frame."""
+
+    betas: np.ndarray
+    """(B, 10)"""
+    global_orient: np.ndarray
+    """(B, 3) radians"""
+    hand_pose: np.ndarray
+    """(B, 45) radians"""
+    transl: np.ndarray
+    """(B, 3) metres"""
+    cost: np.ndarray
+    """(B,) of all terms, in squared sigmas"""
+    iterations: np.ndarray
+    """(B,) int"""
+    converged: np.ndarray
+    """(B,) bool"""
+    doubtful: np.ndarray
+    """(B,) bool: landmarks that are expected to be far off, or that no hand fits"""
+
+
+class FastFitter:
+    """One hand model, ready to be fitted.
+
+    `hand_length`: metres from the wrist joint to the tip of the middle finger that the shape is expected to
+    have; None: the mean shape is.
+    """
+
+    def __init__(self, model: HandModel, hand_length: float | None = None) -> None:
+        self.model = model
+        self.chain = Chain(model, detector_landmarks())
+        with np.load(FILE, allow_pickle=False) as arrays:
+            prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
+        self._relaxed = prior.mean
+        self._terms: tuple[Term, ...] = (reprojection, depth, Limits(model.side), prior, coupling)
+        self._betas, self._length_rates = np.zeros(NUM_BETAS), None
+        if hand_length is not None:
+            self._betas = betas_of_measured(model, hand_length)
+            self._length_rates = length_rates(model, self._betas)
+
+    def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
+        """What is seen of those detections through that camera."""
+        return landmarked(detections, self.model.side, TRUST).observation(intrinsics)
+
+    def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
+        """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
+        return relaxed_start(self.chain, seen, self._relaxed, self._betas if betas is None else betas)
+
+    def problem(self, seen: Observation, shape: SharedShape = "given", held: Held | None = None) -> Problem:
+        """Those hands as the solver is to find them; near to poses where `seen` has some to keep."""
+        terms = self._terms
+        if seen.kept is not None:
+            terms = (*terms, near_pose, distance)
+        if shape != "given":
+            weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
+            terms = (*terms, Shape(self._betas, self._length_rates, weight))
+        return Problem(self.chain, seen, terms, shape, held)
+
+    def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
+        """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
+        most = MAX_ITERATIONS if max_iterations is None else max_iterations
+        parts = [slice(first, first + SLICE) for first in range(0, len(start), SLICE)]
+        return Solution.of(
+            [
+                solve(problem.select(part), start.select(part), max_iterations=most, tolerance=TOLERANCE)
+                for part in parts
+            ]
+        )
+
+    def solve_shape(self, seen: Observation) -> np.ndarray:
+        """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
+        alone = self.solve_each(self.problem(seen), self.start(seen)).state
+        together = self.problem(seen, "one")
+        return solve(together, alone, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE).state.betas[0]
+
+
+@lru_cache(maxsize=8)
+def fitter_of(model: HandModel, hand_length: float | None = None) -> FastFitter:
+    """Kept between calls: an edit that is answered while the artist drags should not build it again."""
+    return FastFitter(model, hand_length)
+
+
+def fit_frames(
+    model: HandModel,
+    detections: Sequence[HandDetection],
+    intrinsics: Intrinsics,
+    hand_length: float | None = None,
+) -> FrameFits:
+    """Fit B pictures of a hand independently, each with a shape of its own, which is expected to have that
+    length (metres; None: an average one)."""
+    fitter = fitter_of(model, hand_length)
+    seen = fitter.observe(detections, intrinsics)
+    solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
+    return FrameFits(
+        *fitter.chain.parameters(solution.state),
+        cost=solution.cost,
+        iterations=solution.iterations,
+        converged=solution.converged,
+        doubtful=_uncertain(fitter, seen, solution.state),
+    )
+
+
+@np.errstate(all="ignore")
+def _uncertain(fitter: FastFitter, seen: Observation, state: State) -> np.ndarray:
+    """(B,) bool: landmarks that the network expects to be far off, or that no hand fits."""
+    size = np.ptp(seen.pixels, axis=1).max(axis=1)
+    points = fitter.chain.points(state)
+    slope = points[..., :2] / np.maximum(points[..., 2:], NEAREST)
+    projected = slope * seen.focal[:, None] + seen.centre[:, None]
+    residual = np.linalg.norm(projected - seen.pixels, axis=-1).mean(axis=1)
+    expected = seen.pixel_sigma.mean(axis=(1, 2))
+    # Written so that NaN is doubtful.
+    sure = (expected <= DOUBTFUL_ERROR * size) & (residual <= DOUBTFUL_RESIDUAL * size)
+    sure &= points[..., 2].min(axis=1) > NEAREST
+    return ~sure
+
+
+def fit_track(
+    smoothing: float,
+    model: HandModel,
+    track: DetectedTrack,
+    intrinsics: Intrinsics,
+    on_frame: OnFrame,
+    should_stop: ShouldStop = never,
+    hand_length: float | None = None,
+) -> TrackFit:
+    """Fit a followed hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
+
+    Gaps up to `gaps.LONGEST_GAP` are filled. `should_stop` is asked after every `CHUNK` frames; those that
+    were not reached are NaN. `hand_length` is as `FastFitter` has it.
+    """
+    found = np.flatnonzero(track.detected)
+    detections = [d for d in track.detections if d is not None]
+    if len(detections) == 1:
+        fits = fit_frames(model, detections, intrinsics, hand_length)
+        parameters = [fits.betas, fits.global_orient, fits.hand_pose, fits.transl]
+        frames, converged, doubtful = found, fits.converged, fits.doubtful
+    else:
+        fitter = fitter_of(model, hand_length)
+        seen = fitter.observe(detections, intrinsics)
+        solution = _clip(fitter, seen, should_stop)
+        found = found[: len(solution.state)]
+        seen = seen.select(slice(len(found)))
+        converged = solution.converged
+        doubtful = _uncertain(fitter, seen, solution.state)
+        cuts = jumps(seen.pixels) | missing_between(found, track.holes)
+        frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
+        parameters = list(fitter.chain.parameters(state))
+    for _ in found:
+        on_frame()
+    return _track_fit(parameters, frames, found, converged, doubtful, len(track.detections))
+
+
+def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Solution:
+    """Every frame by itself, all with one shape; fewer when stopped."""
+    count = len(seen)
+    spread = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
+    betas = fitter.solve_shape(seen.select(np.unique(spread)))
+    parts = []
+    for first in range(0, count, CHUNK):
+        chunk = seen.select(slice(first, first + CHUNK))
+        parts.append(fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas)))
+        if should_stop():
+            break
+    return Solution.of(parts)
+
+
+def _motion(smoothing: float, fps: float) -> Motion:
+    """Per second -> per frame. The stiffer, the farther frames influence each other."""
+    per_frame = 1.0 / (max(smoothing, 1e-6) * fps**2)
+    overlap = int(np.clip(OVERLAP_SECONDS * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
+    return Motion(SMOOTH_ROTATION * per_frame, SMOOTH_PLACE * per_frame, overlap)
+
+
+def over_time(
+    fitter: FastFitter,
+    seen: Observation,
+    state: State,
+    found: np.ndarray,
+    cuts: np.ndarray,
+    smoothing: float,
+    fps: float,
+    held: Held | None = None,
+    before_each: Callable[[], None] = lambda: None,
+) -> tuple[np.ndarray, State]:
+    """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their
+    states. `held` has a row for each of the track's frames; `before_each` stretch, window and iteration may
+    raise to stop."""
+    motion = _motion(smoothing, fps)
+    frames, states = [], []
+    for stretch in spans(found, fps, cuts):
+        before_each()
+        known = np.isin(stretch, found)
+        rows = np.flatnonzero(np.isin(found, stretch))
+        guess = bridged(state.select(rows), known)
+        here = None if held is None else held.select(stretch)
+        guess = guess if here is None else here.put(guess)
+        if smoothing > 0:
+            # Rows of frames without a detection repeat another's; they are not looked at.
+            nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
+            problem = fitter.problem(seen.select(nearest), held=here)
+            guess = smoothed(replace(problem, motion=motion, looked_at=known), guess, before_each)
+        frames.append(stretch)
+        states.append(guess)
+    return np.concatenate(frames), joined(states)
+
+
+def _track_fit(
+    parameters: list[np.ndarray],
+    frames: np.ndarray,
+    found: np.ndarray,
+    converged: np.ndarray,
+    doubtful: np.ndarray,
+    count: int,
+) -> TrackFit:
+    """Rows of `frames` spread over a track of `count` frames."""
+
+    def spread(rows: np.ndarray) -> np.ndarray:
+        whole = np.full((count, rows.shape[1]), np.nan)
+        whole[frames] = rows
+        return whole
+
+    def flags(at: np.ndarray, values: np.ndarray | bool) -> np.ndarray:
+        whole = np.zeros(count, dtype=bool)
+        whole[at] = values
+        return whole
+
+    betas, orient, pose, transl = parameters
+    return TrackFit(
+        betas=betas[0],
+        global_orient=spread(orient),
+        hand_pose=spread(pose),
+        transl=spread(transl),
+        converged=flags(found, converged),
+        filled=flags(np.setdiff1d(frames, found), True),
+        doubtful=flags(found, doubtful),
+    )

@@ -1,0 +1,126 @@
+"""What is to be solved: a model, what is seen of its hands, and the terms that judge them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from handfit_core.fit.blocks import Blocks
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms import Term
+from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, Group
+from handfit_core.hand_model.chain import FIXED_SHAPE, Chain, Index, State
+from handfit_core.skeleton import JOINTS_BY_FINGER
+
+SharedShape = Literal["given", "each", "one"]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Which joints of B hands stay exactly as they are, and at what."""
+
+    joints: np.ndarray
+    """(B, 16) bool in MANO's order; 0 is the wrist: its rotation and its place"""
+    state: State
+    """B hands; only the held joints of it count"""
+
+    def select(self, index: Index) -> Held:
+        """The hands of that index."""
+        return Held(self.joints[index], self.state.select(index))
+
+    @cached_property
+    def variables(self) -> np.ndarray:
+        """(B, 51) bool: root (3), angles finger by finger (45), place (3), as `clips` orders them."""
+        wrist = self.joints[:, :1].repeat(3, axis=1)
+        fingers = self.joints[:, JOINTS_BY_FINGER.reshape(-1)].repeat(3, axis=1)
+        return np.concatenate([wrist, fingers, wrist], axis=1)
+
+    def put(self, state: State) -> State:
+        """B hands with the held joints where they are held."""
+        wrist, fingers = self.joints[:, :1], self.variables[:, 3:48].reshape(-1, 5, 9)
+        return replace(
+            state,
+            root=np.where(wrist[..., None], self.state.root, state.root),
+            angles=np.where(fingers, self.state.angles, state.angles),
+            wrist=np.where(wrist, self.state.wrist, state.wrist),
+        )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How smooth a hand moves, per frame of the clip: standard deviations of accelerations."""
+
+    rotation: float
+    """radians per frame squared"""
+    place: float
+    """metres per frame squared"""
+    overlap: int = 60
+    """Frames that two windows share: what happens so many frames on has hardly an influence"""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """B hands to be found."""
+
+    chain: Chain
+    seen: Observation
+    terms: tuple[Term, ...]
+    shape: SharedShape = "given"
+    """Whether betas stay what they are, are each hand's own variables, or one for all"""
+    held: Held | None = None
+    """Joints that are no variables; None: all are"""
+    motion: Motion | None = None
+    """B consecutive frames of a clip move like that; None: frames know nothing of each other"""
+    looked_at: np.ndarray | None = field(default=None)
+    """(B,) bool: frames of a clip whose `seen` counts, the others follow their neighbours; None: all"""
+
+    def __len__(self) -> int:
+        return len(self.seen)
+
+    def select(self, index: Index) -> Problem:
+        """The hands of that index."""
+        held = None if self.held is None else self.held.select(index)
+        looked_at = None if self.looked_at is None else self.looked_at[index]
+        return replace(self, seen=self.seen.select(index), held=held, looked_at=looked_at)
+
+    def blocks(self, state: State) -> Blocks:
+        """Cost and Gauss-Newton matrices of B hands, each by itself."""
+        posed = self.chain.pose(state)
+        free = self.shape != "given"
+        columns: dict[Group, list[np.ndarray]] = {POINTS: [], FINGERS: [], HAND: []}
+        cost = np.zeros(len(state))
+        for term in self.terms:
+            rows = term(posed, self.seen)
+            weighted, of_term = rows.weighted()
+            columns[rows.of].append(weighted)
+            cost += of_term
+        whole = self.chain.jacobian(posed, np.concatenate(columns[POINTS], axis=2), shape=free)
+        batch, _, count, size = whole.shape
+        of_hand = whole.reshape(batch, 21 * count, size)[..., 9:]
+        hand = of_hand[..., :-1].swapaxes(1, 2) @ of_hand
+        of_finger = whole[:, 1:].reshape(batch, 5, 4 * count, size)
+        finger = of_finger[..., :9].swapaxes(2, 3) @ of_finger
+        if columns[FINGERS]:
+            rows = np.concatenate(columns[FINGERS], axis=2)
+            squared = rows[..., :-1].swapaxes(2, 3) @ rows
+            finger[..., :9] += squared[..., :9]
+            finger[..., -1] += squared[..., 9]
+        if columns[HAND]:
+            rows = np.concatenate(columns[HAND], axis=2)[:, 0]
+            rows = rows if free else rows[..., _GIVEN]
+            hand += rows[..., :-1].swapaxes(1, 2) @ rows
+        blocks = Blocks(hand, finger, cost)
+        if self.held is None:
+            return blocks
+        held = self.held.variables
+        n = size - 10
+        of_hand = np.zeros((batch, n), dtype=bool)
+        of_hand[:, :3], of_hand[:, n - 4 : n - 1] = held[:, :3], held[:, 48:]
+        return blocks.holding(of_hand, held[:, 3:48].reshape(-1, 5, 9))
+
+
+_GIVEN = np.append(FIXED_SHAPE, -1)
+"""Columns of a hand's rows where its shape is given"""

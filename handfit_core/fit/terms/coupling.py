@@ -1,0 +1,29 @@
+"""The last joint of a finger follows the one before: it cannot be bent alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import FINGERS, Rows
+from handfit_core.hand_model.chain import Posed
+
+MIDDLE_BEND, LAST_BEND = 5, 8
+"""Among a finger's nine angles"""
+SIGMA = float(np.radians(18.0))
+
+SLOPE = np.array([0.0, 0.87, 0.79, 0.73, 0.73])
+OFFSET = np.radians([0.0, 25.0, 18.0, 20.5, 20.5])
+"""The last joint's bend from the middle one's, measured of index, middle and ring finger; the little finger's
+is taken as the ring's"""
+_WEIGHT = np.array([0.0, 1.0, 1.0, 1.0, 1.0]) / SIGMA
+"""The thumb has no such rule"""
+
+
+def coupling(posed: Posed, seen: Observation) -> Rows:  # noqa: ARG001 (a term)
+    """One row for each finger: last - (slope * middle - offset)."""
+    angles = posed.state.angles
+    rows = Rows.zeros(FINGERS, len(angles), 1)
+    rows.jacobian[..., 0, MIDDLE_BEND], rows.jacobian[..., 0, LAST_BEND] = -SLOPE * _WEIGHT, _WEIGHT
+    rows.residual[..., 0] = (angles[..., LAST_BEND] - SLOPE * angles[..., MIDDLE_BEND] + OFFSET) * _WEIGHT
+    return rows

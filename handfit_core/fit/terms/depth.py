@@ -1,0 +1,29 @@
+"""Relative depth along the line of sight against what was seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import POINTS, Rows
+from handfit_core.hand_model.chain import Posed
+
+NEAREST = 0.02
+"""metres; a hand counts as no nearer than this, so that a wild step cannot divide by zero"""
+
+
+def depth(posed: Posed, seen: Observation) -> Rows:
+    """One row for each point: r = f / d (ray . x - d) - depth, with d where depth is zero.
+
+    Depth that is seen has no zero of its own: d is solved for. It is the hand's distance too, which turns
+    metres into pixels.
+    """
+    zero = posed.state.depth_zero[:, None]
+    distance = np.maximum(zero, NEAREST)
+    scale = seen.focal.mean(axis=1)[:, None] / distance / seen.depth_sigma  # (B, 21)
+    along = (posed.points @ seen.ray[..., None])[..., 0]
+    columns = np.empty((*scale.shape, 1, 5))
+    columns[..., 0, :3] = scale[..., None] * seen.ray[:, None]
+    columns[..., 0, 3] = -scale * np.where(zero > NEAREST, along / distance, 1.0)
+    columns[..., 0, 4] = (along - zero) * scale - seen.depth / seen.depth_sigma
+    return Rows(POINTS, columns, np.zeros(scale.shape, dtype=bool))

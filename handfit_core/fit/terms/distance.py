@@ -1,0 +1,23 @@
+"""How far a wrist has left its distance from the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import HAND, Rows
+from handfit_core.hand_model.chain import PLACE, Posed
+
+
+def distance(posed: Posed, seen: Observation) -> Rows:
+    """One row: r = (w . s / |s|^2 - 1) / sigma, with s where `seen.kept`, which must be there, has the wrist.
+
+    Along the line of sight only; across it the wrist is free.
+    """
+    assert seen.kept is not None
+    start, sigma = seen.kept.wrist, seen.kept.distance_sigma
+    slope = start / (np.square(start).sum(axis=1) * sigma)[:, None]
+    rows = Rows.zeros(HAND, len(start), 1)
+    rows.jacobian[:, 0, 0, PLACE] = slope
+    rows.residual[:, 0, 0] = (posed.state.wrist * slope).sum(axis=1) - 1.0 / sigma
+    return rows

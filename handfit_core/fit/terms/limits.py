@@ -1,0 +1,63 @@
+"""How far a finger's angles lie outside of what joints can do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import FINGERS, Rows
+from handfit_core.hand_model.anatomy import joint_limits
+from handfit_core.hand_model.chain import Posed
+from handfit_core.skeleton import JOINTS_BY_FINGER, Side
+
+SPREAD, BEND = 1, 2
+SPREAD_LEFT = 0.3
+"""Of a knuckle's spread when it is bent by 90 degrees: collateral ligaments tighten"""
+SIGMA = float(np.radians(1.0))
+"""radians beyond the range that cost as much as one sigma"""
+PASSIVE_RANGE = float(np.radians(10.0))
+"""radians beyond its own range of motion that a joint of a kept pose may be drawn: the ranges are those of
+moving it oneself, and a finger that is pressed goes further. Without this, the palm is moved where a person
+would only bend the finger."""
+
+_PER_RADIAN = (1.0 - SPREAD_LEFT) / (np.pi / 2) * np.array([0.0, 1.0, 1.0, 1.0, 1.0])
+"""By how much a knuckle's spread shrinks with its bend; the thumb's first joint is none"""
+
+
+class Limits:
+    """Nine rows for each finger, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma
+    below.
+
+    A knuckle's range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
+    Where hands are to stay near a pose, the range is wider: by `PASSIVE_RANGE`, or as far as that pose goes.
+    """
+
+    def __init__(self, side: Side) -> None:
+        ranges = joint_limits(side)
+        self.lower, self.upper = (a[JOINTS_BY_FINGER - 1].reshape(5, 9) for a in (ranges.lower, ranges.upper))
+
+    def __call__(self, posed: Posed, seen: Observation) -> Rows:
+        """The rows of B posed hands."""
+        kept, sigma, more = seen.kept, SIGMA, 0.0
+        if kept is not None and kept.limits_sigma is not None:
+            sigma, more = (
+                kept.limits_sigma,
+                np.maximum(np.abs(self._outside(kept.angles, 0.0)), PASSIVE_RANGE),
+            )
+        angles = posed.state.angles
+        outside = self._outside(angles, more)
+        slope = (outside != 0.0) / sigma
+        rows = Rows.zeros(FINGERS, len(angles), 9)
+        np.einsum("...ii->...i", rows.jacobian)[...] = slope
+        bend = angles[..., BEND]
+        edge = np.where(outside[..., SPREAD] > 0, self.upper[:, SPREAD], self.lower[:, SPREAD])
+        shrinks = (bend > 0.0) & (bend < np.pi / 2)
+        rows.jacobian[..., SPREAD, BEND] = slope[..., SPREAD] * edge * _PER_RADIAN * shrinks
+        rows.residual[...] = outside / sigma
+        return rows
+
+    def _outside(self, angles: np.ndarray, more: np.ndarray | float) -> np.ndarray:
+        """(B, 5, 9) radians beyond the ranges, which are wider by `more` on both sides."""
+        left = np.ones_like(angles)
+        left[..., SPREAD] -= _PER_RADIAN * np.clip(angles[..., BEND], 0.0, np.pi / 2)
+        return angles - np.clip(angles, self.lower * left - more, self.upper * left + more)

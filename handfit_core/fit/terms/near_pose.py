@@ -1,0 +1,20 @@
+"""How far a finger's angles have left a pose that is to be kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import FINGERS, Rows
+from handfit_core.hand_model.chain import Posed
+
+
+def near_pose(posed: Posed, seen: Observation) -> Rows:
+    """Nine rows for each finger: the shorter way round from `seen.kept`, which must be there."""
+    assert seen.kept is not None
+    angles = posed.state.angles
+    weight = 1.0 / seen.kept.angle_sigma[..., None]
+    rows = Rows.zeros(FINGERS, len(angles), 9)
+    np.einsum("...ii->...i", rows.jacobian)[...] = weight
+    rows.residual[...] = (np.remainder(angles - seen.kept.angles + np.pi, 2.0 * np.pi) - np.pi) * weight
+    return rows

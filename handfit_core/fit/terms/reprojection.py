@@ -1,0 +1,27 @@
+"""Where landmarks project against where they were seen, in pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import POINTS, Rows
+from handfit_core.hand_model.chain import Posed
+
+NEAREST = 0.02
+"""metres; points are projected as if no nearer than this, so that a wild step cannot divide by zero"""
+
+
+def reprojection(posed: Posed, seen: Observation) -> Rows:
+    """Two rows for each point, u = f x / z + c. Pinned points are certain."""
+    points = posed.points
+    inverse = 1.0 / np.maximum(points[..., 2:], NEAREST)
+    slope = points[..., :2] * inverse
+    in_sigmas = seen.focal[:, None] / seen.pixel_sigma  # (B, 21, 2)
+    by_place = in_sigmas * inverse
+    pinned = np.zeros(points.shape[:2], dtype=bool) if seen.pinned is None else seen.pinned
+    columns = np.zeros((*slope.shape, 5))
+    columns[..., 0, 0], columns[..., 1, 1] = by_place[..., 0], by_place[..., 1]
+    columns[..., 2] = -slope * by_place
+    columns[..., 4] = slope * in_sigmas + (seen.centre[:, None] - seen.pixels) / seen.pixel_sigma
+    return Rows(POINTS, columns, pinned)

@@ -1,0 +1,37 @@
+"""Distance of a hand's shape from what is expected, and of its length from a measured one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import HAND, Rows
+from handfit_core.hand_model.chain import BETAS, Posed
+from handfit_core.skeleton import NUM_BETAS
+
+LENGTH_SIGMA = 0.001
+"""metres, of a length that was measured; left to the coefficients' own spread, proportions would overrule
+it"""
+
+
+class Shape:
+    """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured.
+
+    `length_rates` (10,): metres by which it grows with each beta; it is all but linear in them. None: it is
+    not known. All counts `weight` times: in a clip with one shape that would else be judged in each frame.
+    """
+
+    def __init__(
+        self, expected: np.ndarray, length_rates: np.ndarray | None = None, weight: float = 1.0
+    ) -> None:
+        self.expected = expected
+        lengths = np.empty((0, NUM_BETAS)) if length_rates is None else length_rates[None] / LENGTH_SIGMA
+        self._slope = np.concatenate([np.eye(NUM_BETAS), lengths]) * np.sqrt(weight)
+
+    def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
+        """The rows of B posed hands."""
+        betas = posed.state.betas
+        rows = Rows.zeros(HAND, len(betas), len(self._slope))
+        rows.jacobian[:, 0, :, BETAS] = self._slope
+        rows.residual[:, 0] = (betas - self.expected) @ self._slope.T
+        return rows

@@ -1,0 +1,318 @@
+"""The paper's method: "Monocular 3D Hand Pose Estimation with Implicit Camera Alignment"
+(arXiv 2506.11133), its experiments A to H, and our default made of A.
+
+For one hand in one picture: the detected keypoints (x, y, z in pixels) are scaled so that wrist to
+index knuckle has the model's length, and moved rigidly so that six palm points lie on the model's.
+Then shape, root rotation and pose are optimised until the model's 21 keypoints meet them, and the
+alignment is inverted, which yields the hand in the picture without any camera.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import Similarity, align
+from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
+from handfit_core.hand_model.data import HandModel
+from handfit_core.paper.placement import PlacedHand, place, turn_to_ray
+from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
+from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
+
+MM = 1000.0
+
+MAX_ITERATIONS = 500
+"""As in the published code."""
+
+PRIOR_TOLERANCE = 1e-5
+"""Relative change of the cost at which the variant with a prior stops; scipy's own, which the published
+experiments use, costs more iterations for a thousandth of the cost."""
+
+SHAPE_FRAMES = 8
+"""So many frames, evenly spread over a clip, decide the hand's one shape."""
+
+
+@dataclass(frozen=True)
+class PaperOptions:
+    """One experiment of the paper's table, or a variation of one."""
+
+    method: str
+    """scipy's name: L-BFGS-B or BFGS"""
+    loss: str
+    """mse, geman_mcclure or huber"""
+    tips: bool
+    """count the fingertips again, with `losses.TIP_WEIGHT`"""
+    anatomical_stage: bool = False
+    """a second stage with joint limits and the 2D error only"""
+    pose_prior: bool = False
+    """pull towards a relaxed hand where the keypoints do not say; not in the paper"""
+    warm_start: bool = False
+    """start from the frame before, not from the flat hand; not in the paper"""
+    camera_stage: bool = False
+    """a last stage through the camera (`through_camera`); needs the prior; not in the paper"""
+
+
+EXPERIMENTS: Final[dict[str, PaperOptions]] = {
+    "paper-a": PaperOptions("L-BFGS-B", "mse", tips=True),
+    "paper-b": PaperOptions("L-BFGS-B", "mse", tips=False),
+    "paper-c": PaperOptions("L-BFGS-B", "geman_mcclure", tips=True),
+    "paper-d": PaperOptions("L-BFGS-B", "geman_mcclure", tips=False),
+    "paper-e": PaperOptions("L-BFGS-B", "huber", tips=True),
+    "paper-f": PaperOptions("L-BFGS-B", "huber", tips=False),
+    "paper-g": PaperOptions("BFGS", "mse", tips=True),
+    "paper-h": PaperOptions("L-BFGS-B", "mse", tips=False, anatomical_stage=True),
+    "paper-a-plus": PaperOptions(
+        "L-BFGS-B", "mse", tips=True, pose_prior=True, warm_start=True, camera_stage=True
+    ),
+}
+"""The paper's experiments as published, and `paper-a-plus`: A with a pull towards a relaxed hand and a
+last stage through the camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFit:
+    """One hand in one picture, up to the camera."""
+
+    betas: np.ndarray
+    """(10,)"""
+    global_orient: np.ndarray
+    """(3,) radians, in the aligned frame (near the model's own)"""
+    hand_pose: np.ndarray
+    """(45,) radians"""
+    to_model: Similarity
+    """pixels (x right, y down, z away) -> metres in the aligned frame"""
+    cost: float
+    """mm^2, as the loss defines it"""
+    evaluations: int
+    converged: bool
+    message: str
+    """the optimiser's own words on why it stopped"""
+
+    @property
+    def root_rotation(self) -> np.ndarray:
+        """(3,) root rotation towards the picture's axes, radians: alignment inverted, then global_orient."""
+        back = self.to_model.inverse().rotation
+        return rotmat_to_rotvec(back @ rotvec_to_rotmat(self.global_orient))
+
+    def in_picture(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) points of the fitted model, metres in the aligned frame -> pixels with depth."""
+        return self.to_model.inverse().apply(points)
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch's arrays are tiny here: threads only wait for each other, many times slower on a busy machine."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def normalise(keypoints: np.ndarray, rest_keypoints: np.ndarray) -> Similarity:
+    """Steps 1 and 2 of the paper: (21, 3) detected keypoints in pixels -> onto the model's (21, 3).
+
+    The scale is |wrist - index knuckle| of the model over the target's; rotation and translation are
+    the rigid least-squares fit of the six palm points.
+    """
+    scale = _wrist_to_index(rest_keypoints) / max(_wrist_to_index(keypoints), 1e-9)
+    palm = list(PALM_KEYPOINTS)
+    rigid = align(scale * keypoints[palm], rest_keypoints[palm], with_scale=False)
+    return Similarity(scale, rigid.rotation, rigid.translation)
+
+
+def _wrist_to_index(keypoints: np.ndarray) -> float:
+    return float(np.linalg.norm(keypoints[INDEX_KNUCKLE_KEYPOINT] - keypoints[WRIST_KEYPOINT]))
+
+
+class PaperFitter:
+    """Fits one hand model, frame by frame. Keeps the torch layer between frames."""
+
+    def __init__(self, model: HandModel, options: PaperOptions) -> None:
+        import torch
+
+        from handfit_core.layer import HandLayer
+        from handfit_core.paper import losses
+
+        self._torch = torch
+        self._options = options
+        self._layer = HandLayer(model)
+        self._rest_keypoints = model.posed(None, np.zeros(3), np.zeros(45), np.zeros(3)).keypoints
+        loss = {"mse": losses.mse, "geman_mcclure": losses.geman_mcclure, "huber": losses.huber}[options.loss]
+        self._loss = losses.with_tips(loss) if options.tips else loss
+        self._plain_mse = losses.mse
+        if options.anatomical_stage:
+            from handfit_core.paper.anatomical import AnatomicalPenalty
+
+            self._penalty = AnatomicalPenalty(anatomical_axes(model), joint_limits(model.side))
+        self._prior = None
+        if options.pose_prior:
+            from handfit_core.paper.prior import RelaxedPrior
+
+            self._prior = RelaxedPrior(model)
+
+    def fit(
+        self,
+        keypoints: np.ndarray,
+        *,
+        betas: np.ndarray | None = None,
+        start: FrameFit | None = None,
+    ) -> FrameFit:
+        """Fit (21, 3) keypoints in pixels with depth. `betas` (10,) fixes the shape; `start` is a fit to
+        start from instead of the flat hand of mean shape."""
+        torch = self._torch
+        to_model = normalise(keypoints, self._rest_keypoints)
+        target = torch.tensor(to_model.apply(keypoints))[None]
+        fixed = None if betas is None else torch.tensor(betas, dtype=torch.float64)[None]
+
+        def residual_and_parts(x: np.ndarray) -> tuple:
+            variables = torch.tensor(x, requires_grad=True)
+            if self._prior is None:
+                orient, pose = variables[None, :3], variables[None, 3:48]
+            else:
+                orient, pose = self._prior.unwhiten(variables)
+            shape = variables[None, 48:] if fixed is None else fixed
+            residual = (self._layer.keypoints(shape, orient, pose) - target) * MM
+            return variables, residual, pose
+
+        def main_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
+            variables, residual, _ = residual_and_parts(x)
+            cost = self._loss(residual)
+            if self._prior is not None:
+                cost = cost + self._prior(variables)
+            cost.backward()
+            return cost.item(), variables.grad.numpy()
+
+        # The picture plane of the aligned frame: residuals seen along the picture's own z.
+        to_picture_plane = torch.tensor(to_model.rotation[:, :2].copy())
+
+        def anatomical_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
+            variables, residual, pose = residual_and_parts(x)
+            cost = self._plain_mse(residual @ to_picture_plane) + self._penalty(pose)
+            cost.backward()
+            return cost.item(), variables.grad.numpy()
+
+        result = self._minimise(main_stage, self._first_variables(start, with_shape=betas is None))
+        evaluations = result.nfev
+        if self._options.anatomical_stage:
+            result = self._minimise(anatomical_stage, result.x)
+            evaluations += result.nfev
+        orient, pose = result.x[:3], result.x[3:48]
+        if self._prior is not None:
+            orient, pose = (part[0].numpy() for part in self._prior.unwhiten(torch.tensor(result.x)))
+        return FrameFit(
+            betas=result.x[48:] if betas is None else np.asarray(betas),
+            global_orient=orient,
+            hand_pose=pose,
+            to_model=to_model,
+            cost=float(result.fun),
+            evaluations=int(evaluations),
+            converged=bool(result.success),
+            message=str(result.message),
+        )
+
+    def place(
+        self, fit: FrameFit, keypoints: np.ndarray, intrinsics: Intrinsics, *, fit_shape: bool
+    ) -> PlacedHand:
+        """Place a fitted hand before a camera, where it meets (21, 3) keypoints in pixels best.
+
+        With `camera_stage`, pose (and shape, if `fit_shape`) are refined there.
+        """
+        pixels = keypoints[:, :2]
+        towards = turn_to_ray(intrinsics, pixels.mean(axis=0))
+        orient = rotmat_to_rotvec(towards @ rotvec_to_rotmat(fit.root_rotation))
+        points = self._layer.model.keypoints(fit.betas, orient, fit.hand_pose, np.zeros(3))
+        placed = PlacedHand(fit.betas, orient, fit.hand_pose, place(points, pixels, intrinsics))
+        if not self._options.camera_stage:
+            return placed
+        from handfit_core.paper.through_camera import refine
+
+        assert self._prior is not None, "the camera stage works on the prior's variables"
+        with one_thread():
+            return refine(
+                self._layer, self._prior, self._loss, keypoints, intrinsics, placed, fit_shape=fit_shape
+            )
+
+    def _first_variables(self, start: FrameFit | None, *, with_shape: bool) -> np.ndarray:
+        orient, pose, betas = np.zeros(3), np.zeros(45), np.zeros(NUM_BETAS)
+        if start is not None:
+            orient, pose, betas = start.global_orient, start.hand_pose, start.betas
+        first = np.concatenate([orient, pose])
+        if self._prior is not None:
+            first = self._prior.whiten(orient, pose)
+        return np.concatenate([first, betas]) if with_shape else first
+
+    def _minimise(self, cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray):
+        from scipy.optimize import minimize
+
+        options: dict[str, float] = {"maxiter": MAX_ITERATIONS}
+        if self._prior is not None:
+            options["ftol"] = PRIOR_TOLERANCE
+        with one_thread():
+            return minimize(cost, first, jac=True, method=self._options.method, options=options)
+
+
+def _shape_of_clip(
+    fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
+) -> np.ndarray:
+    """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
+    spread = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
+    shapes: list[np.ndarray] = []
+    for i in spread:
+        shapes.append(fitter.fit(keypoints[i]).betas)
+        if should_stop():
+            break
+    return np.median(shapes, axis=0)
+
+
+def fit_track(
+    options: PaperOptions,
+    model: HandModel,
+    track: DetectedTrack,
+    intrinsics: Intrinsics,
+    on_frame: OnFrame,
+    should_stop: ShouldStop = never,
+) -> TrackFit:
+    """Fit every detected frame with one shape and place the hand before the camera.
+
+    The paper fits single pictures. A clip's hand has one shape: the median of the shapes that a few
+    evenly spread frames ask for; all frames are then fitted with that. When stopped, the frames that were not
+    reached are NaN.
+    """
+    fitter = PaperFitter(model, options)
+    found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
+    shape = _shape_of_clip(fitter, list(found.values()), should_stop) if len(found) > 1 else None
+    fit_shape = shape is None
+    count = len(track.detections)
+    global_orient, hand_pose = np.full((count, 3), np.nan), np.full((count, 45), np.nan)
+    transl, converged = np.full((count, 3), np.nan), np.zeros(count, dtype=bool)
+    previous: FrameFit | None = None
+    for index, keypoints in found.items():
+        start = previous if options.warm_start else None
+        fit = previous = fitter.fit(keypoints, betas=shape, start=start)
+        placed = fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape)
+        if fit_shape:
+            shape = placed.betas
+        global_orient[index], hand_pose[index] = placed.global_orient, placed.hand_pose
+        transl[index], converged[index] = placed.transl, fit.converged
+        on_frame()
+        if should_stop():
+            break
+    assert shape is not None, "a track has at least one detection"
+    return TrackFit(
+        betas=shape,
+        global_orient=global_orient,
+        hand_pose=hand_pose,
+        transl=transl,
+        converged=converged,
+    )

@@ -1,0 +1,145 @@
+"""Solvers: what they take and give, what they can do, and where they are found.
+
+A solver fits one hand model to one detected track. Those of other packages are found by their entry points of
+the group `handfit.solvers` (see `registry`). Light to import: what a solver needs loads with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Final, Protocol
+
+import numpy as np
+
+from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.data import HandModel
+from handfit_core.registry import Registry
+
+DEFAULT_SOLVER: Final = "fast"
+DEFAULT_SMOOTHING: Final = 1.0
+MOST_SMOOTHING: Final = 10.0
+"""How smooth motion is: 0 takes every frame by itself, 2 is twice as stiff as the default"""
+
+SHORTEST_HAND: Final = 0.05
+LONGEST_HAND: Final = 0.30
+"""metres, wrist joint to the tip of the middle finger"""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFit:
+    """A hand fitted to a whole track, in the camera frame; NaN in frames that are neither detected nor
+    filled."""
+
+    betas: np.ndarray
+    """(10,)"""
+    global_orient: np.ndarray
+    """(T, 3) radians"""
+    hand_pose: np.ndarray
+    """(T, 45) radians"""
+    transl: np.ndarray
+    """(T, 3) metres"""
+    converged: np.ndarray
+    """(T,) bool: False where the optimiser stopped for another reason, or nothing was detected"""
+    filled: np.ndarray | None = None
+    """(T,) bool: frames of short gaps that were bridged from their neighbours; None: there are none"""
+    doubtful: np.ndarray | None = None
+    """(T,) bool: frames whose pose may well be wrong; None where the solver does not tell"""
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T,) bool: frames with a hand, detected or filled."""
+        return np.asarray(np.isfinite(self.transl).all(axis=1))
+
+
+OnFrame = Callable[[], None]
+"""Called once for every frame that is done; may raise to end the run with nothing."""
+
+ShouldStop = Callable[[], bool]
+"""Asked between frames, or groups of them; True: return what is fitted so far, at least one frame"""
+
+
+def never() -> bool:
+    """The `ShouldStop` of those who want everything."""
+    return False
+
+
+class TrackSolver(Protocol):
+    """Fits one hand model to one detected track, seen through one camera."""
+
+    def __call__(
+        self,
+        model: HandModel,
+        track: DetectedTrack,
+        intrinsics: Intrinsics,
+        on_frame: OnFrame,
+        should_stop: ShouldStop = never,
+    ) -> TrackFit:
+        """Fit; calls `on_frame` once for every detected frame that was fitted."""
+        ...
+
+
+@dataclass(frozen=True)
+class Solver:
+    """What a solver can do, and how it is made."""
+
+    make: Callable[[float, float | None], TrackSolver]
+    """From smoothing and a hand's length in metres or None; what it takes no notice of may be ignored"""
+    title: str
+    """For lists, in title case"""
+    description: str
+    """One line for those who choose"""
+    smooths: bool = False
+    """Whether it takes notice of smoothing"""
+    takes_hand_length: bool = False
+    """Whether it takes notice of a given length"""
+    slow: bool = False
+    """Whether a frame takes it longer than the detector: once stopped, it gets a moment for what was found
+    until then, where others get the time that they need"""
+    needs: tuple[str, ...] = ()
+    """Packages that it imports beside those that every capture needs"""
+
+
+SOLVERS: Final[Registry[Solver]] = Registry(
+    "handfit.solvers",
+    "solver",
+    Solver,
+    {
+        "fast": "handfit_core.fit:FAST",
+        "fast-per-frame": "handfit_core.fit:FAST_PER_FRAME",
+        **{f"paper-{letter}": f"handfit_core.paper:{letter.upper()}" for letter in "abcdefgh"},
+        "paper-a-plus": "handfit_core.paper:A_PLUS",
+    },
+)
+"""All there are, by name"""
+
+
+def solver_names() -> tuple[str, ...]:
+    """The names of all solvers."""
+    return SOLVERS.names()
+
+
+def get_solver(
+    name: str, smoothing: float = DEFAULT_SMOOTHING, hand_length: float | None = None
+) -> TrackSolver:
+    """The solver of that name, ready to fit; `hand_length` in metres, wrist joint to the tip of the middle
+    finger. Raises OptionError where there is no such solver, where a package that it needs is not installed,
+    and for numbers that no solver can take."""
+    solver = SOLVERS.get(name)
+    if not 0.0 <= smoothing <= MOST_SMOOTHING:
+        raise OptionError(f"smoothing must lie between 0 and {MOST_SMOOTHING:g}, not {smoothing:g}")
+    if hand_length is not None and not SHORTEST_HAND <= hand_length <= LONGEST_HAND:
+        raise OptionError(
+            f"a hand's length must lie between {SHORTEST_HAND * 1e3:g} and {LONGEST_HAND * 1e3:g} mm, not "
+            f"{hand_length * 1e3:g} mm; measure from the wrist to the tip of the middle finger"
+        )
+    missing = [package for package in solver.needs if find_spec(package) is None]
+    if missing:
+        raise OptionError(
+            f"the solver {name} needs {' and '.join(missing)}, which is not installed: install it, or choose "
+            f"another solver, such as {DEFAULT_SOLVER}"
+        )
+    return solver.make(smoothing, hand_length)

@@ -1,0 +1,117 @@
+"""What a perfect detector would say of posed hands, and poses to show it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
+from handfit_core.hand_model.landmarks import detector_landmarks
+from handfit_core.paper.placement import turn_to_ray
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side, other_side
+from scripts.benchmark.kinematics import MIRROR_ROTVEC
+
+CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)
+"""What the solver assumes of a picture of 640 x 480 pixels"""
+
+
+@cache
+def model_of(side: Side) -> HandModel:
+    return load_model("open-hand", side)
+
+
+def poses(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """betas (N, 10), global_orient (N, 3), hand_pose (N, 45) and transl (N, 3) of right hands, bent
+    and spread at random, palm or back to the camera, fingers up, give or take 40 degrees."""
+    rng = np.random.default_rng(seed)
+    axes = anatomical_axes(model_of("right"))
+    bend = np.zeros((count, 15))
+    for finger, joints in FINGER_JOINTS.items():
+        most = np.radians((20, 30, 40) if finger == "thumb" else (70, 80, 50))
+        for level, joint in enumerate(joints):
+            bend[:, joint - 1] = rng.uniform(0.05, 0.6) * most[level] * rng.uniform(0.7, 1.3, count)
+    spread = np.zeros((count, 15))
+    knuckles = [joints[0] - 1 for joints in FINGER_JOINTS.values()]
+    spread[:, knuckles] = np.radians(rng.uniform(-2, 8, (count, 5)))
+    pose = (bend[..., None] * axes[:, :, 2] + spread[..., None] * axes[:, :, 1]).reshape(count, 45)
+    upright = rotvec_to_rotmat(np.array([-np.pi / 2, 0.0, 0.0]))
+    turns = rotvec_to_rotmat(rng.normal(size=(count, 3)) * np.radians(25))
+    flipped = rotvec_to_rotmat(np.outer(np.arange(count) % 2, [0.0, np.pi, 0.0]))
+    orient = rotmat_to_rotvec(turns @ flipped @ upright)
+    transl = np.stack(
+        [rng.uniform(-0.12, 0.12, count), rng.uniform(-0.02, 0.14, count), rng.uniform(0.45, 0.7, count)], -1
+    )
+    return rng.normal(size=(count, 10)) * 0.5, orient, pose, transl
+
+
+def mirrored(
+    betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The same parameters for the mirror image by x -> -x, of the other side's model."""
+    flip = MIRROR_ROTVEC
+    return betas, orient * flip, pose * np.tile(flip, 15), transl * np.array([-1.0, 1.0, 1.0])
+
+
+def keypoints_of(
+    side: Side, betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray
+) -> np.ndarray:
+    """(N, 21, 3) the model's own keypoints, by the mesh."""
+    rows = zip(betas, orient, pose, transl, strict=True)
+    return np.array([model_of(side).keypoints(b, o[None], p[None], t[None])[0] for b, o, p, t in rows])
+
+
+def landmarks_of(
+    side: Side, betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray
+) -> np.ndarray:
+    """(N, 21, 3) the model's keypoints with the calibrated offsets, by the mesh and not by `Chain.pose`."""
+    model = model_of(side)
+    points = keypoints_of(side, betas, orient, pose, transl)
+    offsets = detector_landmarks().in_metres(model)
+    axes = anatomical_axes(model)
+    rotations = rotvec_to_rotmat(pose.reshape(-1, 15, 3))
+    world = rotvec_to_rotmat(orient)
+    points[:, 0] += world @ offsets[0]
+    for f, finger in enumerate(FINGERS):
+        frame = world
+        for level, joint in enumerate(FINGER_JOINTS[finger]):
+            frame = frame @ rotations[:, joint - 1]
+            points[:, 1 + 4 * f + level] += frame @ axes[joint - 1] @ offsets[1 + 4 * f + level]
+        last = FINGER_JOINTS[finger][-1]
+        points[:, 4 + 4 * f] += frame @ axes[last - 1] @ offsets[4 + 4 * f]
+    return points
+
+
+def seen(
+    points: np.ndarray, side: Side, camera: Intrinsics = CAMERA, noise: float = 0.0, seed: int = 0
+) -> HandDetection:
+    """A detection of landmarks (21, 3): exact pixels; depth from the wrist and metres about the middle as if
+    the camera looked at the hand, whose picture is all that a detector is given. `noise` in pixels."""
+    rng = np.random.default_rng(seed)
+    pixels = camera.project(points)
+    along = points @ turn_to_ray(camera, pixels.mean(axis=0))
+    per_pixel = along[:, 2].mean() / camera.fx
+    keypoints = np.concatenate([pixels, (along[:, 2:] - along[0, 2]) / per_pixel], axis=1)
+    return HandDetection(
+        side,
+        0.97,
+        keypoints + noise * rng.normal(size=(21, 3)),
+        along - along.mean(axis=0) + noise * per_pixel * rng.normal(size=(21, 3)),
+    )
+
+
+def mirror_image(detection: HandDetection, camera: Intrinsics = CAMERA) -> HandDetection:
+    """What is seen when the picture is mirrored about the principal point."""
+    keypoints, world = detection.keypoints.copy(), detection.world.copy()
+    keypoints[:, 0] = 2 * camera.cx - keypoints[:, 0]
+    world[:, 0] *= -1
+    return HandDetection(other_side(detection.side), detection.score, keypoints, world)
+
+
+def angles_of_pose(pose: np.ndarray, side: Side) -> np.ndarray:
+    """(N, 45) -> (N, 15, 3) twist, spread, bend in radians."""
+    return anatomical_angles(rotvec_to_rotmat(pose.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))

@@ -1,0 +1,306 @@
+"""The fast solver on hands whose pose is known: recovered, mirrored, within limits, marked when in doubt."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.fit import fast as fit
+from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
+from handfit_core.fit.gaps import LONGEST_GAP
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
+from handfit_core.hand_model.anatomy import joint_limits
+from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
+from handfit_core.skeleton import PARENTS, SIDES, Side
+from handfit_core.solvers import TrackFit
+from tests.core.fit.detections import (
+    CAMERA,
+    angles_of_pose,
+    keypoints_of,
+    landmarks_of,
+    mirror_image,
+    mirrored,
+    model_of,
+    poses,
+    seen,
+)
+
+FPS = 25.0
+Parameters = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def parameters_of(side: Side, count: int, seed: int = 0) -> Parameters:
+    right = poses(count, seed)
+    return right if side == "right" else mirrored(*right)
+
+
+def detections_of(side: Side, parameters: Parameters, noise: float = 0.0) -> list[HandDetection]:
+    return [seen(p, side, noise=noise, seed=i) for i, p in enumerate(landmarks_of(side, *parameters))]
+
+
+def points_of(side: Side, fits: FrameFits) -> np.ndarray:
+    return keypoints_of(side, fits.betas, fits.global_orient, fits.hand_pose, fits.transl)
+
+
+def laid_error(found: np.ndarray, aims: np.ndarray) -> np.ndarray:
+    """(N,) metres, mean over the points after similarity transforms."""
+    laid = np.array([align(f, a, with_scale=True).apply(f) for f, a in zip(found, aims, strict=True)])
+    return np.linalg.norm(laid - aims, axis=-1).mean(axis=1)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_hand_is_recovered(side: Side) -> None:
+    true = parameters_of(side, 16)
+    fits = fit_frames(model_of(side), detections_of(side, true), CAMERA)
+    aims, found = keypoints_of(side, *true), points_of(side, fits)
+    error = laid_error(found, aims)
+    assert error.max() < 0.007  # metres; the network moves perfect landmarks a little
+    assert error.mean() < 0.004
+    pixels = np.linalg.norm(CAMERA.project(found) - CAMERA.project(aims), axis=-1).mean(axis=1)
+    assert pixels.max() < 5.0  # of hands some 150 pixels large
+    # A hand's size is guessed, and its distance with it.
+    distance = found[:, 0, 2] / aims[:, 0, 2]
+    assert np.all((distance > 0.85) & (distance < 1.15))
+    assert fits.converged.all()
+    assert fits.doubtful.mean() < 0.1
+
+
+def test_left_mirrors_right() -> None:
+    detections = detections_of("right", poses(6, seed=2), noise=3.0)
+    ours = fit_frames(model_of("right"), detections, CAMERA)
+    theirs = fit_frames(model_of("left"), [mirror_image(d) for d in detections], CAMERA)
+    flipped = points_of("left", theirs) * np.array([-1.0, 1.0, 1.0])
+    np.testing.assert_allclose(flipped, points_of("right", ours), atol=2e-4)  # float32, and where it stops
+    expected = mirrored(ours.betas, ours.global_orient, ours.hand_pose, ours.transl)
+    np.testing.assert_allclose(theirs.betas, expected[0], atol=2e-2)
+    turns = rotvec_to_rotmat(theirs.hand_pose.reshape(-1, 3))
+    np.testing.assert_allclose(turns, rotvec_to_rotmat(expected[2].reshape(-1, 3)), atol=1e-2)
+    np.testing.assert_array_equal(theirs.doubtful, ours.doubtful)
+
+
+def test_alone_or_among_others() -> None:
+    """The same result, but for the rounding of float32."""
+    detections = detections_of("right", poses(12, seed=3), noise=4.0)
+    together = fit_frames(model_of("right"), detections, CAMERA)
+    for i in (0, 5, 11):
+        alone = fit_frames(model_of("right"), [detections[i]], CAMERA)
+        for name in (f.name for f in fields(FrameFits)):
+            assert getattr(alone, name).shape[1:] == getattr(together, name).shape[1:]
+        np.testing.assert_allclose(
+            points_of("right", alone)[0],
+            points_of("right", together)[i],
+            atol=2e-4,  # metres
+        )
+
+
+def excess(pose: np.ndarray, side: Side) -> np.ndarray:
+    """(N,) by how many degrees the worst angle of each hand lies outside of its range."""
+    angles, limits = angles_of_pose(pose, side), joint_limits(side)
+    return np.degrees(np.maximum(angles - limits.upper, limits.lower - angles).max(axis=(1, 2)))
+
+
+def garbage(side: Side, count: int) -> list[HandDetection]:
+    """Landmarks of nothing."""
+    rng = np.random.default_rng(0)
+    return [
+        HandDetection(side, 0.5, rng.uniform(100, 400, (21, 3)), rng.normal(size=(21, 3)) * 0.05)
+        for _ in range(count)
+    ]
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_angles_stay_within_limits(side: Side) -> None:
+    true = parameters_of(side, 16, seed=4)
+    inputs = [
+        *(d for noise in (0.0, 5.0, 15.0, 40.0) for d in detections_of(side, true, noise)),
+        # Of the other hand, with fingers mixed up, and of no hand at all.
+        *(replace(mirror_image(d), side=side) for d in detections_of(side, true)),
+        *(
+            replace(d, keypoints=d.keypoints[order], world=d.world[order])
+            for i, d in enumerate(detections_of(side, true))
+            for order in [np.random.default_rng(i).permutation(21)]
+        ),
+        *garbage(side, 30),
+    ]
+    fits = fit_frames(model_of(side), inputs, CAMERA)
+    assert np.isfinite(fits.hand_pose).all()
+    assert excess(fits.hand_pose, side).max() < 5.0
+
+
+def test_garbage_is_doubtful() -> None:
+    """More than half of it: the network knows no pictures of nothing."""
+    assert fit_frames(model_of("right"), garbage("right", 60), CAMERA).doubtful.mean() > 0.4
+    clean = fit_frames(model_of("right"), detections_of("right", poses(20), noise=2.0), CAMERA)
+    assert clean.doubtful.mean() <= 0.05
+
+
+def test_too_few_iterations_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit, "MAX_ITERATIONS", 1)
+    fits = fit_frames(model_of("right"), detections_of("right", poses(4)), CAMERA)
+    assert not fits.converged.any()
+    assert (fits.iterations == 1).all()
+
+
+def clip(
+    side: Side, count: int, missing: tuple[int, ...] = (), noise: float = 0.0
+) -> tuple[Parameters, DetectedTrack]:
+    """A hand that closes, turns and wanders."""
+    betas, orient, pose, transl = poses(1, seed=6)
+    t = np.arange(count) / FPS
+    close = 1.0 + 0.5 * np.sin(2.5 * t)
+    turns = rotvec_to_rotmat(np.sin(2 * t)[:, None] * np.array([0.2, 0.1, 0.3])) @ rotvec_to_rotmat(orient)
+    path = np.stack([0.05 * np.sin(2 * t), 0.03 * np.cos(3 * t), 0.05 * t], axis=-1)
+    whole = (np.repeat(betas, count, 0), rotmat_to_rotvec(turns), close[:, None] * pose, transl + path)
+    true = whole if side == "right" else mirrored(*whole)
+    detections = [None if i in missing else d for i, d in enumerate(detections_of(side, true, noise))]
+    return true, DetectedTrack(side, tuple(detections), FPS)
+
+
+def fitted(track: DetectedTrack, smoothing: float = 1.0) -> TrackFit:
+    return fit_track(smoothing, model_of(track.side), track, CAMERA, lambda: None)
+
+
+def points_of_track(side: Side, found: TrackFit) -> np.ndarray:
+    return model_of(side).keypoints(found.betas, found.global_orient, found.hand_pose, found.transl)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_clip_is_recovered_with_one_shape(side: Side) -> None:
+    true, track = clip(side, 14)
+    found = fitted(track)
+    assert found.betas.shape == (10,)
+    assert found.converged.all()
+    assert found.present.all()
+    assert found.filled is not None
+    assert not found.filled.any()
+    points, aims = points_of_track(side, found), keypoints_of(side, *true)
+    assert laid_error(points, aims).max() < 0.006  # metres
+    joints = np.array(
+        [
+            model_of(side).posed(found.betas, o[None], p[None], t[None]).joints[0]
+            for o, p, t in zip(found.global_orient, found.hand_pose, found.transl, strict=True)
+        ]
+    )
+    bones = np.linalg.norm(joints[:, 1:] - joints[:, list(PARENTS[1:])], axis=-1)
+    np.testing.assert_allclose(bones, np.broadcast_to(bones[0], bones.shape), atol=1e-9)
+
+
+def test_smoothing_takes_jitter_out() -> None:
+    true, track = clip("right", 20, noise=3.0)
+    aims = keypoints_of("right", *true)
+
+    def shape_of(points: np.ndarray) -> np.ndarray:
+        return points - points[:, :1]
+
+    each, smooth = (shape_of(points_of_track("right", fitted(track, s))) for s in (0.0, 1.0))
+    jitter = [np.linalg.norm(np.diff(p - shape_of(aims), 2, axis=0), axis=-1).mean() for p in (each, smooth)]
+    assert jitter[1] < 0.4 * jitter[0]
+    error = [laid_error(p, aims).mean() for p in (each, smooth)]
+    assert error[1] < error[0]
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 1.0])
+def test_short_gaps_are_filled_and_marked(smoothing: float) -> None:
+    most = int(LONGEST_GAP * FPS)
+    true, track = clip("right", 40, missing=(0, *range(3, 6), *range(20, 20 + most + 1)))
+    found = fitted(track, smoothing)
+    expected = np.zeros(40, dtype=bool)
+    expected[3:6] = True
+    np.testing.assert_array_equal(found.filled, expected)
+    present = expected | track.detected
+    np.testing.assert_array_equal(found.present, present)
+    for rows in (found.global_orient, found.hand_pose, found.transl):
+        np.testing.assert_array_equal(np.isfinite(rows).all(axis=1), present)
+        assert np.isnan(rows[~present]).all()
+    for flags in (found.converged, found.doubtful):
+        assert flags is not None
+        assert not flags[~track.detected].any()
+    points = points_of_track("right", found)
+    aims = keypoints_of("right", *true)
+    assert laid_error(points[3:6], aims[3:6]).mean() < 0.008  # metres
+    # Every frame is fitted to its own picture, before the gap and behind it.
+    off = np.linalg.norm(CAMERA.project(points) - CAMERA.project(aims), axis=-1).mean(axis=1)
+    assert off[present].max() < 5.0  # pixels
+
+
+def test_progress_is_told_once_per_detection() -> None:
+    _, track = clip("right", 8, missing=(2, 3))
+    calls: list[int] = []
+    fit_track(1.0, model_of("right"), track, CAMERA, lambda: calls.append(1))
+    assert len(calls) == 6
+
+
+def test_a_single_picture_among_empty_frames() -> None:
+    _, track = clip("right", 5, missing=(0, 1, 3, 4))
+    found = fitted(track)
+    np.testing.assert_array_equal(found.present, track.detected)
+    assert found.filled is not None
+    assert not found.filled.any()
+
+
+def test_long_clips_are_cut_into_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, track = clip("right", 9, noise=2.0)
+    whole = fitted(track, 0.0)
+    monkeypatch.setattr(fit, "CHUNK", 4)
+    cut = fitted(track, 0.0)
+    np.testing.assert_allclose(points_of_track("right", cut), points_of_track("right", whole), atol=1e-4)
+
+
+def test_a_stopped_clip_keeps_the_chunks_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, track = clip("right", 9, missing=(1,), noise=2.0)
+    monkeypatch.setattr(fit, "CHUNK", 3)
+    calls: list[int] = []
+    answers = iter([False, True])
+    found = fit_track(1.0, model_of("right"), track, CAMERA, lambda: calls.append(1), lambda: next(answers))
+    assert len(calls) == 6
+    # Six of the eight detections, and the gap among them, which is filled.
+    np.testing.assert_array_equal(found.present, [True] * 7 + [False] * 2)
+    assert found.filled is not None
+    np.testing.assert_array_equal(np.flatnonzero(found.filled), [1])
+    assert not found.converged[7:].any()
+    whole = points_of_track("right", fitted(track, 0.0))[:7]
+    assert laid_error(points_of_track("right", found)[:7], whole).max() < 0.004  # metres
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("length", [0.15, 0.17, 0.21])
+def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> None:
+    model = model_of(side)
+    _, orient, pose, transl = parameters_of(side, 12, seed=5)
+    betas = np.tile(betas_of_length(model, length), (12, 1))
+    true = (betas, orient, pose, transl)
+    detections = detections_of(side, true, noise=2.0)
+    guessed = fit_frames(model, detections, CAMERA)
+    told = fit_frames(model, detections, CAMERA, hand_length=length)
+    lengths = np.array([flat_hand_length(model, b) for b in told.betas])
+    np.testing.assert_allclose(lengths, length, rtol=0.01)
+
+    def distance(fits: FrameFits) -> np.ndarray:
+        return points_of(side, fits)[:, 0, 2] / keypoints_of(side, *true)[:, 0, 2]
+
+    assert abs(distance(told).mean() - 1.0) < 0.02
+    assert abs(distance(guessed).mean() - 1.0) > 0.05  # without being told it is an average hand's
+    track = DetectedTrack(side, tuple(detections), FPS)
+    found = fit_track(0.0, model, track, CAMERA, lambda: None, hand_length=length)
+    assert flat_hand_length(model, found.betas) == pytest.approx(length, rel=0.01)
+
+
+def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCaptureFixture) -> None:
+    _, track = clip("right", 2)
+    model = model_of("right")
+    for length, said, reached in [
+        (0.17, None, 0.17),
+        (0.14, "140 mm long is 3.5 standard deviations from the model's average of 187 mm", 0.14),
+        (0.06, "106 mm is as far as it goes", 0.106),
+    ]:
+        caplog.clear()
+        found = fit_track(1.0, model, track, CAMERA, lambda: None, hand_length=length)
+        assert not caplog.records  # it is not this hand's alone
+        tell_of_odd_shapes(model, length)
+        assert (said or "") in caplog.text
+        assert bool(caplog.records) == (said is not None)
+        assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)

@@ -1,0 +1,270 @@
+"""Every term by one table: its derivatives by finite differences, batch equals loop; and what each of them
+says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms import (
+    Limits,
+    PosePrior,
+    Rows,
+    Shape,
+    Term,
+    coupling,
+    depth,
+    distance,
+    near_pose,
+    reprojection,
+)
+from handfit_core.fit.terms.limits import BEND, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
+from handfit_core.fit.terms.pose_prior import WEIGHT
+from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
+from tests.core.fit.differences import by_each, close, random
+from tests.core.fit.hands import MIRROR, OFFSETS, chain_of, kept_near, make_state, observe
+
+CHAIN = chain_of("right", OFFSETS)
+ROOT = random(5, 9, 12, seed=2)
+COVARIANCE = ROOT @ ROOT.swapaxes(-1, -2)
+MEAN = random(5, 9, seed=1, scale=0.3)
+RATES = random(10, seed=5) * 0.01
+
+TERMS: list[Term] = [
+    reprojection,
+    depth,
+    Limits("right"),
+    PosePrior(MEAN, COVARIANCE),
+    coupling,
+    near_pose,
+    distance,
+    Shape(random(10, seed=6)),
+    Shape(random(10, seed=6), RATES, 0.3),
+]
+every_term = pytest.mark.parametrize("term", TERMS, ids=lambda t: getattr(t, "__name__", type(t).__name__))
+
+
+def hands(batch: int = 3, spread: float = 0.8) -> tuple[Posed, Observation]:
+    """Hands far from what is seen, some angles beyond their range, of which some poses are to be kept."""
+    state = make_state(batch, CHAIN, spread=spread)
+    state.angles[0, 3, BEND], state.angles[0, 4, BEND] = (
+        2.0,
+        -0.2,
+    )  # beyond 90 degrees the spread's range stays
+    other = make_state(batch, CHAIN, seed=1)
+    seen = replace(observe(CHAIN.pose(other).points, noise=5.0), kept=kept_near(other))
+    return CHAIN.pose(state), seen
+
+
+def with_angles(angles: np.ndarray) -> tuple[Posed, Observation]:
+    """Hands of these angles (B, 5, 9)."""
+    posed, seen = hands(len(angles))
+    return replace(posed, state=replace(posed.state, angles=angles)), seen
+
+
+VARIABLES: dict[
+    str, list[tuple[slice, Callable[[Posed], np.ndarray], Callable[[Posed, np.ndarray], Posed]]]
+] = {
+    POINTS: [
+        (slice(0, 3), lambda p: p.points, lambda p, v: replace(p, points=v)),
+        (
+            slice(3, 4),
+            lambda p: p.state.depth_zero,
+            lambda p, v: replace(p, state=replace(p.state, depth_zero=v)),
+        ),
+    ],
+    FINGERS: [
+        (slice(0, 9), lambda p: p.state.angles, lambda p, v: replace(p, state=replace(p.state, angles=v)))
+    ],
+    HAND: [
+        (BETAS, lambda p: p.state.betas, lambda p, v: replace(p, state=replace(p.state, betas=v))),
+        (PLACE, lambda p: p.state.wrist, lambda p, v: replace(p, state=replace(p.state, wrist=v))),
+        (
+            DEPTH_ZERO,
+            lambda p: p.state.depth_zero,
+            lambda p, v: replace(p, state=replace(p.state, depth_zero=v)),
+        ),
+    ],
+}
+"""What each kind's rows are derivatives by: which columns, where it stands, and how it is changed"""
+
+
+@every_term
+def test_derivatives(term: Term) -> None:
+    """Rows depend on their own point, finger or hand, and on nothing that they have no derivative by."""
+    posed, seen = hands(1)
+    rows = term(posed, seen)
+    groups = SIZES[rows.of][0]
+    for columns, value, changed in VARIABLES[rows.of]:
+        at = value(posed)
+        found = by_each(
+            lambda v, changed=changed: term(changed(posed, v), seen).residual[0], at
+        )  # (groups, c, n)
+        own = rows.jacobian[0, ..., columns]
+        expected = np.zeros((groups, *own.shape[1:]))
+        if found.shape[-1] == own.shape[-1]:  # one value for all groups
+            expected = found
+        else:
+            whole = found.reshape(*found.shape[:2], groups, -1)
+            for group in range(groups):
+                expected[group] = whole[group, :, group]
+                assert not np.delete(whole[group], group, axis=1).any()
+        close(own, expected, rtol=1e-6, atol=1e-5)
+    assert not rows.jacobian[0, ..., :3].any() or rows.of != HAND  # no term is judged by how a hand is turned
+
+
+@every_term
+def test_batch_equals_loop(term: Term) -> None:
+    posed, seen = hands()
+    whole = term(posed, seen)
+    for i in range(3):
+        index = slice(i, i + 1)
+        one = term(CHAIN.pose(posed.state.select(index)), seen.select(index))
+        close(whole.columns[i], one.columns[0], rtol=1e-9, atol=1e-9)
+
+
+@every_term
+def test_what_lies_behind_the_camera_stays_finite(term: Term) -> None:
+    posed, seen = hands()
+    posed.points[0, 3, 2], posed.points[0, 4, 2], posed.state.depth_zero[:] = -0.4, 0.0, -0.1
+    assert np.isfinite(term(posed, seen).columns).all()
+
+
+def test_reprojection_is_the_pinhole_camera() -> None:
+    posed, seen = hands()
+    for i in range(3):
+        camera = Intrinsics(*seen.focal[i].tolist(), *seen.centre[i].tolist())
+        expected = (camera.project(posed.points[i]) - seen.pixels[i]) / seen.pixel_sigma[i]
+        close(reprojection(posed, seen).residual[i], expected, rtol=1e-12, atol=1e-9)
+    posed.points[0, 3, 2] = -0.4
+    as_if = replace(posed, points=posed.points.copy())
+    as_if.points[0, 3, 2] = NEAREST
+    close(reprojection(posed, seen).residual, reprojection(as_if, seen).residual)
+
+
+def test_depth_has_no_zero_and_no_metres_of_its_own() -> None:
+    posed, seen = hands()
+    state = replace(posed.state, depth_zero=2 * posed.state.depth_zero)
+    moved = replace(posed, points=2 * posed.points, state=state)
+    close(depth(moved, seen).residual, depth(posed, seen).residual)
+    # On the optical axis, the distance along the ray is z.
+    along = replace(seen, ray=np.tile([0.0, 0.0, 1.0], (3, 1)))
+    expected = (1200.0 * (posed.points[..., 2] - 0.5) - seen.depth) / seen.depth_sigma
+    close(depth(posed, along).residual[..., 0], expected)
+
+
+def test_limits_are_the_distance_from_the_nearer_end_in_sigmas() -> None:
+    limits = Limits("right")
+    inside = np.broadcast_to((limits.lower + limits.upper) / 2, (2, 5, 9)).copy()
+    inside[..., SPREAD] *= 0.1
+    assert not limits(*with_angles(inside)).columns.any()
+    outside = inside.copy()
+    outside[0, 1, 5], outside[0, 2, 8] = limits.upper[1, 5] + 3.5 * SIGMA, limits.lower[2, 8] - 3 * SIGMA
+    residual = limits(*with_angles(outside)).residual
+    assert (residual[0, 1, 5], residual[0, 2, 8]) == pytest.approx((3.5, -3.0))
+    assert np.abs(residual).sum() == pytest.approx(6.5)
+
+
+@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + SPREAD_LEFT) / 2)])
+def test_a_knuckles_spread_tightens_as_it_bends(finger: int, left: float) -> None:
+    """Half of the way at 45 degrees; not the thumb's."""
+    limits = Limits("right")
+    angles = np.zeros((1, 5, 9))
+    angles[0, finger, BEND] = np.radians(45)
+    angles[0, finger, SPREAD] = limits.upper[finger, SPREAD] * left + 2 * SIGMA
+    assert limits(*with_angles(angles)).residual[0, finger, SPREAD] == pytest.approx(2.0)
+
+
+def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
+    """By the passive range, or as far as that pose goes."""
+    limits, sigma = Limits("right"), 0.005
+    kept = make_state(1, CHAIN, spread=0.0)
+    kept.angles[0, 1, 5] = limits.upper[1, 5] + 0.4
+    posed, seen = with_angles(np.zeros((1, 5, 9)))
+    angles = posed.state.angles
+    angles[0, 1, 5], angles[0, 2, 5] = limits.upper[1, 5] + 0.41, limits.upper[2, 5] + PASSIVE_RANGE + 0.02
+    residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
+    assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
+
+
+def test_the_pose_prior_is_the_mahalanobis_distance_and_mirrored_for_left_hands() -> None:
+    posed, seen = hands()
+    away = (posed.state.angles - MEAN)[..., None]
+    expected = (away.swapaxes(-1, -2) @ np.linalg.inv(COVARIANCE) @ away)[..., 0, 0]
+    close(np.square(PosePrior(MEAN, COVARIANCE)(posed, seen).residual).sum(axis=-1), WEIGHT * expected)
+    left = replace(posed, state=replace(posed.state, angles=posed.state.angles * MIRROR))
+    close(np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1), WEIGHT * expected)
+
+
+def test_a_last_joint_bent_alone_costs_but_not_the_thumbs() -> None:
+    angles = np.zeros((1, 5, 9))
+    angles[0, :, 8] = 0.5
+    expected = (0.5 + np.radians([25.0, 18.0, 20.5, 20.5])) / np.radians(18.0)
+    rows = coupling(*with_angles(angles))
+    close(rows.residual[0, :, 0], [0.0, *expected])
+    assert not rows.jacobian[0, 0].any()
+    # As the index finger does by itself:
+    angles[0, 1, 5], angles[0, 1, 8] = 1.0, 0.87 - np.radians(25.0)
+    assert abs(coupling(*with_angles(angles)).residual[0, 1, 0]) < 1e-14
+
+
+def test_near_a_pose_goes_the_shorter_way_round_and_keeps_nothing_where_sigma_is_infinite() -> None:
+    posed, seen = with_angles(np.full((1, 5, 9), 0.1 - np.pi))
+    start = replace(posed.state, angles=np.full((1, 5, 9), np.pi - 0.1))
+    rows = near_pose(posed, replace(seen, kept=kept_near(start)))
+    close(rows.residual[0], np.array([2.0, 1.0, 0.4, 0.2, 0.0])[:, None].repeat(9, axis=1))
+    assert not rows.jacobian[0, 4].any()
+
+
+def test_distance_counts_in_parts_of_itself_and_not_across_the_line_of_sight() -> None:
+    posed, seen = hands()
+    assert seen.kept is not None
+    start = seen.kept.wrist
+    across = np.cross(start, random(3, 3))
+    for wrist, expected in ((1.03 * start, 1.5), (start + across, 0.0)):
+        moved = replace(posed, state=replace(posed.state, wrist=wrist))
+        close(distance(moved, seen).residual[:, 0, 0], np.full(3, expected), atol=1e-9)
+    nothing = replace(seen, kept=replace(seen.kept, distance_sigma=np.full(3, np.inf)))
+    assert not distance(posed, nothing).columns.any()
+
+
+def test_all_shapes_of_the_measured_length_differ_by_their_proportions_alone() -> None:
+    posed, seen = hands(1)
+    expected = random(10, seed=6)
+    across = random(10, seed=3)
+    across -= RATES * (across @ RATES) / (RATES @ RATES)
+    for betas, lengths in ((expected, 0.0), (expected + across, 0.0), (expected + RATES, RATES @ RATES)):
+        shaped = replace(posed, state=replace(posed.state, betas=betas[None]))
+        residual = Shape(expected, RATES)(shaped, seen).residual[0, 0]
+        close(residual[:10], betas - expected)
+        assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
+
+
+def test_uncertain_points_count_linearly_beyond_one_sigma() -> None:
+    """Huber's kernel, as weights: cost, gradient, and no weight above one."""
+    columns = random(2, 21, 2, 5)
+    columns[0, 0, :, -1], columns[0, 1, :, -1] = [3.0, 4.0], [0.3, 0.4]
+    certain = np.zeros((2, 21), dtype=bool)
+    certain[1] = True
+    weighted, cost = Rows(POINTS, columns, certain).weighted()
+    norm = np.linalg.norm(columns[..., -1], axis=-1)
+    assert (norm[0, 0], norm[0, 1]) == pytest.approx((5.0, 0.5))
+    expected = np.where((norm > 1.0) & ~certain, 2 * norm - 1, norm**2).sum(axis=1)
+    close(cost, expected)
+    close(weighted[0, 0], columns[0, 0] * np.sqrt(0.2))
+    close(weighted[0, 1], columns[0, 1])
+    close(weighted[1], columns[1])
+    # Half the cost's derivative by a scale of the residual is J^T r of the weighted rows.
+    step = 1e-6
+    ahead, behind = (columns * np.array([1, 1, 1, 1, 1 + s]) for s in (step, -step))
+    slope = (Rows(POINTS, ahead, certain).weighted()[1] - Rows(POINTS, behind, certain).weighted()[1]) / (
+        2 * step
+    )
+    close(np.square(weighted[..., -1]).sum(axis=(1, 2)), slope / 2, rtol=1e-6)
