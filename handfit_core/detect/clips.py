@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.detect.correction.sides import with_side_judged
+from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import SAME_HAND, SecondLook, distance, look_again

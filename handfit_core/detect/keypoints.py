@@ -10,6 +10,21 @@ from handfit_core.skeleton import Side, other_side
 
 
 @dataclass(frozen=True, eq=False)
+class CorrectedLandmarks:
+    """What the landmark network makes of one detection, taken for a hand of that side. Pixels."""
+
+    side: Side
+    pixels: np.ndarray
+    """(21, 2)"""
+    pixel_sigma: np.ndarray
+    """(21, 2) expected errors"""
+    depth: np.ndarray
+    """(21,) about its mean"""
+    depth_sigma: np.ndarray
+    """(21,)"""
+
+
+@dataclass(frozen=True, eq=False)
 class HandDetection:
     """One hand in one picture."""
 
@@ -27,6 +42,9 @@ class HandDetection:
     a single look"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
+    corrected: CorrectedLandmarks | None = None
+    """What the network said of this detection when it was asked for the side. Solvers that want the
+    detector's own word take `keypoints`"""
 
     @property
     def likely_side(self) -> Side:

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from handfit_core.detect.correction.sides import with_side_judged
+from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import (

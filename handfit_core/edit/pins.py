@@ -16,7 +16,7 @@ palm by their nature: no finger can bring them nearer.
 A picture hardly tells how far away a hand is: a pin that a finger cannot reach would draw the whole hand
 nearer. So the wrist's distance is kept, the less firmly the farther a pin moves the palm itself.
 
-Pins come after the landmark network (`observe.landmarked`), which knows detectors and not artists.
+Pins come after the landmark network (`detect.correction`), which knows detectors and not artists.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.fit.observation import Landmarked
+from handfit_core.detect.correction.corrected import Landmarked
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS
 

@@ -8,14 +8,15 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.detect.correction.corrected import Landmarked, landmarked
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
-from handfit_core.fit.fast import CHUNK, TRUST, FastFitter, fitter_of, over_time
+from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, over_time
 from handfit_core.fit.gaps import jumps, missing_between
-from handfit_core.fit.observation import Kept, Landmarked, Observation, landmarked
+from handfit_core.fit.observation import Kept, Observation, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
@@ -60,7 +61,7 @@ def each(
     held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model)
     for at, part in _chunks(rows):
-        observed = _rows(seen, part).observation(hand.intrinsics)
+        observed = observation_of(_rows(seen, part), hand.intrinsics)
         own = _start(fitter, hand, hand, posed[at], observed, at)
         near = own if draft else None
         if draft and guess is not None:
@@ -197,7 +198,7 @@ class _Frames:
         held: np.ndarray,
         starts: list[State],
     ) -> State:
-        observed = seen.observation(self.intrinsics)
+        observed = observation_of(seen, self.intrinsics)
         # A frame without a pose has nothing to keep.
         turned = np.where(self.posed[:, None], pinning.angle_sigma(doubt, pinning.sizes(seen.pixels)), np.inf)
         near = Kept(
@@ -230,7 +231,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
             lambda: _check(should_stop),
         )  # fmt: skip
 
-    observed = seen.observation(hand.intrinsics)
+    observed = observation_of(seen, hand.intrinsics)
     states = []
     for at, part in _chunks(rows):
         _check(should_stop)
@@ -266,7 +267,7 @@ def _corrected(
     doubt = pinning.followed(displaced)
     touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1)
     far = np.where(touched, pinning.distance_sigma(displaced, size), np.inf)
-    observed = pinning.pinned(seen, pins, doubt).observation(hand.intrinsics)
+    observed = observation_of(pinning.pinned(seen, pins, doubt), hand.intrinsics)
     anywhere = np.full((len(rows), 5), np.inf)
     kept = Kept(plain.wrist, far, plain.angles, anywhere)
     return replace(observed, kept=kept), np.flatnonzero(touched)
@@ -338,11 +339,11 @@ _LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
 
 def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
     if len(detections) > 1:
-        return landmarked(detections, side, TRUST)
+        return landmarked(detections, side)
     (one,) = detections
     key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes())
     if "one" not in _LAST or _LAST["one"][0] != key:
-        _LAST["one"] = key, landmarked(detections, side, TRUST)
+        _LAST["one"] = key, landmarked(detections, side)
     return _LAST["one"][1]
 
 

@@ -9,11 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.clips import smoothed
 from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.observation import Observation, Trust, landmarked
+from handfit_core.fit.observation import Observation, observation_of
 from handfit_core.fit.problem import Held, Motion, Problem, SharedShape
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
@@ -37,7 +38,6 @@ from handfit_core.hand_model.length import betas_of_measured, length_rates
 from handfit_core.skeleton import NUM_BETAS
 from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
 
-TRUST: Final = Trust()
 MAX_ITERATIONS: Final = 20
 """Most need five to eight. Fists need more; on other hands what comes after eight does not show."""
 TOLERANCE: Final = 2e-3
@@ -108,7 +108,7 @@ class FastFitter:
 
     def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
         """What is seen of those detections through that camera."""
-        return landmarked(detections, self.model.side, TRUST).observation(intrinsics)
+        return observation_of(landmarked(detections, self.model.side), intrinsics)
 
     def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""

@@ -6,7 +6,6 @@ coordinate may still be, and whether the side is right.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,8 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.detect.correction.canonical import Canonical, canonical
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.correction.canonical import Canonical
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 FILE: Final = Path(__file__).parent / "data" / "landmark_network.npz"
@@ -72,15 +70,6 @@ def landmark_network() -> LandmarkNetwork:
         return LandmarkNetwork(dict(arrays))
 
 
-def side_probability(detections: Sequence[HandDetection]) -> np.ndarray:
-    """(N,) probability that each detection's side is the true one."""
-    found = [np.empty(0)]
-    for first in range(0, len(detections), CHUNK):
-        part = detections[first : first + CHUNK]
-        found.append(landmark_network()(canonical(part, [d.side for d in part])).right_side)
-    return np.concatenate(found)
-
-
 def _gelu(x: np.ndarray) -> np.ndarray:
     """x Phi(x) in the approximation by tanh (Hendrycks and Gimpel, 2016)."""
     return (
@@ -88,4 +77,4 @@ def _gelu(x: np.ndarray) -> np.ndarray:
     )
 
 
-__all__ = ["FILE", "Correction", "LandmarkNetwork", "landmark_network", "side_probability"]
+__all__ = ["FILE", "Correction", "LandmarkNetwork", "landmark_network"]

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from handfit_core.detect.correction.canonical import canonical
+from handfit_core.detect.correction.corrected import Trust, landmarked
 from handfit_core.detect.correction.network import landmark_network
-from handfit_core.fit.observation import Trust, landmarked
+from handfit_core.fit.observation import observation_of
 from handfit_core.skeleton import Side
 from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, poses, seen
 
@@ -79,7 +80,7 @@ def test_a_mirrored_picture_is_seen_alike() -> None:
 
 def test_through_a_camera() -> None:
     found = landmarked(DETECTIONS, RIGHT, Trust())
-    observation = found.observation(CAMERA)
+    observation = observation_of(found, CAMERA)
     assert len(observation) == 6
     middle = found.pixels.mean(axis=1)
     rays = np.concatenate([(middle - [CAMERA.cx, CAMERA.cy]) / CAMERA.fx, np.ones((6, 1))], axis=1)

@@ -8,14 +8,15 @@ import numpy as np
 import torch
 
 from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
+from handfit_core.detect.correction.corrected import corrected
 from handfit_core.detect.correction.network import (
     FILE,
     LOG_SIGMA,
     MOST,
     LandmarkNetwork,
     landmark_network,
-    side_probability,
 )
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.skeleton import Side
 from tests.core.fit.detections import landmarks_of, mirror_image, poses, seen
 
@@ -74,6 +75,10 @@ def test_it_says_something_about_every_landmark() -> None:
     assert landmark_network() is landmark_network()
 
 
+def probability(detections: list[HandDetection]) -> np.ndarray:
+    return corrected(detections, [d.side for d in detections])[1]
+
+
 def test_forward_pass_is_torchs() -> None:
     arrays = shipped()
     # Also where features are cut off.
@@ -99,9 +104,9 @@ def test_bad_landmarks_are_expected_to_be_worse() -> None:
 
 def test_sides() -> None:
     """A right hand named a right one is likely; what is named wrong is not. Mirrored, it is the same."""
-    right = side_probability(DETECTIONS)
-    wrong = side_probability([replace(d, side="left", score=0.6) for d in DETECTIONS])
+    right = probability(DETECTIONS)
+    wrong = probability([replace(d, side="left", score=0.6) for d in DETECTIONS])
     assert right.mean() > 0.8
     assert wrong.mean() < right.mean() - 0.2
-    np.testing.assert_allclose(side_probability([mirror_image(d) for d in DETECTIONS]), right, atol=1e-4)
-    assert side_probability([]).shape == (0,)
+    np.testing.assert_allclose(probability([mirror_image(d) for d in DETECTIONS]), right, atol=1e-4)
+    assert probability([]).shape == (0,)

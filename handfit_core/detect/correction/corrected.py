@@ -1,0 +1,109 @@
+"""Corrected landmarks and judged sides: the network is asked once for each detection."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.correction.canonical import canonical
+from handfit_core.detect.correction.network import landmark_network
+from handfit_core.detect.keypoints import CorrectedLandmarks, HandDetection
+from handfit_core.skeleton import Side
+
+LEAST_SIGMA: Final = 0.1
+"""pixels; landmarks in one place would else be surer than anything"""
+CHUNK: Final = 512
+"""Detections corrected at once; bounds the memory"""
+DETECTOR_ODDS: Final = 3.0
+"""The network was trained on painted pictures, where the detector names the wrong side five times as often as
+in photos: its odds for the detector's word count this many times"""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How the detector's landmarks and the network's meet."""
+
+    plane: float = 0.3
+    """of the way from the detector's x and y to the network's"""
+    depth: float = 0.7
+    """of the way from the detector's fused depth to the network's"""
+    plane_sigma: float = 0.5
+    """of the network's expected error, x and y"""
+    depth_sigma: float = 0.7
+    floor: float = 0.006
+    """expected errors are at least this, of the hand's size in the picture"""
+
+
+TRUST: Final = Trust()
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarked:
+    """What is seen of N detections, without a camera: pixels."""
+
+    pixels: np.ndarray
+    """(N, 21, 2)"""
+    pixel_sigma: np.ndarray
+    """(N, 21, 2)"""
+    depth: np.ndarray
+    """(N, 21) about its mean"""
+    depth_sigma: np.ndarray
+    """(N, 21)"""
+    pinned: np.ndarray | None = None
+    """(N, 21) bool: pixels that a person has put there; None: there are none"""
+
+
+_ARRAYS: Final = ("pixels", "pixel_sigma", "depth", "depth_sigma")
+
+
+def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = TRUST) -> Landmarked:
+    """Corrected detections, all taken for hands of that side. Those that carry what the network said of that
+    side are not shown to it again."""
+    kept = [d.corrected for d in detections]
+    unknown = [i for i, k in enumerate(kept) if k is None or k.side != side or trust != TRUST]
+    if unknown:
+        sides: list[Side] = [side for _ in unknown]
+        found, _ = corrected([detections[i] for i in unknown], sides, trust)
+        for row, i in enumerate(unknown):
+            kept[i] = CorrectedLandmarks(side, *(getattr(found, name)[row] for name in _ARRAYS))
+    return Landmarked(*(np.array([getattr(k, name) for k in kept]) for name in _ARRAYS))
+
+
+def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]:
+    """The same detections with `right_side` and `corrected` filled in."""
+    sides: list[Side] = [d.side for d in detections]
+    found, probabilities = corrected(detections, sides)
+    judged = []
+    for row, (detection, probability) in enumerate(zip(detections, probabilities, strict=True)):
+        odds = DETECTOR_ODDS * probability / max(1.0 - probability, 1e-9)
+        said = CorrectedLandmarks(detection.side, *(getattr(found, name)[row] for name in _ARRAYS))
+        judged.append(replace(detection, right_side=float(odds / (1.0 + odds)), corrected=said))
+    return judged
+
+
+def corrected(
+    detections: Sequence[HandDetection], sides: Sequence[Side], trust: Trust = TRUST
+) -> tuple[Landmarked, np.ndarray]:
+    """Detections taken for hands of those sides, and the probability (N,) that they are."""
+    parts = []
+    for first in range(0, max(len(detections), 1), CHUNK):
+        part = slice(first, first + CHUNK)
+        parts.append(_of_chunk(detections[part], sides[part], trust))
+    whole = Landmarked(*(np.concatenate([getattr(found, name) for found, _ in parts]) for name in _ARRAYS))
+    return whole, np.concatenate([probability for _, probability in parts])
+
+
+def _of_chunk(
+    detections: Sequence[HandDetection], sides: Sequence[Side], trust: Trust
+) -> tuple[Landmarked, np.ndarray]:
+    seen = canonical(detections, sides)
+    said = landmark_network()(seen)
+    blend = np.array([trust.plane, trust.plane, trust.depth])
+    points = seen.to_picture(seen.fused + blend * (said.points - seen.fused))
+    sigma = np.maximum(np.maximum(said.sigma, trust.floor) * seen.size[:, None, None], LEAST_SIGMA)
+    plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
+    depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
+    return Landmarked(points[..., :2], plane, depth, trust.depth_sigma * sigma[..., 2]), said.right_side
