@@ -39,7 +39,7 @@ from handfit_core.skeleton import NUM_BETAS
 from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
 
 MAX_ITERATIONS: Final = 20
-"""Most need five to eight. Fists need more; on other hands what comes after eight does not show."""
+"""Most need four to seven, fists up to fifteen"""
 TOLERANCE: Final = 2e-3
 
 SHAPE_FRAMES: Final = 48
@@ -100,7 +100,9 @@ class FastFitter:
         with np.load(FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
-        self._terms: tuple[Term, ...] = (reprojection, depth, Limits(model.side), prior, coupling)
+        limits = Limits(model.side)
+        self._reach = limits.reach
+        self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
         self._betas, self._length_rates = np.zeros(NUM_BETAS), None
         if hand_length is not None:
             self._betas = betas_of_measured(model, hand_length)
@@ -122,7 +124,8 @@ class FastFitter:
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
             terms = (*terms, Shape(self._betas, self._length_rates, weight))
-        return Problem(self.chain, seen, terms, shape, held)
+        reach = self._reach if seen.kept is None else None
+        return Problem(self.chain, seen, terms, shape, held, reach=reach)
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""

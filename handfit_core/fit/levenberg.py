@@ -12,6 +12,9 @@ FIRST_DAMPING = 1e-3
 LESS, MORE = 0.1, 10.0
 """What the damping is multiplied with after a step that kept its promise, and after one that did not help. In
 between it changes as the gain does (Nielsen, "Damping parameter in Marquardt's method", 1999)"""
+HARDLY = 0.1
+"""of the tolerance: a step that gained less than this was the last. In a bent valley steps promise more than
+they keep, again and again."""
 MOST_DAMPING = 1e6
 LEAST_DAMPING = 1e-7
 WORTH_PACKING = 0.85
@@ -25,7 +28,8 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
     """Minimise from `start`. Where all have one shape, all stop together.
 
     A problem ends when its next step promises to lower the cost by less than `tolerance` times the cost: that
-    step is neither tried nor taken. One without numbers ends at once, silently.
+    step is neither tried nor taken. It also ends after a step that hardly gained anything. One without
+    numbers ends at once, silently.
     """
     together = problem.shape == "one"
     blocks, state, index = problem.blocks(start), start, np.arange(len(start))
@@ -50,7 +54,8 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
     if (status != _GOES_ON).any():
         pack(status == _GOES_ON)
     for _ in range(max_iterations):
-        step = blocks.step(damping, shared_shape=together)
+        of_hand, of_fingers = blocks.step(damping, shared_shape=together)
+        step = of_hand, problem.within_reach(state, of_fingers)
         before, promised = blocks.cost, blocks.promised(*step)
         if together:
             before, promised = np.full_like(before, before.sum()), np.full_like(before, promised.sum())
@@ -78,6 +83,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
         less = np.maximum(1.0 - (2.0 * kept - 1.0) ** 3, LESS)
         damping = np.clip(damping * np.where(better, less, MORE), LEAST_DAMPING, MOST_DAMPING)
         status[active & (damping >= MOST_DAMPING)] = Status.STUCK
+        status[better & (before - after < HARDLY * tolerance * before)] = Status.CONVERGED
     status[status == _GOES_ON] = Status.ITERATIONS
     finished.append((index, Solution(state, blocks.cost, iterations, status)))
     order = np.argsort(np.concatenate([rows for rows, _ in finished]))

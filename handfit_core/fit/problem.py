@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -74,11 +74,24 @@ class Problem:
     """Joints that are no variables; None: all are"""
     motion: Motion | None = None
     """B consecutive frames of a clip move like that; None: frames know nothing of each other"""
-    looked_at: np.ndarray | None = field(default=None)
+    looked_at: np.ndarray | None = None
     """(B,) bool: frames of a clip whose `seen` counts, the others follow their neighbours; None: all"""
+
+    reach: tuple[np.ndarray, np.ndarray] | None = None
+    """(5, 9) least and most radians that a step may lead angles to: limits are all but hard, and a step knows
+    nothing of those that it has not crossed yet. None: anywhere"""
 
     def __len__(self) -> int:
         return len(self.seen)
+
+    def within_reach(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
+        """Increments of angles (B, 5, 9), cut off where they end; angles that are beyond go no farther."""
+        if self.reach is None:
+            return of_fingers
+        least, most = self.reach
+        angles = state.angles
+        ends = np.clip(angles + of_fingers, np.minimum(least, angles), np.maximum(most, angles))
+        return ends - angles
 
     def select(self, index: Index) -> Problem:
         """The hands of that index."""

@@ -26,7 +26,7 @@ class Status(IntEnum):
 
 
 _WORDS = {
-    Status.CONVERGED: "the next step promised less than the tolerance",
+    Status.CONVERGED: "the next step promised hardly anything, or the last one hardly gained anything",
     Status.STUCK: "no step, however short, lowers the cost: this is a minimum as far as numbers can tell",
     Status.ITERATIONS: "the iterations ran out while the cost still fell; allow more, or start nearer",
     Status.NO_NUMBERS: "the cost at the start is no number: look for NaN or infinity in what is fitted to",

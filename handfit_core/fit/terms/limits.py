@@ -20,6 +20,9 @@ PASSIVE_RANGE = float(np.radians(10.0))
 moving it oneself, and a finger that is pressed goes further. Without this, the palm is moved where a person
 would only bend the finger."""
 
+BEYOND = float(np.radians(3.0))
+"""radians beyond the range to which a step may lead: farther out, nothing that is seen holds a joint"""
+
 _PER_RADIAN = (1.0 - SPREAD_LEFT) / (np.pi / 2) * np.array([0.0, 1.0, 1.0, 1.0, 1.0])
 """By how much a knuckle's spread shrinks with its bend; the thumb's first joint is none"""
 
@@ -35,6 +38,11 @@ class Limits:
     def __init__(self, side: Side) -> None:
         ranges = joint_limits(side)
         self.lower, self.upper = (a[JOINTS_BY_FINGER - 1].reshape(5, 9) for a in (ranges.lower, ranges.upper))
+
+    @property
+    def reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """(5, 9) least and most radians that steps may lead to, where no pose is kept."""
+        return self.lower - BEYOND, self.upper + BEYOND
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
         """The rows of B posed hands."""

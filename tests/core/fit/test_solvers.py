@@ -15,6 +15,7 @@ from handfit_core.fit.levenberg import solve
 from handfit_core.fit.problem import Motion, Problem
 from handfit_core.fit.solution import Solution, Status
 from handfit_core.fit.start import relaxed_start
+from handfit_core.fit.terms import Limits
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import Side
 from tests.core.fit.differences import close, random
@@ -191,3 +192,20 @@ def test_a_shared_shape_is_one_shape() -> None:
     close(solution.state.betas, np.broadcast_to(solution.state.betas[:1], (4, 10)))
     # One shape for all explains less than each hand's own.
     assert solution.cost.sum() >= exactly(problem, start).cost.sum() - 1e-6
+
+
+def test_steps_lead_no_farther_than_joints_reach() -> None:
+    """Where they began beyond, they go no farther; the cost falls all the same."""
+    problem, start = noisy(6)
+    least, most = Limits("right").reach
+    start = replace(start, angles=start.angles.copy())
+    start.angles[0, 2, 5] = most[2, 5] + 0.5
+    bounded = replace(problem, reach=(least, most))
+    found = exactly(bounded, start)
+    assert (found.state.angles <= np.maximum(most, start.angles) + 1e-9).all()
+    assert (found.state.angles >= np.minimum(least, start.angles) - 1e-9).all()
+    assert found.converged.all()
+    wild = random(6, 5, 9, scale=10.0)
+    cut = start.angles + bounded.within_reach(start, wild)
+    assert (np.abs(cut - np.clip(start.angles + wild, least, most))[1:] < 1e-12).all()
+    assert problem.within_reach(start, wild) is wild
