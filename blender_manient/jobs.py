@@ -275,7 +275,7 @@ def _progressed(job: Job, event: dict[str, Any]) -> None:
     job.done, job.total = done, total
     part = done / total if total else 0.0
     # Detection takes nearly all of a capture's time, except with slow solvers.
-    solver = SOLVERS.all().get(job.options.solver)
+    solver = SOLVERS.built_in().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85
     job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
 

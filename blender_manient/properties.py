@@ -32,7 +32,8 @@ PRESETS = (
     ("PAPER", "Paper", "The published method's experiments, slow"),
 )
 
-EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.all().items() if s.slow)
+# Plug-ins may import anything, which Blender's process is to be spared.
+EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
 
 
 listeners: dict[str, Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]] = {}

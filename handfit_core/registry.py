@@ -78,6 +78,10 @@ class Registry(Generic[Part]):
             )
         return part
 
+    def built_in(self) -> dict[str, Part]:
+        """The parts of this package, by name; no plug-in is imported for them."""
+        return {name: self.get(name) for name in self._built_in}
+
     def all(self) -> dict[str, Part]:
         """Every part that can be loaded, by name, built-in ones first."""
         parts = {name: self._load(name) for name in self._offered}
@@ -92,7 +96,7 @@ class Registry(Generic[Part]):
             part = point.load()
             if not isinstance(part, self._kind):
                 raise TypeError(f"it is a {type(part).__name__} and no {self._kind.__name__}")
-        except Exception as error:  # whatever a stranger's module does while it is imported
+        except (Exception, SystemExit) as error:  # whatever a stranger's module does while it is imported
             if name in self._built_in:
                 raise
             self._failed[name] = (

@@ -10,6 +10,7 @@ from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import OptionError
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import get_solver
+from handfit_core.worker.interpreter import find_python, runs_here
 
 from ..exporters import EXPORTERS, find_exporter
 
@@ -32,11 +33,12 @@ class Order:
     debug: bool
 
     @classmethod
-    def of_arguments(cls, args: argparse.Namespace) -> Order:
-        """From parsed arguments (batch/arguments.py). Raises OptionError for values that cannot be meant."""
+    def of_arguments(cls, args: argparse.Namespace, python: str | None) -> Order:
+        """From parsed arguments (batch/arguments.py); `python` captures, None: as `find_python` chooses.
+        Raises OptionError for values that cannot be meant."""
         formats = _checked_formats(args.format)
         options = CaptureOptions.of_arguments(args)
-        if args.python is None:  # a Python that is named may have solvers and detectors of its own
+        if runs_here(find_python(python)):  # another may have solvers and detectors of its own
             get_solver(options.solver)
             DETECTORS.get(options.detector)
         return cls(

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace, host: Host) -> int:
     show_all_names()
     with stopped_by_signals():
         try:
-            order = Order.of_arguments(args)
+            order = Order.of_arguments(args, args.python or host.python)
             jobs = with_free_names(
                 [job for text in args.inputs for job in expand(text, args.grouping)],
                 order.output,

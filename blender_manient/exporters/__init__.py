@@ -14,8 +14,10 @@ PRESETS = (
 )
 """Name, label and description of the programs that formats know"""
 
+_TOLD = ("name", "label", "description", "suffix")
+
 EXPORTERS = {
-    e.name: e for e in sorted((kind() for kind in found_in(__name__, Exporter)), key=lambda e: e.place)
+    e.name: e for e in sorted((kind() for kind in found_in(__name__, Exporter, _TOLD)), key=lambda e: e.place)
 }
 """Every format by its name, in the order of the buttons"""
 

@@ -28,11 +28,13 @@ class CapturedHandRig(Rig):
 
     @classmethod
     def recognises(cls, armature: bpy.types.Object, side: Side) -> float:
-        """Certain of hands that the add-on made; else by how many of the bones are there."""
+        """By how many of the bones are there; a hand that the add-on made is one also without them, if its
+        bones are not those of another kind of rig."""
+        there = sum(name in armature.data.bones for name in bone_names(side)) / len(JOINT_NAMES)
         noted = getattr(armature, "manient", None)  # not there where the add-on is not registered
         if noted is not None and noted.is_hand:
-            return float(noted.side == side)
-        return sum(name in armature.data.bones for name in bone_names(side)) / len(JOINT_NAMES)
+            return 0.5 * (1.0 + there) if noted.side == side else 0.0
+        return there
 
     @property
     def bones(self) -> list[str]:

@@ -21,7 +21,8 @@ LONGEST_HEADER: Final = 1 << 26
 """characters of a file's JSON header: it names each picture of a sequence, so 300 000 of long names"""
 _MOST_SYNTAX: Final = 1 << 22
 """characters of them outside strings, each of which may become an object of a hundred bytes"""
-_STRING: Final = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
+_STRING: Final = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"?', re.DOTALL)
+"""A text; one without an end goes to the header's, or looking for it would begin anew at every quote"""
 
 _MOST_MEMBERS: Final = 4096
 _LONGEST_ENTRY: Final = 512

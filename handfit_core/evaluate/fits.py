@@ -110,7 +110,8 @@ def _code() -> str:
     from handfit_core.evaluate import methods, raw_landmarks
     from handfit_core.hand_model import anatomy, chain, data, landmarks
 
-    of_models = (anatomy, chain, data, landmarks)
+    layer = Path(skeleton.__file__).parent / "layer" / "__init__.py"  # which needs torch to be imported
+    of_models = (anatomy, chain, data, landmarks, layer)
     learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
     of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
     code = code_digest(*of_solvers, methods, raw_landmarks, *of_models)

@@ -12,12 +12,14 @@ import numpy as np
 from handfit_core.files import written_whole
 
 
-def code_digest(*packages: ModuleType) -> str:
-    """Fingerprint of the Python files of packages or modules, so that changed code makes results anew."""
+def code_digest(*packages: ModuleType | Path) -> str:
+    """Fingerprint of the Python files of packages or modules, or of those that begin with a file, so that
+    changed code makes results anew."""
     sha = hashlib.sha256()
     for package in packages:
-        assert package.__file__ is not None
-        file = Path(package.__file__)
+        place = package if isinstance(package, Path) else package.__file__
+        assert place is not None
+        file = Path(place)
         for source in sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else [file]:
             sha.update(source.name.encode())
             sha.update(source.read_bytes())

@@ -72,7 +72,8 @@ def _ending(future: Future[dict[str, Any]]) -> dict[str, Any]:
     error = future.exception()
     if error is None:
         return {"event": "done", **future.result()}
-    assert isinstance(error, Exception)
+    if not isinstance(error, Exception):  # Ctrl-C reaches the children, too
+        error = Cancelled("interrupted")
     return {"event": "error", **error_fields(error), "exception": error}
 
 

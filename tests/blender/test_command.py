@@ -114,6 +114,10 @@ def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path):
         assert f"{expected}'" in entry["error"]
         assert "--python" in entry["error"]
         assert "preferences" in entry["error"]
+    # Another Python may have solvers that are not here.
+    assert command.main([*arguments, "--solver", "of-another-package"]) == 1
+    preferences.get().python = ""
+    assert command.main([*arguments, "--solver", "of-another-package"]) == 2
 
 
 @needs_scripts

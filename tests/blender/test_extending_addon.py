@@ -15,6 +15,14 @@ from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 BROKEN = "import what_is_not_there\n"
+NAMELESS = """
+from .exporter import Exporter
+
+class Nameless(Exporter):
+    suffix = ".none"
+    def write(self, path, hands, preset): pass
+    def is_whole(self, stream, size): return True
+"""
 
 EXPORT = """
 import bpy, sys
@@ -40,7 +48,9 @@ blender_manient.unregister()
 RIG = """
 import bpy, sys
 import numpy as np
+import blender_manient
 from handfit_core.take import Take
+blender_manient.register()
 from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
@@ -61,6 +71,7 @@ np.testing.assert_array_equal(after.quats, before.quats)
 np.testing.assert_array_equal(after.locations, before.locations)
 write_pose_keys(rig, PoseKeys.everywhere(np.array([100.0]), before.quats[:1], before.locations[:1]))
 np.testing.assert_allclose(np.abs(pose_at(rig, np.array([100.0]))[0]), np.abs(before.quats[:1]), atol=1e-6)
+blender_manient.unregister()
 """
 
 
@@ -73,6 +84,8 @@ def make(heading: str, folder: Path) -> None:
     assert name is not None
     (folder / name[1]).write_text(code[1], encoding="utf-8")
     (folder / "broken.py").write_text(BROKEN)
+    if folder.name == "exporters":
+        (folder / "nameless.py").write_text(NAMELESS)
 
 
 @pytest.mark.parametrize(
@@ -94,3 +107,5 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "broken.py is left out" in done.stderr
+    if folder == "exporters":
+        assert "nameless.py is left out: Nameless has no name, label, description" in done.stderr

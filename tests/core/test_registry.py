@@ -49,6 +49,7 @@ def test_a_name_that_nobody_has_lists_those_that_there_are(installed) -> None:
     ("source", "reason"),
     [
         ("raise RuntimeError('no\\nlicence')", r"RuntimeError: no licence"),
+        ("raise SystemExit('bye')", r"SystemExit: bye"),
         ("import a_package_that_is_missing", r"ModuleNotFoundError: .*a_package_that_is_missing"),
         ("", r"AttributeError: .*TOY"),
         ("TOY = 'a text'", r"TypeError: it is a str and no int"),

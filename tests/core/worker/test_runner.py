@@ -92,6 +92,8 @@ def talking(
     for number in range(message["count"]):
         on_progress("fit", number, message["count"])
     logging.getLogger("handfit").warning("it is\ndark")
+    if message["count"] < 0:
+        raise KeyboardInterrupt
     if message["count"] == 0:
         raise ZeroDivisionError("nothing to say")
     return {"pid": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
@@ -109,6 +111,11 @@ def test_what_a_request_says_on_the_way_comes_before_its_end(make: Callable[[], 
         runner.wait(request, said.append, timeout=60)
     assert [event["done"] for event in said[:-1]] == list(range(5000))
     assert said[-1] == {"event": "warning", "id": request, "message": "it is dark"}
+
+
+def test_ctrl_c_that_reached_a_child_is_no_defect() -> None:
+    with Pool(1, a_talker) as runner, pytest.raises(Cancelled, match="interrupted"):
+        runner.wait(runner.submit("talk", count=-1))
 
 
 def test_an_unexpected_error_comes_back_as_what_it_was() -> None:

@@ -190,7 +190,7 @@ def range_refitted(stage, source):
         bone.keyframe_insert("rotation_quaternion", frame=frame)
     bpy.context.scene.frame_set(30)
     bpy.ops.ed.undo_push(message="By hand")
-    before = {frame: _pose_at(armature, frame) for frame in range(1, 61)}
+    before = {frame: _values_at(armature, frame) for frame in range(1, 61)}
     bpy.context.scene.frame_set(30)
     yield from stage.invoke("manient.refit_range")
     yield 0.5
@@ -234,7 +234,7 @@ def relaxed(stage, source):
     (armature,) = hands()
     bpy.context.view_layer.objects.active = armature
     bpy.context.scene.frame_set(30)
-    before = {frame: _pose_at(armature, frame) for frame in range(1, 61)}
+    before = {frame: _values_at(armature, frame) for frame in range(1, 61)}
     bpy.context.scene.frame_set(30)
     yield from stage.invoke("manient.relax_pose")
     yield 0.5
@@ -252,8 +252,14 @@ def relaxed(stage, source):
 
 
 def _changed(armature, before) -> list[int]:
-    """The frames whose pose is another one now."""
-    return [frame for frame in before if before[frame] != _pose_at(armature, frame)]
+    """The frames whose pose is another one now, by more than how single precision rounds."""
+    now = {frame: _values_at(armature, frame) for frame in before}
+    return [f for f in before if max(abs(a - b) for a, b in zip(before[f], now[f], strict=True)) > 1e-5]
+
+
+def _values_at(armature, frame) -> tuple[float, ...]:
+    bpy.context.scene.frame_set(frame)
+    return tuple(v for bone in armature.pose.bones for row in bone.matrix_basis for v in row)
 
 
 def refit():
