@@ -9,7 +9,7 @@ from pathlib import Path
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import OptionError
 from handfit_core.options import CaptureOptions
-from handfit_core.solvers import get_solver
+from handfit_core.solvers import SOLVERS, get_solver
 from handfit_core.worker.interpreter import find_python, runs_here
 
 from ..exporters import EXPORTERS, find_exporter
@@ -38,9 +38,11 @@ class Order:
         Raises OptionError for values that cannot be meant."""
         formats = _checked_formats(args.format)
         options = CaptureOptions.of_arguments(args)
-        if runs_here(find_python(python)):  # another may have solvers and detectors of its own
-            get_solver(options.solver)
+        if args.python is None:  # a Python that is named may have solvers and detectors of its own
+            SOLVERS.get(options.solver)
             DETECTORS.get(options.detector)
+        if runs_here(find_python(python)):  # another may have what a solver needs
+            get_solver(options.solver)
         return cls(
             output=args.output,
             formats=formats,

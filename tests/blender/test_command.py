@@ -104,7 +104,7 @@ def test_a_take_becomes_files_and_the_addon_stays(take_file, tmp_path, capfd):
     assert hand.take.frame_numbers.tolist() == Take.load(take_file).frame_numbers.tolist()
 
 
-def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path):
+def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path, monkeypatch):
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff")
     preferences.get().python = str(tmp_path / "preferred-python")
     arguments = ["capture", str(tmp_path / "a.jpg"), "--flat", "-o", str(tmp_path / "out")]
@@ -114,10 +114,12 @@ def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path):
         assert f"{expected}'" in entry["error"]
         assert "--python" in entry["error"]
         assert "preferences" in entry["error"]
-    # Another Python may have solvers that are not here.
-    assert command.main([*arguments, "--solver", "of-another-package"]) == 1
+    # Another Python may have the torch that is not here.
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert command.main([*arguments, "--solver", "paper-a"]) == 1
     preferences.get().python = ""
-    assert command.main([*arguments, "--solver", "of-another-package"]) == 2
+    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
+    assert command.main([*arguments, "--solver", "paper-a"]) == 2
 
 
 @needs_scripts
