@@ -156,6 +156,18 @@ def test_error_against_the_truth_falls() -> None:
     assert smooth < 0.25 * each
 
 
+@pytest.mark.xfail(reason="the banded steps in angles converge slowly: 0.94 after 4 of them, 0.82 after 40")
+def test_error_in_the_camera_frame_falls() -> None:
+    """With the wrist's depth, which only the frames around can tell."""
+    truth, seen, start = clip()
+    aims = points_of(truth)
+    smooth, each = (
+        np.linalg.norm(points_of(run(seen, start, motion=m)) - aims, axis=-1).mean()
+        for m in (MOTION, Motion(1e3, 1e3))
+    )
+    assert smooth < 0.8 * each
+
+
 def test_more_smoothing_is_smoother() -> None:
     _, seen, start = clip()
     rough = [
