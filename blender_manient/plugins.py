@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import pkgutil
 import sys
 from typing import Any
@@ -25,11 +24,11 @@ def found_in(package: str, kind: type, needed: tuple[str, ...] = ()) -> list[Any
             print(f"Hand Capture: {shown(module.name)}.py is left out: {error}", file=sys.stderr)
             continue
         for value in content.values():
-            if not (isinstance(value, type) and issubclass(value, kind)) or inspect.isabstract(value):
+            if not (isinstance(value, type) and issubclass(value, kind)) or value is kind:
                 continue
             if value.__module__ != f"{package}.{module.name}":
                 continue
-            lacking = [name for name in needed if not hasattr(value, name)]
+            lacking = [n for n in needed if not hasattr(value, n)] + sorted(value.__abstractmethods__)
             if lacking:
                 what = f"{shown(module.name)}.py is left out: {value.__name__} has no {', '.join(lacking)}"
                 print(f"Hand Capture: {what}", file=sys.stderr)

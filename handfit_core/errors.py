@@ -15,6 +15,10 @@ class OptionError(HandfitError):
     """An option, name or range that does not exist; the message lists what does."""
 
 
+class PlugInError(HandfitError):
+    """A detector, solver or reader of another package failed; the message names both."""
+
+
 class InputError(HandfitError):
     """A photo, sequence or video that is missing, empty, damaged or of an unknown kind."""
 

@@ -92,8 +92,9 @@ class Option:
         if self.kind is _flag:
             parser.add_argument(self.flag, action="store_true", default=None, help=self.help)
             return
-        listed = ", ".join(self.choices()) if self.choices is not None else ""
-        text = f"{self.help}: {listed}" if listed else self.help
+        text, named = self.help, {}
+        if self.choices is not None:
+            text, named = f"{text}: %(listed)s", {"action": _Listing, "listed": self.choices}
         default = self.by_default or f"{self.default * self.units if self.unit else self.default}"
         number = {_number: float, _positive: float, _whole: int}
         parser.add_argument(
@@ -101,7 +102,19 @@ class Option:
             metavar=self.metavar,
             type=number.get(self.kind, str),
             help=f"{text}{f', in {self.unit}' if self.unit else ''} (default: {default})",
+            **named,
         )
+
+
+class _Listing(argparse._StoreAction):
+    """Has %(listed)s in its help: choices that are looked up when the help is shown, and not before."""
+
+    def __init__(self, *arguments: Any, listed: Callable[[], Iterable[str]], **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._choices, self.listed = listed, self
+
+    def __str__(self) -> str:
+        return ", ".join(self._choices())
 
 
 def _text(given: Any) -> str:

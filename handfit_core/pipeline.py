@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -190,8 +191,9 @@ def capture_with(
     for track in tracks:
         if fitted and stop():
             break
-        fit = solve(models[track.side], track, intrinsics, one_more, stop)
-        fitted.append(hand_track(models[track.side], _reached(track, fit), fit, intrinsics))
+        with SOLVERS.blamed(solver):
+            fit = solve(models[track.side], track, intrinsics, one_more, stop)
+            fitted.append(hand_track(models[track.side], _reached(track, fit), fit, intrinsics))
     return Take(
         source=_read_part(media.source, len(numbers)),
         fps=media.fps,
@@ -249,7 +251,11 @@ def detect_frames(
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
     video = media.source.kind != "photo"
-    with open_finder(options, video=video) as finder, HandCounter(options) as counter:
+    blamed = partial(DETECTORS.blamed, options.detector)
+    with contextlib.ExitStack() as opened:
+        with blamed():
+            finder = opened.enter_context(open_finder(options, video=video))
+        counter = opened.enter_context(HandCounter(options))
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
                 if should_stop():
@@ -257,13 +263,30 @@ def detect_frames(
                         raise Cancelled(f"{media.source.name}: stopped before a hand was found")
                     break
                 numbers.append(frame.number)
-                found.append(finder.find(frame.rgb, frame.time))
-                counter.look(frame.rgb, len(found[-1]))
+                with blamed():
+                    found.append(finder.find(frame.rgb, frame.time))
+                    counter.look(frame.rgb, len(found[-1]))
                 report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
-        found = finder.completed(found)
+        with blamed():
+            found = _finite(finder.completed(found), options.detector)
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")
     return numbers, found, counter.seen
+
+
+def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:
+    """Without the hands that are no hands to anybody after the detector: one of them would take its whole
+    track with it. Raises ValueError for arrays of another shape."""
+    kept = [
+        tuple(h for h in hands if np.isfinite(np.append((h.keypoints, h.world), h.score)).all())
+        for hands in found
+    ]
+    dropped = sum(map(len, found)) - sum(map(len, kept))
+    if dropped:
+        log.warning(
+            "%d hands of the detector %s have numbers that are not finite: left out", dropped, detector
+        )
+    return kept
 
 
 def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:

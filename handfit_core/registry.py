@@ -13,14 +13,15 @@ out, whatever is wrong with it.
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
 
 from handfit_core.doors.values import shortly
-from handfit_core.errors import OptionError
+from handfit_core.errors import HandfitError, OptionError, PlugInError
 
 log = logging.getLogger("handfit")
 
@@ -66,7 +67,7 @@ class Registry(Generic[Part]):
 
     def get(self, name: str) -> Part:
         """The part of that name. Raises OptionError where there is none, or where it cannot be loaded."""
-        if name not in self._offered:
+        if name not in self._built_in and name not in self._offered:
             raise OptionError(
                 f"there is no {self._noun} {shortly(name)}; choose one of {', '.join(self.names())}"
             )
@@ -77,6 +78,22 @@ class Registry(Generic[Part]):
                 f"{', '.join(self.names())}"
             )
         return part
+
+    @contextlib.contextmanager
+    def blamed(self, name: str) -> Iterator[None]:
+        """Within, the part of that name is at work: what a plug-in raises that is no sentence of its own is
+        raised as a PlugInError, which names it."""
+        try:
+            yield
+        except (HandfitError, MemoryError):
+            raise
+        except Exception as error:
+            if name in self._built_in:
+                raise
+            raise PlugInError(
+                f"the {self._noun} {name} of {_origin(self._offered[name])} failed ({_said(error)}); "
+                f"update or remove that package, or choose another {self._noun}"
+            ) from error
 
     def built_in(self) -> dict[str, Part]:
         """The parts of this package, by name; no plug-in is imported for them."""
@@ -91,7 +108,7 @@ class Registry(Generic[Part]):
         """The part, loaded once; None for a plug-in that cannot be, which a warning has named."""
         if name in self._parts or name in self._failed:
             return self._parts.get(name)
-        point = self._offered[name]
+        point = self._built_in.get(name) or self._offered[name]
         try:
             part = point.load()
             if not isinstance(part, self._kind):
@@ -100,8 +117,7 @@ class Registry(Generic[Part]):
             if name in self._built_in:
                 raise
             self._failed[name] = (
-                f"the {self._noun} {name} of {_origin(point)} cannot be loaded "
-                f"({type(error).__name__}: {' '.join(str(error).split())})"
+                f"the {self._noun} {name} of {_origin(point)} cannot be loaded ({_said(error)})"
             )
             log.warning("%s and is left out", self._failed[name])
             return None
@@ -112,3 +128,7 @@ class Registry(Generic[Part]):
 def _origin(point: EntryPoint) -> str:
     """The package that offers a plug-in, or where no package says so its module."""
     return f"the package {point.dist.name}" if point.dist is not None else point.module
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")

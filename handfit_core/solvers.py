@@ -142,4 +142,5 @@ def get_solver(
             f"the solver {name} needs {' and '.join(missing)}, which is not installed: install it, or choose "
             f"another solver, such as {DEFAULT_SOLVER}"
         )
-    return solver.make(smoothing, hand_length)
+    with SOLVERS.blamed(name):
+        return solver.make(smoothing, hand_length)

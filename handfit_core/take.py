@@ -41,8 +41,8 @@ LARGEST: Final = 1e9
 _LARGEST_ERROR: Final = 1e30
 """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
 _LARGEST_BETA: Final = 1e3
-_SMALLEST_FPS: Final = 1e-3
-_LARGEST_FPS: Final = 1e6
+SMALLEST_FPS: Final = 1e-3
+LARGEST_FPS: Final = 1e6
 _LARGEST_SIDE: Final = 1 << 24
 """pixels of a picture"""
 _MOST_HANDS: Final = 200
@@ -224,9 +224,7 @@ class Take:
         if not self.source.files:
             raise TakeError("a take must name the pictures that it was made from")
         sizes = (self.width, self.height)
-        if not (
-            _SMALLEST_FPS <= self.fps <= _LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)
-        ):
+        if not (SMALLEST_FPS <= self.fps <= LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)):
             raise TakeError(
                 f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
                 f"{self.width}x{self.height} pixels"

@@ -17,6 +17,8 @@ def add_arguments(
     `default_inputs` are taken where none are given; without them at least one must be given.
     `default_python` is what the help says about the Python that captures when nobody names one.
     """
+    from ..exporters import EXPORTERS  # which needs Blender
+
     parser.add_argument(
         "inputs",
         nargs="*" if default_inputs else "+",
@@ -25,9 +27,8 @@ def add_arguments(
         help="photo, video, folder of either, name.%%04d.png or glob pattern, or a take (.npz)",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="where results go")
-    parser.add_argument(
-        "--format", default="blend,glb", help="of blend,glb,fbx,usd,bvh,abc (default: blend,glb)"
-    )
+    formats = ",".join(name for name, e in EXPORTERS.items() if e.writes != "captured")
+    parser.add_argument("--format", default="blend,glb", help=f"of {formats} (default: blend,glb)")
     add_options(parser)
     parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")

@@ -30,12 +30,13 @@ class StillFinder(Detector):
 
     def __init__(self, backend: Backend, settings: DetectorSettings) -> None:
         self._max_hands = settings.max_hands or ALL_HANDS
-        self._open = ExitStack()
-        self._plain = self._open.enter_context(backend.open(settings))
-        self._searching = SecondLook(backend, settings, max_hands=settings.max_hands)
-        self._open.callback(self._searching.close)
-        self._averaging = SecondLook(backend, settings, max_hands=1)
-        self._open.callback(self._averaging.close)
+        with ExitStack() as opened:  # which closes what is open where the next cannot be opened
+            self._plain = opened.enter_context(backend.open(settings))
+            self._searching = SecondLook(backend, settings, max_hands=settings.max_hands)
+            opened.callback(self._searching.close)
+            self._averaging = SecondLook(backend, settings, max_hands=1)
+            opened.callback(self._averaging.close)
+            self._open = opened.pop_all()
 
     def close(self) -> None:
         """Give the detectors' threads and memory back."""

@@ -13,6 +13,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
+from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
 
 START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_pose": (45,), "transl": (3,)}
 """The pose to start from, and its shapes behind T"""
@@ -84,10 +85,13 @@ class RefineHand:
                 raise OptionError(f"{name} must hold numbers, not {array.dtype}")
         if not np.isfinite(self.betas).all():
             raise OptionError("betas must be finite")
-        if np.isinf(self.pins).any() or (np.isnan(self.pins).sum(axis=-1) == 1).any():
-            raise OptionError("pins must have x and y in pixels, or NaN for both where a point is not pinned")
-        if not (np.isfinite(self.fps) and self.fps > 0):
-            raise OptionError(f"fps must be positive, not {self.fps}")
+        if np.any(np.abs(self.pins) > LARGEST) or (np.isnan(self.pins).sum(axis=-1) == 1).any():
+            raise OptionError(
+                f"pins must have x and y in pixels, up to {LARGEST:g}, or NaN for both where a point is not "
+                "pinned"
+            )
+        if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
+            raise OptionError(f"fps must lie between {SMALLEST_FPS:g} and {LARGEST_FPS:g}, not {self.fps}")
         if not 0.0 <= self.smoothing <= MOST_SMOOTHING:
             raise OptionError(f"smoothing must lie between 0 and {MOST_SMOOTHING:g}, not {self.smoothing}")
         for row, detection in enumerate(self.detections):

@@ -201,10 +201,8 @@ class _Frames:
         observed = observation_of(seen, self.intrinsics)
         # A frame without a pose has nothing to keep.
         turned = np.where(self.posed[:, None], pinning.angle_sigma(doubt, pinning.sizes(seen.pixels)), np.inf)
-        near = Kept(
-            kept.wrist, far, kept.angles,
-            turned, pinning.LIMITS_SIGMA,
-        )  # fmt: skip
+        limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
+        near = Kept(kept.wrist, far, kept.angles, turned, limits)
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
         return _cheapest(self.fitter, replace(observed, kept=near), starts, _held(held, kept), most)
 
@@ -269,7 +267,7 @@ def _corrected(
     far = np.where(touched, pinning.distance_sigma(displaced, size), np.inf)
     observed = observation_of(pinning.pinned(seen, pins, doubt), hand.intrinsics)
     anywhere = np.full((len(rows), 5), np.inf)
-    kept = Kept(plain.wrist, far, plain.angles, anywhere)
+    kept = Kept(plain.wrist, far, plain.angles, anywhere, np.full(len(rows), np.nan))
     return replace(observed, kept=kept), np.flatnonzero(touched)
 
 

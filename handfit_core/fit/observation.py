@@ -24,15 +24,14 @@ class Kept:
     """(B, 5, 9) radians, finger by finger"""
     angle_sigma: np.ndarray
     """(B, 5) radians"""
-    limits_sigma: float | None = None
-    """radians beyond what joints can do when they are pressed (`terms.limits.PASSIVE_RANGE`), or beyond the
-    kept angles where these go further, that cost as much as one sigma; None: as hands without a pose to keep
-    have it"""
+    limits_sigma: np.ndarray
+    """(B,) radians beyond what joints can do when they are pressed (`terms.limits.PASSIVE_RANGE`), or beyond
+    the kept angles where these go further, that cost as much as one sigma; NaN: as hands without a pose to
+    keep have it"""
 
     def __getitem__(self, index: Index) -> Kept:
         """The hands of that index."""
-        arrays = ("wrist", "distance_sigma", "angles", "angle_sigma")
-        return replace(self, **{name: getattr(self, name)[index] for name in arrays})
+        return Kept(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)

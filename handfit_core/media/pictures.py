@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.errors import InputError
 from handfit_core.media.exif import is_tiff, read_orientation, upright
-from handfit_core.media.size_limit import check_picture, common_limit
+from handfit_core.media.size_limit import Limit, check_picture, common_limit
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, SourceKind, Wanted
 
 log = logging.getLogger("handfit")
@@ -20,7 +20,7 @@ _JPEG_2000 = (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")
 
 
 def read_picture(
-    path: Path, *, as_stored: bool = False, max_megapixels: float | None = None
+    path: Path, *, as_stored: bool = False, max_megapixels: float | Limit | None = None
 ) -> tuple[np.ndarray, int]:
     """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
 

@@ -3,7 +3,9 @@ before anything decodes them. The core asks before OpenCV does, the add-on befor
 
 Whoever names a limit (`max_megapixels`) has named it for every picture and every frame, whatever its bits and
 its file's size. Where nobody has, pictures and videos have a limit each, and a lower one where the whole
-input has so few bytes that only a hostile one would need as much memory.
+input has so few bytes that only a hostile one would need as much memory. Pictures with more than 8 bits per
+channel count several times (`Header.cost`) in small files, and in those with fewer bytes than pixels, which
+can hardly need so many bits.
 """
 
 from __future__ import annotations
@@ -28,7 +30,6 @@ class Limit:
     """Megapixels that one picture, or one frame of a video, may have by default."""
 
     small_file: float
-    """With more than 8 bits per channel it counts several times: `Header.cost`"""
     large_file: float
 
     def __str__(self) -> str:
@@ -48,7 +49,7 @@ LONGEST_SIDE: Final = 65_535
 _FRAMES_BY_NAME: Final = re.compile(r"%\d*d")
 
 
-def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | None:
+def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | Limit | None:
     """The limit for each of an input's pictures: the one that was named, or that of large files where they
     are large together. None: each has the limit of its own file."""
     if max_megapixels is not None or len(files) < 2:
@@ -58,11 +59,11 @@ def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float |
         with contextlib.suppress(OSError):  # reading it will say so
             left -= file.stat().st_size
         if left <= 0:
-            return PICTURE.large_file
+            return Limit(PICTURE.large_file, PICTURE.large_file)
     return None
 
 
-def check_picture(path: Path, max_megapixels: float | None = None) -> None:
+def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Look at a picture's first bytes. Raises InputError where it claims more than `max_megapixels`, or is no
     picture that can be read."""
     with _opened(path) as stream:
@@ -71,10 +72,10 @@ def check_picture(path: Path, max_megapixels: float | None = None) -> None:
         header = read_picture_header(stream)
     if header is None:
         raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
-    _check(path, header.width, header.height, header.cost, PICTURE, max_megapixels)
+    _check(path, header.width, header.height, header.cost, max_megapixels or PICTURE)
 
 
-def check_video(path: Path, max_megapixels: float | None = None) -> None:
+def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Look at a video's first bytes; `max_megapixels` is the limit for each frame.
 
     Raises InputError where a frame is larger, and where the file is no video that holds its frames itself: a
@@ -92,12 +93,14 @@ def check_video(path: Path, max_megapixels: float | None = None) -> None:
     check_frame_size(path, header.width, header.height, max_megapixels)
 
 
-def check_frame_size(path: Path, width: int, height: int, max_megapixels: float | None = None) -> None:
+def check_frame_size(
+    path: Path, width: int, height: int, max_megapixels: float | Limit | None = None
+) -> None:
     """Raise InputError for a video whose frames are too large."""
-    _check(path, width, height, 1, VIDEO, max_megapixels)
+    _check(path, width, height, 1, max_megapixels or VIDEO)
 
 
-def check_for_blender(path: Path, max_megapixels: float | None = None) -> None:
+def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
     and one that is too large."""
     (check_picture if is_picture(path) else check_video)(path, max_megapixels)
@@ -134,17 +137,22 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _check(path: Path, width: int, height: int, cost: float, limit: Limit, chosen: float | None) -> None:
+def _check(path: Path, width: int, height: int, cost: float, limit: Limit | float) -> None:
     megapixels = width * height / 1e6
-    small = chosen is None and path.stat().st_size < SMALL_FILE
-    cost = cost if small else 1
-    most = chosen or (limit.small_file if small else limit.large_file)
-    if megapixels * cost <= most and max(width, height) <= LONGEST_SIDE:
+    small = False
+    if isinstance(limit, Limit):
+        size = path.stat().st_size
+        small = size < SMALL_FILE
+        deep = cost >= 2 and size < width * height
+        cost, limit = cost if small or deep else 1, limit.small_file if small else limit.large_file
+    else:
+        cost = 1
+    if megapixels * cost <= limit and max(width, height) <= LONGEST_SIDE:
         return
     counted = f", which count as {_rounded(megapixels * cost)}" if cost > 1 else ""
     raise InputError(
         f"{path}: claims {width} x {height} pixels ({_rounded(megapixels)} megapixels{counted}), and "
-        f"{f'in a file under {SMALL_FILE / 1e6:g} MB ' if small else ''}no more than {most:g} are read; "
+        f"{f'in a file under {SMALL_FILE / 1e6:g} MB ' if small else ''}no more than {limit:g} are read; "
         "save it smaller, or allow more (max_megapixels)"
     )
 

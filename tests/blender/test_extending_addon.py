@@ -23,6 +23,11 @@ class Nameless(Exporter):
     def write(self, path, hands, preset): pass
     def is_whole(self, stream, size): return True
 """
+HALF = (
+    NAMELESS.replace("Nameless", "Half")
+    .replace("suffix", "name = label = description = suffix")
+    .replace("is_whole", "whole")
+)
 
 EXPORT = """
 import bpy, sys
@@ -86,6 +91,7 @@ def make(heading: str, folder: Path) -> None:
     (folder / "broken.py").write_text(BROKEN)
     if folder.name == "exporters":
         (folder / "nameless.py").write_text(NAMELESS)
+        (folder / "half.py").write_text(HALF)
 
 
 @pytest.mark.parametrize(
@@ -109,3 +115,4 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     assert "broken.py is left out" in done.stderr
     if folder == "exporters":
         assert "nameless.py is left out: Nameless has no name, label, description" in done.stderr
+        assert "half.py is left out: Half has no is_whole" in done.stderr

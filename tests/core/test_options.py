@@ -14,7 +14,7 @@ from handfit_core import Intrinsics, capture
 from handfit_core.__main__ import _all_parsers, _parser
 from handfit_core.errors import OptionError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import OPTIONS, CaptureOptions, add_options
+from handfit_core.options import OPTIONS, CaptureOptions, Option, add_options
 from tests.conftest import ROOT
 
 GIVEN: dict[str, tuple[Any, str, Any]] = {
@@ -65,6 +65,18 @@ def test_the_library_and_the_command_line_have_every_option_and_its_default() ->
     parsers = {parser.prog.split()[-1]: parser for parser in _all_parsers(subcommands)}
     own = {"-h", "--help", "-o", "--output", "--progress", "--debug"}
     assert set(parsers["capture"]._option_string_actions) - own == {o.flag for o in OPTIONS.values()}
+
+
+def test_choices_are_looked_up_when_help_is_shown_and_not_before() -> None:
+    asked: list[int] = []
+    option = Option(
+        str, "a toy", choices=lambda: asked.append(1) or ("ball", "blocks"), name="toy", default="ball"
+    )
+    parser = argparse.ArgumentParser()
+    option.add_to(parser)
+    assert parser.parse_args(["--toy", "blocks"]).toy == "blocks"
+    assert not asked
+    assert "a toy: ball, blocks (default: ball)" in parser.format_help()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,25 @@ import pytest
 
 import handfit_core
 from handfit_core import Intrinsics, Progress, Take, capture, pipeline
+from handfit_core.detect.detector import DETECTORS, Backend, Detector
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import HandChoice
-from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError, TakeError
+from handfit_core.errors import (
+    Cancelled,
+    HandModelError,
+    NoHandFoundError,
+    OptionError,
+    PlugInError,
+    TakeError,
+)
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.pipeline import _rate, hand_summaries, hand_track
-from handfit_core.solvers import TrackFit, TrackSolver, get_solver
+from handfit_core.registry import Registry
+from handfit_core.solvers import SOLVERS, Solver, TrackFit, TrackSolver, get_solver
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -309,6 +319,72 @@ def test_own_model_and_bad_options(tmp_path: Path) -> None:
         capture(SAMPLE / "hand.0001.jpg", detector="magic")
     with pytest.raises(OptionError, match="threshold"):
         capture(SAMPLE / "hand.0001.jpg", threshold=2.0)
+
+
+SEEN = HandDetection(
+    "right",
+    0.9,
+    np.random.default_rng(0).uniform(100, 200, (21, 3)),
+    np.random.default_rng(1).normal(0, 0.05, (21, 3)),
+)
+
+
+def plug_in(monkeypatch: pytest.MonkeyPatch, registry: Registry[Any], part: object) -> None:
+    """As if a package had brought this part, of the name toy."""
+    monkeypatch.setitem(registry._offered, "toy", EntryPoint("toy", "toys:TOY", registry._group))
+    monkeypatch.setitem(registry._parts, "toy", part)
+
+
+def finding(monkeypatch: pytest.MonkeyPatch, find: Callable[[float], object]) -> None:
+    """Have a detector of the name toy that says this at each time in seconds."""
+
+    class Toy(Detector):
+        def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Any:  # noqa: ARG002
+            return find(time)
+
+    plug_in(monkeypatch, DETECTORS, Backend(lambda _: Toy(), lambda _: "toy"))
+
+
+def test_hands_without_numbers_are_left_out_and_their_stretch_is_kept(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    lost = replace(SEEN, world=np.full((21, 3), np.nan))
+    finding(monkeypatch, lambda time: (lost if 0.05 < time < 0.2 else SEEN,))
+    (hand,) = capture(PATTERN, frames="1-8", detector="toy").hands
+    np.testing.assert_array_equal(hand.detected, [True] * 2 + [False] * 3 + [True] * 3)
+    assert hand.present.all()
+    (warning,) = [r.getMessage() for r in caplog.records]
+    assert warning == "3 hands of the detector toy have numbers that are not finite: left out"
+
+
+@pytest.mark.parametrize(
+    ("find", "said"),
+    [
+        (lambda _: 1 / 0, "ZeroDivisionError: division by zero"),
+        (lambda _: None, "TypeError"),
+        (lambda _: (replace(SEEN, world=np.zeros((20, 3))),), "ValueError"),
+    ],
+)
+def test_what_fails_in_a_detector_of_others_names_it(
+    monkeypatch: pytest.MonkeyPatch, find: Callable[[float], object], said: str
+) -> None:
+    finding(monkeypatch, find)
+    with pytest.raises(
+        PlugInError, match=rf"^the detector toy of toys failed \({said}.*choose another detector$"
+    ):
+        capture(SAMPLE / "hand.0001.jpg", detector="toy")
+    plug_in(monkeypatch, DETECTORS, Backend(lambda _: Path("gone").stat(), lambda _: "toy"))  # type: ignore
+    with pytest.raises(PlugInError, match=r"^the detector toy of toys failed \(FileNotFoundError"):
+        capture(SAMPLE / "hand.0001.jpg", detector="toy")
+
+
+@pytest.mark.parametrize("make", [lambda *_: 1 / 0, lambda *_: lambda *_: 1 / 0, lambda *_: lambda *_: None])
+def test_what_fails_in_a_solver_of_others_names_it(
+    monkeypatch: pytest.MonkeyPatch, make: Callable[..., Any]
+) -> None:
+    plug_in(monkeypatch, SOLVERS, Solver(make, "Toy", ""))
+    with pytest.raises(PlugInError, match=r"^the solver toy of toys failed \((ZeroDivision|Attribute)Error"):
+        capture(SAMPLE / "hand.0001.jpg", solver="toy")
 
 
 def test_public_names() -> None:

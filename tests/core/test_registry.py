@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from handfit_core import registry
 from handfit_core.errors import OptionError
 from handfit_core.registry import Registry
 
@@ -37,6 +38,11 @@ def test_plug_ins_come_behind_the_built_in_parts_and_load_when_they_are_asked_fo
     assert "toys_good" not in sys.modules
     assert toys.get("blocks") is toys.get("blocks") is toys.all()["blocks"]
     assert str(toys.get("blocks")) == "toy"
+
+
+def test_nobody_looks_for_plug_ins_where_a_built_in_part_is_asked_for(monkeypatch) -> None:
+    monkeypatch.setattr(registry, "entry_points", lambda **_: pytest.fail("looked for"))
+    assert Registry(GROUP, "toy", object, {"home": "pathlib:Path"}).get("home") is Path
 
 
 def test_a_name_that_nobody_has_lists_those_that_there_are(installed) -> None:

@@ -47,11 +47,10 @@ class Limits:
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
         """The rows of B posed hands."""
         kept, sigma, more = seen.kept, SIGMA, 0.0
-        if kept is not None and kept.limits_sigma is not None:
-            sigma, more = (
-                kept.limits_sigma,
-                np.maximum(np.abs(self._outside(kept.angles, 0.0)), PASSIVE_RANGE),
-            )
+        if kept is not None:
+            own = np.isnan(kept.limits_sigma)[:, None, None]
+            sigma = np.where(own, SIGMA, kept.limits_sigma[:, None, None])
+            more = np.where(own, 0.0, np.maximum(np.abs(self._outside(kept.angles, 0.0)), PASSIVE_RANGE))
         angles = posed.state.angles
         outside = self._outside(angles, more)
         slope = (outside != 0.0) / sigma

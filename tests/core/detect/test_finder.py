@@ -11,12 +11,13 @@ import pytest
 from handfit_core import capture
 from handfit_core.detect import clips
 from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.detector import Detector, DetectorSettings
+from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.finder import COUNTED_EVERY, HandCounter, open_finder
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.detect.looks import distance
 from handfit_core.detect.mediapipe_tasks import MEDIAPIPE
+from handfit_core.detect.stills import StillFinder
 from handfit_core.errors import LandmarkModelError
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
@@ -154,6 +155,25 @@ def test_a_hand_that_turns_up_is_looked_for_in_the_frames_before() -> None:
     assert [len(hands) for hands in found] == [0, 1, 1, 1]
     with open_finder(PLAIN) as still:
         assert distance(found[1][0], still.find(picture(2))[0]) < 0.15
+
+
+def test_where_a_second_detector_cannot_be_opened_the_first_is_closed() -> None:
+    opened: list[Detector] = []
+    closed: list[Detector] = []
+
+    class Toy(Detector):
+        def close(self) -> None:
+            closed.append(self)
+
+    def open_toy(_: DetectorSettings) -> Detector:
+        if len(opened) == 2:
+            raise LandmarkModelError("no more")
+        opened.append(Toy())
+        return opened[-1]
+
+    with pytest.raises(LandmarkModelError, match="no more"):
+        StillFinder(Backend(open_toy, lambda _: "", second_looks=True), DetectorSettings())
+    assert closed == opened[::-1]
 
 
 def test_a_hand_that_has_left_costs_little(monkeypatch: pytest.MonkeyPatch) -> None:

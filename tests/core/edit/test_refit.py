@@ -684,6 +684,8 @@ BAD_HANDS: list[tuple[str, Any, str]] = [
     ("side", "middle", "side"),
     ("fps", 0.0, "fps"),
     ("fps", np.nan, "fps"),
+    ("fps", 1e200, "fps must lie between 0.001 and 1e"),
+    ("pins", np.full((1, 21, 2), -1e10), "pins must have x and y in pixels, up to 1e"),
     ("smoothing", 11.0, "smoothing"),
     ("detections", (), "detections"),
     ("detections", (HandDetection("right", 1.0, np.full((21, 3), np.nan), np.zeros((21, 3))),), "keypoints"),

@@ -92,7 +92,9 @@ def observe(points: np.ndarray, *, noise: float = 0.0, sigma: float = 4.0, seed:
     )
 
 
-def kept_near(state: State, limits_sigma: float | None = None) -> Kept:
+def kept_near(state: State, limits_sigma: float = np.nan) -> Kept:
     """To stay near those poses, each finger as firmly as another, the little one not at all."""
     sigma = np.tile([0.1, 0.2, 0.5, 1.0, np.inf], (len(state), 1))
-    return Kept(state.wrist, np.full(len(state), 0.02), state.angles, sigma, limits_sigma)
+    return Kept(
+        state.wrist, np.full(len(state), 0.02), state.angles, sigma, np.full(len(state), limits_sigma)
+    )

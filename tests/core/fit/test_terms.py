@@ -192,6 +192,9 @@ def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
     angles[0, 1, 5], angles[0, 2, 5] = limits.upper[1, 5] + 0.41, limits.upper[2, 5] + PASSIVE_RANGE + 0.02
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
+    # A frame without a pose among those that keep one is as if nobody kept any.
+    free = limits(posed, replace(seen, kept=kept_near(kept))).residual
+    np.testing.assert_array_equal(free, limits(posed, seen).residual)
 
 
 def test_the_pose_prior_is_the_mahalanobis_distance_and_mirrored_for_left_hands() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -97,13 +98,16 @@ def deep_png(path: Path, width: int, height: int, size: int = 0) -> Path:
     """One with 16 bits per channel, of at least `size` bytes."""
     data = bytearray(with_claimed_size(".png", width, height))
     data[24] = 16
-    path.write_bytes(data + bytes(max(0, size - len(data))))
+    path.write_bytes(data)
+    os.truncate(path, max(size, len(data)))
     return path
 
 
 def test_a_named_limit_counts_pixels_alone(tmp_path: Path) -> None:
-    small, large = (deep_png(tmp_path / f"{size}.png", 10_000, 10_000, size) for size in (0, SMALL_FILE))
+    small, large = (deep_png(tmp_path / f"{size}.png", 10_000, 10_000, size) for size in (0, 10**8))
     check_picture(large)  # a medium-format camera's
+    with pytest.raises(InputError, match=r"count as 300\), and no more than 250"):  # fewer bytes than pixels
+        check_picture(deep_png(tmp_path / "a.png", 10_000, 10_000, SMALL_FILE))
     with pytest.raises(InputError, match=r"which count as 300\), and in a file under 10 MB no more than 64"):
         check_picture(small)
     for path in (small, large):
@@ -113,10 +117,13 @@ def test_a_named_limit_counts_pixels_alone(tmp_path: Path) -> None:
 
 
 def test_a_sequences_pictures_have_one_limit(tmp_path: Path) -> None:
-    files = [deep_png(tmp_path / f"a{i}.png", 10_000, 10_000, SMALL_FILE // 2) for i in range(2)]
+    files = [deep_png(tmp_path / f"a{i}.png", 9_000, 9_000, SMALL_FILE // 2) for i in range(2)]
     limit = common_limit(files, None)
     for file in files:
         check_picture(file, limit)
+    # 250 megapixels of 16 bits would take four gigabytes.
+    with pytest.raises(InputError, match=r"which count as 750\), and in a file .* no more than 250 are read"):
+        check_picture(deep_png(tmp_path / "b.png", 25_000, 10_000, SMALL_FILE // 2), limit)
     assert common_limit(files, 12.5) == 12.5
     assert common_limit(files[:1], None) is None
     few_bytes = [jpeg(tmp_path / f"b{i}.jpg", 100, 100) for i in range(2)]
