@@ -150,8 +150,11 @@ def read_contents(folder: Path = ADDON_FOLDER) -> Contents:
 
 
 def zip_name(contents: Contents, platform_name: str | None = None) -> str:
-    """The name of the zip of this version for a platform, this zip's own where none is given."""
-    return f"manient-{contents.version}-{(platform_name or contents.platform).replace('-', '_')}.zip"
+    """The name of the zip of this version and with as much in it, for a platform, this zip's own where none
+    is given."""
+    platform_name = (platform_name or contents.platform).replace("-", "_")
+    kind = "" if contents.torch == "none" else "-torch"
+    return f"manient-{contents.version}-{platform_name}{kind}.zip"
 
 
 def examine(place: Place) -> list[Problem]:

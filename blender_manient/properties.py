@@ -45,6 +45,17 @@ def _source_changed(settings: bpy.types.PropertyGroup, context: bpy.types.Contex
         listener(settings, context)
 
 
+offered: dict[str, Callable[[], list[str]]] = {}
+"""Name of an option -> asks for what there is to choose from; a part adds itself when it is registered"""
+
+
+def _found(option: str) -> Callable[[Any, bpy.types.Context, str], list[str]]:
+    """The search of a text field for an option: names that contain what is typed."""
+    return lambda _settings, _context, typed: [
+        name for name in offered.get(option, list)() if typed.lower() in name.lower()
+    ]
+
+
 EXPORT_FORMATS = tuple(
     (e.name, e.label, e.description) for e in EXPORTERS.values() if e.writes != "collection"
 )
@@ -127,6 +138,9 @@ class ManientSettings(bpy.types.PropertyGroup):
         default="BEST",
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
+    # Texts, which stay what they are in a file that is opened where there is no such plug-in.
+    solver: StringProperty(name="Solver", search=_found("solver"), **of_option("solver"))  # type: ignore
+    detector: StringProperty(name="Detector", search=_found("detector"), **of_option("detector"))  # type: ignore
     smoothing: FloatProperty(  # type: ignore
         name="Smoothing", soft_max=4.0, **of_option("smoothing")
     )
@@ -174,7 +188,8 @@ class ManientSettings(bpy.types.PropertyGroup):
         "lights and world stay as they are",
         default=True,
     )
-    rendered_camera: StringProperty(  # type: ignore
+    rendered_camera: PointerProperty(  # type: ignore
+        type=bpy.types.Object,
         description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
         options={"HIDDEN"},
     )

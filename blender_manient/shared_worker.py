@@ -9,12 +9,13 @@ from typing import Any
 
 import bpy
 
+from handfit_core.solvers import SOLVERS
 from handfit_core.worker.client import Advice, Worker
 from handfit_core.worker.interpreter import find_python, runs_here
 from handfit_core.worker.process import wait_for_killed
 from handfit_core.worker.runner import WorkerError
 
-from . import installation, preferences, verification
+from . import installation, preferences, properties, verification
 from .cache import remove_temporary_takes
 from .wording import capitalised
 
@@ -69,6 +70,22 @@ def worker() -> Worker:
 def current() -> Worker | None:
     """The shared worker if there is one already; for those who only look."""
     return _worker
+
+
+def detectors() -> list[str]:
+    """The names of the detectors that the Python has which captures; none before it was started."""
+    return _has("detectors")
+
+
+def solvers() -> list[str]:
+    """The names of its solvers but for the paper's experiments, where there are plug-ins among them."""
+    names, ours = _has("solvers"), SOLVERS.built_in()
+    return [n for n in names if n not in ours or not ours[n].slow] if {*names} - {*ours} else []
+
+
+def _has(kind: str) -> list[str]:
+    ready = _worker.ready if _worker is not None else None
+    return ready.get(kind, []) if ready is not None else []
 
 
 def own(python: str | None = None) -> Worker:
@@ -129,6 +146,7 @@ def _bytecode_folder() -> Path | None:
 
 def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
+    properties.offered |= {"detector": detectors, "solver": solvers}
     if sentence := capture_sentence():
         verification.print_sentence(sentence)
 

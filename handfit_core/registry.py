@@ -42,12 +42,22 @@ class Registry(Generic[Part]):
         self._parts: dict[str, Part] = {}
         self._failed: dict[str, str] = {}
 
+    def offered(self) -> list[str]:
+        """The names of all parts, for a list: nothing is loaded, and no warning tells what is wrong."""
+        try:
+            return list(dict.fromkeys([*self._built_in, *(point.name for point in self._plug_ins())]))
+        except Exception:  # a package's metadata can be damaged in any way
+            return list(self._built_in)
+
+    def _plug_ins(self) -> list[EntryPoint]:
+        return sorted(entry_points(group=self._group), key=lambda point: point.name)
+
     @cached_property
     def _offered(self) -> dict[str, EntryPoint]:
         """Every part's entry point: built-in ones first, then plug-ins by their names."""
         offered = dict(self._built_in)
         try:
-            plug_ins = sorted(entry_points(group=self._group), key=lambda point: point.name)
+            plug_ins = self._plug_ins()
         except Exception as error:  # a package's metadata can be damaged in any way
             log.warning("plug-ins cannot be looked for, as a package's metadata is damaged (%s)", error)
             return offered

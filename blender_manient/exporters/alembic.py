@@ -21,7 +21,6 @@ class AlembicExporter(Exporter):
     label = "Alembic"
     description = "Baked mesh cache"
     suffix = ".abc"
-    place = 5
     operator = "wm.alembic_export"
 
     def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:

@@ -20,7 +20,6 @@ class BlendExporter(Exporter):
     label = "Blend"
     description = "Blender's own file, with camera and picture"
     suffix = ".blend"
-    place = 0
     writes = "collection"
 
     def write(self, path: Path, _hands: Sequence[HandObjects], _preset: Preset, /) -> None:

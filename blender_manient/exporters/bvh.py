@@ -18,7 +18,6 @@ class BvhExporter(Exporter):
     label = "BVH"
     description = "Biovision motion capture, a file per hand"
     suffix = ".bvh"
-    place = 4
     operator = "export_anim.bvh"
     per_hand = True
 

@@ -63,8 +63,6 @@ class Exporter(ABC):
     description: ClassVar[str]
     """In the button's tooltip"""
     suffix: ClassVar[str]
-    place: ClassVar[int] = 100
-    """Where its button stands among the others', and its name in lists"""
     writes: ClassVar[Literal["hands", "collection", "captured"]] = "hands"
     """What it wants: a scene with nothing but the hands; the whole collection with its camera, as a batch has
     it; or hands that keep their take, as the panel has them"""

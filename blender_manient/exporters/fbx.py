@@ -40,7 +40,6 @@ class FbxExporter(Exporter):
     label = "FBX"
     description = "Autodesk FBX"
     suffix = ".fbx"
-    place = 1
     operator = "export_scene.fbx"
     presets = _PRESETS
 

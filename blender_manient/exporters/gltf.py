@@ -27,7 +27,6 @@ class GltfExporter(Exporter):
     label = "glTF"
     description = "glTF 2.0 binary"
     suffix = ".glb"
-    place = 2
     operator = "export_scene.gltf"
     presets = _PRESETS
 

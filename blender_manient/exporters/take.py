@@ -17,7 +17,6 @@ class TakeExporter(Exporter):
     label = "Hand Take"
     description = "The captured numbers, for other programs and later import"
     suffix = ".take.npz"
-    place = 6
     writes = "captured"
     kept_endings = (".npz",)
 

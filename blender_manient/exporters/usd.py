@@ -19,7 +19,6 @@ class UsdExporter(Exporter):
     label = "USD"
     description = "Universal Scene Description"
     suffix = ".usdc"
-    place = 3
     operator = "wm.usd_export"
     other_endings = (".usd",)
 

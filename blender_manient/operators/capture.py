@@ -204,7 +204,10 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
         options=CaptureOptions(
             frames=_frames(settings, source, scene.frame_current if only_frame else None),
             hands=settings.hands,
-            solver=settings.experiment if settings.preset == "PAPER" else CaptureOptions.solver,
+            detector=settings.detector or CaptureOptions.detector,
+            solver=settings.experiment
+            if settings.preset == "PAPER"
+            else settings.solver or CaptureOptions.solver,
             model=_model(settings),
             threshold=settings.threshold,
             smoothing=settings.smoothing,

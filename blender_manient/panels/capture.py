@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, source_info
+from handfit_core.options import OPTIONS
+
+from .. import jobs, shared_worker, source_info
 from ..scene.matching import said
 from ..section import Section, fitted, sentence
 from ..selection import active_hand
@@ -105,6 +107,10 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
         layout.use_property_decorate = False
         if settings.preset == "PAPER":
             layout.prop(settings, "experiment")
+        elif len(shared_worker.solvers()) > 1 or settings.solver != OPTIONS["solver"].default:
+            layout.prop(settings, "solver")
+        if len(shared_worker.detectors()) > 1 or settings.detector != OPTIONS["detector"].default:
+            layout.prop(settings, "detector")
         layout.prop(settings, "threshold", text="Threshold")
         layout.prop(settings, "camera")
         if settings.camera == "FOCAL":

@@ -7,11 +7,11 @@ import bpy
 from handfit_core.errors import HandModelError
 from handfit_core.skeleton import SIDES, Side
 
-from ..plugins import found_in
+from ..plugins import failed, found_in, tell_once
 from .rig import Rig
 
-KINDS = found_in(__name__, Rig)
-"""Every kind of rig that is known"""
+KINDS: list[type[Rig]] = found_in(__name__, Rig, first=("captured_hand",))
+"""Every kind of rig that is known; of those that are equally sure of a hand the first is taken"""
 
 
 def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:
@@ -19,8 +19,15 @@ def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:
 
     Raises HandModelError where no kind recognises a hand.
     """
-    sides = SIDES if side is None else (side,)
-    found = [kind(armature, s) for kind in KINDS for s in sides if kind.recognises(armature, s) > 0.0]
-    if not found:
+    surest, found = 0.0, None
+    for kind in KINDS:
+        for one in SIDES if side is None else (side,):
+            try:
+                sure = kind.recognises(armature, one)
+                if sure > surest:
+                    surest, found = sure, kind(armature, one)
+            except Exception as error:  # polls ask at every redraw
+                tell_once(failed(kind, error))
+    if found is None:
         raise HandModelError(f"{armature.name!r} has no hand that is known here: select a captured hand")
-    return max(found, key=lambda rig: rig.recognises(armature, rig.side))
+    return found

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
 
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.errors import HandfitError, HandModelError, OptionError
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import Side
+
+from ..plugins import failed
+from ..wording import capitalised
 
 
 class Rig(ABC):
@@ -19,6 +25,13 @@ class Rig(ABC):
     Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
     bone's locations (N, 3) in metres along its own axes; both in MANO's joint order.
     """
+
+    def __init_subclass__(cls) -> None:
+        """Have what goes wrong in a plug-in be a sentence for whoever asks it for bones and poses."""
+        for name in {"bones", "rest", "to_bones", "from_bones", "follow"} & vars(cls).keys():
+            own: Any = vars(cls)[name]
+            guarded = property(_guarded(own.fget)) if isinstance(own, property) else _guarded(own)
+            setattr(cls, name, guarded)
 
     def __init__(self, armature: bpy.types.Object, side: Side) -> None:
         self.armature = armature
@@ -64,7 +77,10 @@ class Rig(ABC):
     def lacking(self) -> str | None:
         """Which bone is missing, in a sentence for a tooltip; None where all are there."""
         there = self.armature.data.bones
-        missing = next((name for name in self.bones if name not in there), None)
+        try:
+            missing = next((name for name in self.bones if name not in there), None)
+        except HandModelError as error:
+            return capitalised(str(error))
         if missing is None:
             return None
         return f"The hand lacks the bone {missing}: give its bones their names back"
@@ -74,3 +90,18 @@ class Rig(ABC):
         why = self.lacking
         if why is not None:
             raise HandModelError(f"{self.armature.name!r}: {why[:1].lower()}{why[1:]}")
+
+
+def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method of a kind of rig whose own errors are raised as HandModelErrors that name the kind."""
+
+    @functools.wraps(method)
+    def guarded(self: Rig, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except (HandfitError, ReferenceError):
+            raise
+        except Exception as error:
+            raise HandModelError(failed(type(self), error)) from error
+
+    return guarded

@@ -27,12 +27,13 @@ from pathlib import Path, PureWindowsPath
 import bpy
 import numpy as np
 
-from handfit_core.errors import OptionError, OutputError
+from handfit_core.errors import HandfitError, OptionError, OutputError
 from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
 from ..exporters import EXPORTERS, PRESETS, find_exporter
 from ..exporters.exporter import Exporter, HandObjects, Preset, open_scene
+from ..plugins import failed
 from .build import BuiltTake
 from .camera import frame_scene
 from .clean_rig import clean_rig
@@ -177,6 +178,9 @@ def _write_one(
         try:
             with _opened(chosen, hands, stage, preset, whole) as written:
                 chosen.write(beside, written, preset)
+            prove_whole(path, beside, chosen.is_whole)
+        except (HandfitError, OSError):
+            raise
         except RuntimeError as error:
             # Somewhere in the words, which may be a traceback, is what the system said; but of a disk without
             # any room some exporters say something else.
@@ -186,7 +190,8 @@ def _write_one(
             check_room(beside, 1 << 16)
             reason = " ".join(str(error).split())
             raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error
-        prove_whole(path, beside, chosen.is_whole)
+        except Exception as error:  # in a plug-in
+            raise OutputError(f"{shown(path)}: {failed(type(chosen), error)}") from error
     return path
 
 

@@ -80,17 +80,17 @@ def follow_camera(scene: bpy.types.Scene) -> None:
     objects = list(scene.objects)
     ours = [thing for thing in objects if _OURS in thing]
     cameras = [thing.parent for thing in ours if thing.parent in objects]
-    shown = scene.manient.rendered_camera if kept_here() else ""
-    chosen = next((c for c in cameras if c == scene.camera), None)
-    chosen = chosen or next((c for c in cameras if c.name == shown), cameras[-1] if cameras else None)
-    if chosen is None or chosen.name == shown:
+    shown = scene.manient.rendered_camera if kept_here() else None
+    chosen = next((c for wanted in (scene.camera, shown) for c in cameras if c == wanted), None)
+    chosen = chosen or (cameras[-1] if cameras else None)
+    if chosen is None or chosen == shown:
         return
     kinds = {thing.type for thing in ours if thing.parent == chosen}
     for thing in ours:
         if thing.type in kinds:
             thing.hide_render = thing.parent != chosen
     if kept_here():
-        scene.manient.rendered_camera = chosen.name
+        scene.manient.rendered_camera = chosen
 
 
 def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.types.Object:
@@ -152,20 +152,24 @@ def _rendered(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
         yield from _rendered(child)
 
 
-_seen: dict[int, tuple[str, str, int]] = {}
+_seen: dict[int, tuple[int, int, int]] = {}
 """session_uid of a scene -> what it was when `follow_camera` was last asked about it"""
 
 
 @bpy.app.handlers.persistent
 def _on_update(scene: bpy.types.Scene, *_args) -> None:
     """Another camera, or a deletion. Blender calls this after every step: what it compares is cheap."""
-    shown = scene.manient.rendered_camera
-    if not shown:
+    settings = scene.manient
+    if not settings.is_property_set("rendered_camera"):
         return
-    now = (shown, scene.camera.name if scene.camera else "", len(bpy.data.objects))
-    if _seen.get(scene.session_uid) != now:
+
+    def state() -> tuple[int, int, int]:
+        uids = [camera.session_uid if camera else 0 for camera in (settings.rendered_camera, scene.camera)]
+        return uids[0], uids[1], len(bpy.data.objects)
+
+    if _seen.get(scene.session_uid) != state():
         follow_camera(scene)
-        _seen[scene.session_uid] = (scene.manient.rendered_camera, *now[1:])
+        _seen[scene.session_uid] = state()
 
 
 def register() -> None:

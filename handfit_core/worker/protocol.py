@@ -120,6 +120,12 @@ def _word(name: str, value: Any) -> str:
     return text(name, value, _LONGEST_WORD)
 
 
+def _words(name: str, value: Any) -> list[str]:
+    if not isinstance(value, list):
+        raise Unfit(f"{name} must be a list, not {shortly(value)}")
+    return [_word(name, word) for word in value]
+
+
 def _text(name: str, value: Any) -> str:
     return text(name, value, _LONGEST_TEXT)
 
@@ -135,7 +141,7 @@ def _flag(name: str, value: Any) -> bool:
 
 
 _EVENTS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
-    "ready": {"protocol": whole, "version": _word},
+    "ready": {"protocol": whole, "version": _word, "detectors": _words, "solvers": _words},
     "unfit": {"python": _word},
     "progress": {"stage": _word, "done": _count, "total": _count},
     "warning": {"message": _text},
@@ -161,7 +167,7 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
 }
 """The same of a `done` event, by the request that it answers"""
 
-_MAY_LACK: Final = ("details", "stopped", "seconds", "report", "ok")
+_MAY_LACK: Final = ("details", "stopped", "seconds", "report", "ok", "detectors", "solvers")
 """Without these a client does, too"""
 
 

@@ -19,8 +19,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Final
 
+from handfit_core.detect.detector import DETECTORS
 from handfit_core.doors.values import shortly
 from handfit_core.errors import Cancelled, OptionError, ProtocolError
+from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
 from handfit_core.worker.protocol import (
@@ -78,6 +80,8 @@ class Server:
                 version=__version__,
                 pid=os.getpid(),
                 python=platform.python_version(),
+                detectors=DETECTORS.offered(),
+                solvers=SOLVERS.offered(),
             )
             threading.Thread(target=self._read, args=(leave,), daemon=True).start()
             with warnings_told(self.warn):

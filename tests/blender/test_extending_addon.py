@@ -15,19 +15,41 @@ from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 BROKEN = "import what_is_not_there\n"
-NAMELESS = """
+BESIDE = {
+    "exporters": """
 from .exporter import Exporter
 
 class Nameless(Exporter):
     suffix = ".none"
+    def write(self, path, hands, preset): path.write_text("something")
+    def is_whole(self, stream, size): return {}["whole"]
+
+class Usurper(Nameless):
+    name, label, description = "fbx", "FBX", "Another"
+
+class Failing(Nameless):
+    name, label, description = "failing", "Failing", "Fails"
+
+class Half(Exporter):
+    name = label = description = suffix = ".half"
     def write(self, path, hands, preset): pass
-    def is_whole(self, stream, size): return True
-"""
-HALF = (
-    NAMELESS.replace("Nameless", "Half")
-    .replace("suffix", "name = label = description = suffix")
-    .replace("is_whole", "whole")
-)
+""",
+    "rigs": """
+from .rig import Rig
+
+class Raising(Rig):
+    @classmethod
+    def recognises(cls, armature, side): return armature["what is not there"]
+    bones = ()
+
+class Boneless(Rig):
+    @classmethod
+    def recognises(cls, armature, side): return "boneless" in armature
+    @property
+    def bones(self): return {}["bones"]
+""",
+}
+"""Files beside those of the page, with all that can be wrong"""
 
 EXPORT = """
 import bpy, sys
@@ -47,6 +69,13 @@ for frame in range(scene.frame_start, scene.frame_end + 1):
     scene.frame_set(frame)
     wrists.append(",".join(f"{x:.6f}" for x in hand.armature.matrix_world @ hand.armature.pose.bones[0].head))
 assert Path(sys.argv[2] + ".csv").read_text().split("\\n") == [*wrists, "end", ""], wrists
+from blender_manient.exporters import EXPORTERS
+assert type(EXPORTERS["fbx"]).__name__ == "FbxExporter"
+try:
+    bpy.ops.manient.export_hand(filepath=sys.argv[2], file_format="failing")
+except RuntimeError as error:
+    assert "out.none: the plug-in aaa.py failed in Failing (KeyError: 'whole'): mend" in str(error), error
+assert not Path(sys.argv[2] + ".none").exists()
 blender_manient.unregister()
 """
 
@@ -76,6 +105,13 @@ np.testing.assert_array_equal(after.quats, before.quats)
 np.testing.assert_array_equal(after.locations, before.locations)
 write_pose_keys(rig, PoseKeys.everywhere(np.array([100.0]), before.quats[:1], before.locations[:1]))
 np.testing.assert_allclose(np.abs(pose_at(rig, np.array([100.0]))[0]), np.abs(before.quats[:1]), atol=1e-6)
+hand.armature["boneless"] = True
+bpy.context.view_layer.objects.active = hand.armature
+assert not bpy.ops.manient.relax_pose.poll()
+try:
+    bpy.ops.manient.relax_pose()
+except RuntimeError as error:
+    assert "The plug-in aaa.py failed in Boneless (KeyError: 'bones'): mend" in str(error), error
 blender_manient.unregister()
 """
 
@@ -89,9 +125,7 @@ def make(heading: str, folder: Path) -> None:
     assert name is not None
     (folder / name[1]).write_text(code[1], encoding="utf-8")
     (folder / "broken.py").write_text(BROKEN)
-    if folder.name == "exporters":
-        (folder / "nameless.py").write_text(NAMELESS)
-        (folder / "half.py").write_text(HALF)
+    (folder / "aaa.py").write_text(BESIDE[folder.name])
 
 
 @pytest.mark.parametrize(
@@ -113,6 +147,13 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "broken.py is left out" in done.stderr
-    if folder == "exporters":
-        assert "nameless.py is left out: Nameless has no name, label, description" in done.stderr
-        assert "half.py is left out: Half has no is_whole" in done.stderr
+    for said in {
+        "exporters": (
+            "aaa.py is left out: Nameless has no name, label, description",
+            "aaa.py is left out: Half has no is_whole",
+            "Usurper of aaa.py is left out: there is a format 'fbx' already",
+        ),
+        "rigs": ("the plug-in aaa.py failed in Raising (KeyError: ",),
+    }[folder]:
+        assert done.stderr.count(said) == 1, done.stderr[-3000:]
+    assert "Traceback" not in done.stderr

@@ -77,6 +77,9 @@ def test_a_good_installation_has_no_problems(install):
     assert report.count(": ok") == 3
     assert f"version 0.1.0 for {PLATFORM}, Python {PYTHON}, torch: none" in report
     assert str(place.site_packages) in report
+    contents = installation.read_contents(place.folder)
+    assert installation.zip_name(contents) == ZIP
+    assert installation.zip_name(replace(contents, torch="cpu")) == ZIP.replace(".zip", "-torch.zip")
 
 
 def test_the_zip_of_another_platform(install):

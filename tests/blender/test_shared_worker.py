@@ -6,16 +6,23 @@ import os
 import stat
 import sys
 
+import bpy
 import pytest
 
 import blender_manient
 from blender_manient import cache, preferences, shared_worker
+from blender_manient.operators.capture import new_job
+from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from handfit_core.errors import OutputError
 from handfit_core.version import __version__
+from tests.conftest import ROOT
+from tests.drawn import drawn
 
 PEER = f"""#!{sys.executable}
 import json, sys
-print(json.dumps({{"event": "ready", "protocol": 1, "version": {__version__!r}, "python": "3"}}), flush=True)
+ready = {{"event": "ready", "protocol": 1, "version": {__version__!r}, "python": "3"}}
+ready |= {{"detectors": ["mediapipe", "bright-spot"], "solvers": ["fast", "paper-a", "flat"]}}
+print(json.dumps(ready), flush=True)
 for line in sys.stdin:
     if answers:
         print(json.dumps({{"event": "done", "id": json.loads(line)["id"]}}), flush=True)
@@ -81,6 +88,27 @@ def test_unregister_ends_it_and_its_files(peer, tmp_path):
         os.kill(pid, 0)
     assert list((tmp_path / "cache").iterdir()) == []
     assert shared_worker.current() is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
+def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer):
+    settings = bpy.context.scene.manient
+    assert not {"solver", "detector"} & set(drawn(MANIENT_PT_capture_advanced).said.split())
+    preferences.get().python = peer(answers=True)
+    worker = shared_worker.worker()
+    worker.wait(worker.submit("warm"), timeout=20)
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split())
+    assert [shared_worker.detectors(), shared_worker.solvers()] == [
+        ["mediapipe", "bright-spot"],
+        ["fast", "flat"],  # the paper's experiments are chosen as such
+    ]
+    settings.source = str(ROOT / "samples" / "rendered_hand" / "hand.0001.jpg")
+    assert {"solver", "detector"}.isdisjoint(new_job(bpy.context, only_frame=False).options.to_message())
+    settings.detector, settings.solver = "bright-spot", "flat"
+    options = new_job(bpy.context, only_frame=False).options
+    assert (options.detector, options.solver) == ("bright-spot", "flat")
+    shared_worker.stop()
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split()), "to change back"
 
 
 def test_takes_have_names_of_their_own(registered, tmp_path):
