@@ -18,8 +18,8 @@ from handfit_core.edit.corrections import Pins, changed_quats
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.solvers import DEFAULT_SMOOTHING
 from handfit_core.take import HandTrack
 
 from .remembered import Remembered
@@ -168,7 +168,7 @@ class Refiner:
         pins: Sequence[Pins],
         poses: BonePoses,
         mode: Literal["each", "draft", "range"] = "each",
-        smoothing: float = DEFAULT_SMOOTHING,
+        smoothing: float = CaptureOptions.smoothing,
     ) -> Callable[[], dict[str, Any]]:
         """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
 

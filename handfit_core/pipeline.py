@@ -85,48 +85,17 @@ def capture(
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
 
-    `handfit_core.options` has the range of every option, and says the same to all who ask.
-
     source
         A photo; a folder or list of photos; a `name.%04d.png`, `name.####.png` or glob pattern; a video.
-    hands
-        "auto": whatever is seen; "left" or "right": that one only; "both": one of each.
-    model
-        None for the open hand; or the path of a MANO file, or of a folder that holds both sides.
-    solver
-        One of `handfit_core.solvers.solver_names()`.
     progress
         Called with a `Progress` after every frame; an exception raised there ends the capture.
-    frames
-        Which source frames to use, as in "10-200:2"; all by default.
-    max_hands
-        How many hands to keep at most, the surest first.
-    detector
-        What finds hands: one of `handfit_core.detect.detector.DETECTORS.names()`.
-    threshold
-        How sure the detector must be of a hand, 0..1.
-    plain_detection
-        Take the detector at its first word, instead of looking again where it finds too little.
-    landmark_model
-        MediaPipe's `hand_landmarker.task`; None for the one that is bundled or was fetched.
-    smoothing
-        How smooth motion is, for the solvers that smooth: 0 takes every frame by itself.
-    hand_length
-        Metres from the wrist joint to the tip of the middle finger of the flat hand; None for an average
-        adult's. Pictures do not show how large a hand is: its size decides its distance. For
-        solvers that take notice of it.
-    intrinsics
-        The camera in pixels of the upright picture, or its fx, fy, cx and cy; by default what the file tells
-        about its lens, or else one with a 53 degree view.
-    lens
-        Instead of `intrinsics`, where the picture's size is not known: focal length in widths of the picture,
-        and the principal point in widths and heights of it, y downwards.
-    max_megapixels
-        How large pictures and the frames of videos may be; None for the limits of `media.size_limit`. What
-        claims more is refused before it is decoded.
     should_stop
         Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
         frames seen so far, or all frames with those hands that were fitted; the others count as not detected.
+
+    The others are the options of `handfit_core.options.OPTIONS`, which has the range and the help of each;
+    lengths are in metres here. `model` is the open hand's where None, `intrinsics` what the file tells about
+    its lens, or else a view of 53 degrees.
 
     Raises a `HandfitError` whose message is meant for the user: OptionError, InputError,
     NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a hand was

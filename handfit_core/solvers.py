@@ -19,15 +19,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.data import HandModel
 from handfit_core.registry import Registry
 
-DEFAULT_SOLVER: Final = "fast"
-DEFAULT_SMOOTHING: Final = 1.0
-MOST_SMOOTHING: Final = 10.0
-"""How smooth motion is: 0 takes every frame by itself, 2 is twice as stiff as the default"""
-
-SHORTEST_HAND: Final = 0.05
-LONGEST_HAND: Final = 0.30
-"""metres, wrist joint to the tip of the middle finger"""
-
 
 @dataclass(frozen=True, eq=False)
 class TrackFit:
@@ -122,25 +113,17 @@ def solver_names() -> tuple[str, ...]:
     return SOLVERS.names()
 
 
-def get_solver(
-    name: str, smoothing: float = DEFAULT_SMOOTHING, hand_length: float | None = None
-) -> TrackSolver:
-    """The solver of that name, ready to fit; `hand_length` in metres, wrist joint to the tip of the middle
-    finger. Raises OptionError where there is no such solver, where a package that it needs is not installed,
-    and for numbers that no solver can take."""
+def get_solver(name: str, smoothing: float = 1.0, hand_length: float | None = None) -> TrackSolver:
+    """The solver of that name, ready to fit; `smoothing` and `hand_length` as the options of those names.
+
+    Raises OptionError where there is no such solver, and where a package that it needs is not installed.
+    """
     solver = SOLVERS.get(name)
-    if not 0.0 <= smoothing <= MOST_SMOOTHING:
-        raise OptionError(f"smoothing must lie between 0 and {MOST_SMOOTHING:g}, not {smoothing:g}")
-    if hand_length is not None and not SHORTEST_HAND <= hand_length <= LONGEST_HAND:
-        raise OptionError(
-            f"a hand's length must lie between {SHORTEST_HAND * 1e3:g} and {LONGEST_HAND * 1e3:g} mm, not "
-            f"{hand_length * 1e3:g} mm; measure from the wrist to the tip of the middle finger"
-        )
     missing = [package for package in solver.needs if find_spec(package) is None]
     if missing:
         raise OptionError(
             f"the solver {name} needs {' and '.join(missing)}, which is not installed: install it, or choose "
-            f"another solver, such as {DEFAULT_SOLVER}"
+            f"another solver, such as fast"
         )
     with SOLVERS.blamed(name):
         return solver.make(smoothing, hand_length)

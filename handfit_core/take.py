@@ -24,6 +24,7 @@ from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import SOURCE_KINDS, Source
 from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
+from handfit_core.slices import result_of
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
@@ -290,12 +291,7 @@ class Take:
     def from_bytes(cls, data: bytes, where: str = "the take") -> Take:
         """The inverse of `to_bytes`, compact or not: numbers come back with 64 bits. `where` begins the
         messages. Raises TakeError for anything that is not a take this version understands."""
-        steps = cls.reading(data, where)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as stop:
-                return stop.value
+        return result_of(cls.reading(data, where))
 
     @classmethod
     def reading(cls, data: bytes, where: str = "the take") -> Generator[None, None, Take]:

@@ -11,8 +11,8 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
+from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.solvers import DEFAULT_SMOOTHING, MOST_SMOOTHING
 from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
 
 START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_pose": (45,), "transl": (3,)}
@@ -60,7 +60,7 @@ class RefineHand:
     """`open-hand`, or the path of the user's model file or folder"""
     fps: float = 25.0
     """Of these frames"""
-    smoothing: float = DEFAULT_SMOOTHING
+    smoothing: float = CaptureOptions.smoothing
     """For re-fitting a range"""
     holes: tuple[int, ...] = ()
     """Rows after which the source lacks pictures: nothing is smoothed across"""
@@ -92,8 +92,7 @@ class RefineHand:
             )
         if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
             raise OptionError(f"fps must lie between {SMALLEST_FPS:g} and {LARGEST_FPS:g}, not {self.fps}")
-        if not 0.0 <= self.smoothing <= MOST_SMOOTHING:
-            raise OptionError(f"smoothing must lie between 0 and {MOST_SMOOTHING:g}, not {self.smoothing}")
+        OPTIONS["smoothing"].read(self.smoothing)
         for row, detection in enumerate(self.detections):
             if detection is None:
                 continue

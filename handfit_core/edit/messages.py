@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.doors.values import Unfit, number, shortly
+from handfit_core.doors.values import Unfit, number, path, shortly, whole
 from handfit_core.edit.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.recent import Recent
 from handfit_core.edit.refit import refit_each, refit_range
 from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
-from handfit_core.skeleton import NUM_KEYPOINTS, other_side
-from handfit_core.solvers import DEFAULT_SMOOTHING, ShouldStop
+from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, other_side
+from handfit_core.solvers import ShouldStop
 from handfit_core.take import LARGEST
 from handfit_core.worker.protocol import pack, unpack
 
@@ -67,19 +68,18 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     if not isinstance(message, Mapping):
         raise ProtocolError("refit: hand must be an object")
     side = message.get("side")
-    if side not in ("left", "right"):
+    if side not in SIDES:
         raise OptionError(f"side must be left or right, not {shortly(side)}")
     points = {name: _array(message, name) for name in _POINTS}
     count = points["keypoints"].shape[0] if points["keypoints"].ndim else 0
-    for name, array in points.items():
-        if array.shape != (count, NUM_KEYPOINTS, 3):
-            raise OptionError(f"{name} must have the shape {(count, NUM_KEYPOINTS, 3)}, not {array.shape}")
-    score = _array(message, "score")
-    agrees = _array(message, "agrees") if "agrees" in message else np.ones(count, dtype=bool)
-    for name, array in (("score", score), ("agrees", agrees)):
-        if array.shape != (count,):
-            raise OptionError(f"{name} must have the shape {(count,)}, not {array.shape}")
-    there = [bool(np.isfinite([points[name][row] for name in _POINTS]).all()) for row in range(count)]
+    of_frames = {"score": _array(message, "score"), "agrees": np.ones(count, dtype=bool)}
+    if "agrees" in message:
+        of_frames["agrees"] = _array(message, "agrees")
+    for name, array in (points | of_frames).items():
+        shape = (count, NUM_KEYPOINTS, 3) if name in points else (count,)
+        if array.shape != shape:
+            raise OptionError(f"{name} must have the shape {shape}, not {array.shape}")
+    score, agrees = of_frames.values()
     detections = tuple(
         HandDetection(
             side if agrees[row] else other_side(side),
@@ -87,24 +87,33 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
             points["keypoints"][row].astype(np.float64),
             points["world"][row].astype(np.float64),
         )
-        if there[row]
+        if np.isfinite([points[name][row] for name in _POINTS]).all()
         else None
         for row in range(count)
     )
-    return RefineHand(
-        side=side,
-        betas=_array(message, "betas"),
-        intrinsics=Intrinsics(*_numbers(message, "intrinsics", 4)),
-        detections=detections,
-        # Whole numbers would have no NaN for what is not pinned.
-        pins=_array(message, "pins").astype(np.float64),
-        **{name: _array(message, name).astype(np.float64) for name in START_ARRAYS},
-        locked=_array(message, "locked"),
-        model=_text(message, "model", OPEN_HAND),
-        fps=_number(message, "fps", 25.0),
-        smoothing=_number(message, "smoothing", DEFAULT_SMOOTHING),
-        holes=_rows(message, "holes"),
-    )
+    camera, holes, model = message.get("intrinsics"), message.get("holes", []), message.get("model")
+    if not isinstance(camera, list) or len(camera) != 4:
+        raise ProtocolError(f"refit: intrinsics must be a list of 4 numbers, not {shortly(camera)}")
+    if not isinstance(holes, list):
+        raise ProtocolError(f"refit: holes must be a list of whole numbers, not {shortly(holes)}")
+    try:
+        holes = [number("holes", row) for row in holes]
+        return RefineHand(
+            side=side,
+            betas=_array(message, "betas"),
+            intrinsics=Intrinsics(*(number("intrinsics", value) for value in camera)),
+            detections=detections,
+            # Whole numbers would have no NaN for what is not pinned.
+            pins=_array(message, "pins").astype(np.float64),
+            **{name: _array(message, name).astype(np.float64) for name in START_ARRAYS},
+            locked=_array(message, "locked"),
+            model=OPEN_HAND if model in (None, "") else path("model", model),
+            fps=number("fps", message.get("fps", 25.0)),
+            smoothing=number("smoothing", message.get("smoothing", CaptureOptions.smoothing)),
+            holes=tuple(whole("holes", int(n) if n.is_integer() else n) for n in holes),
+        )
+    except Unfit as error:
+        raise ProtocolError(f"refit: {error}") from error
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
@@ -164,42 +173,3 @@ def _array(message: Mapping[str, Any], name: str) -> np.ndarray:
         return unpack(message[name])
     except HandfitError as error:
         raise ProtocolError(f"refit: {name}: {error}") from error
-
-
-def _numbers(message: Mapping[str, Any], name: str, count: int | None = None) -> list[float]:
-    values = message.get(name)
-    numbers = isinstance(values, list) and all(_is_number(v) for v in values)
-    if not isinstance(values, list) or not numbers or (count is not None and len(values) != count):
-        expected = "numbers" if count is None else f"{count} numbers"
-        raise ProtocolError(f"refit: {name} must be a list of {expected}, not {shortly(values)}")
-    return values
-
-
-def _rows(message: Mapping[str, Any], name: str) -> tuple[int, ...]:
-    """Optional whole numbers."""
-    values = _numbers(message, name) if name in message else []
-    if any(v != int(v) for v in values):
-        raise ProtocolError(f"refit: {name} must be whole numbers, not {shortly(values)}")
-    return tuple(int(v) for v in values)
-
-
-def _number(message: Mapping[str, Any], name: str, default: float) -> float:
-    value = message.get(name, default)
-    if not _is_number(value):
-        raise ProtocolError(f"refit: {name} must be a number, not {shortly(value)}")
-    return float(value)
-
-
-def _text(message: Mapping[str, Any], name: str, default: str) -> str:
-    value = message.get(name)
-    if value is not None and not isinstance(value, str):
-        raise ProtocolError(f"refit: {name} must be a text, not {shortly(value)}")
-    return value or default
-
-
-def _is_number(value: object) -> bool:
-    try:
-        number("it", value)
-    except Unfit:
-        return False
-    return True

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.detect.correction.corrected import Landmarked, landmarked
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import pins as pinning
@@ -21,7 +22,7 @@ from handfit_core.fit.problem import Held
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
-from handfit_core.hand_model.chain import State, joined
+from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import ShouldStop
@@ -57,11 +58,11 @@ def each(
     if not len(rows):
         return pose
     detected = _detected(hand, rows)
-    seen = _first_or_second(posed[rows], pinning.kept(points[rows], hand.intrinsics), detected)
+    seen = pinning.kept(points[rows], hand.intrinsics).where(posed[rows], detected)
     held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model)
     for at, part in _chunks(rows):
-        observed = observation_of(_rows(seen, part), hand.intrinsics)
+        observed = observation_of(seen.select(part), hand.intrinsics)
         own = _start(fitter, hand, hand, posed[at], observed, at)
         near = own if draft else None
         if draft and guess is not None:
@@ -69,7 +70,7 @@ def each(
             near = _start(fitter, hand, guess, there, observed, at).where(there, own)
         frames = _Frames(
             fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
-            _rows(seen, part), _rows(detected, part), own, near,
+            seen.select(part), detected.select(part), own, near,
         )  # fmt: skip
         state, held[at] = frames.corrected()
         for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
@@ -78,7 +79,7 @@ def each(
 
 
 @dataclass(frozen=True, eq=False)
-class _Frames:
+class _Frames(Batch):
     """B frames that are corrected, each by itself."""
 
     fitter: FastFitter
@@ -103,27 +104,18 @@ class _Frames:
         state, held = self.own, self.locked | self.posed[:, None]
         alone = np.flatnonzero(self.posed & ~pinning.unpinned(self.pins).all(axis=1))
         if len(alone):
-            some = self._select(alone)
+            some = self.select(alone)
             found, held[alone] = some._fingers_alone()
             state = _put(state, alone, found)
-        seen = _first_or_second(
-            self.posed, pinning.kept(_points(self.fitter, state), self.intrinsics), self.seen
-        )
+        seen = pinning.kept(_points(self.fitter, state), self.intrinsics).where(self.posed, self.seen)
         left = pinning.displacement(self.pins, seen.pixels)
         fall_short = (left.max(axis=1) > pinning.REACHED) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
-            some = self._select(palm)
-            found, held[palm] = some._palm_follows(state.select(palm), _rows(seen, palm), left[palm])
+            some = self.select(palm)
+            found, held[palm] = some._palm_follows(state.select(palm), seen.select(palm), left[palm])
             state = _put(state, palm, found)
         return state, held
-
-    def _select(self, rows: np.ndarray) -> _Frames:
-        return replace(
-            self, pins=self.pins[rows], posed=self.posed[rows], locked=self.locked[rows],
-            seen=_rows(self.seen, rows), detected=_rows(self.detected, rows), own=self.own.select(rows),
-            near=None if self.near is None else self.near.select(rows),
-        )  # fmt: skip
 
     def _fingers_alone(self) -> tuple[State, np.ndarray]:
         """Fingers with pins beyond their knuckles go for these; all else is held."""
@@ -140,9 +132,9 @@ class _Frames:
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
             short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
             if len(short):
-                some, kept = self._select(short), self.own.select(short)
+                some, kept = self.select(short), self.own.select(short)
                 starts = [found.select(short), *some._other_bends()]
-                others = _rows(seen, short), kept, anywhere[short], doubt[short], held[short], starts
+                others = seen.select(short), kept, anywhere[short], doubt[short], held[short], starts
                 found = _put(found, short, some._solved(*others))
         return found, held
 
@@ -216,7 +208,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     if not len(rows):
         return pose
     keep = pinning.kept(points[rows], hand.intrinsics)
-    seen = _first_or_second(hand.detected[rows], _detected(hand, rows), _loosely(keep))
+    seen = _detected(hand, rows).where(hand.detected[rows], _loosely(keep))
     # Before the pins, of which one may lie far away.
     cuts = jumps(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
@@ -236,7 +228,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
         here = observed.select(part)
         own = _start(fitter, hand, hand, posed[at], here, at)
         states.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
-    alone = joined(states)
+    alone = State.joined(states)
     frames, state = smoothly(observed, alone)
     if hand.pinned[rows].any():
         plain = state.select(np.searchsorted(frames, rows))
@@ -249,7 +241,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
             corrected.append(_cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS))
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
-        frames, state = smoothly(observed, joined(corrected).select(latest))
+        frames, state = smoothly(observed, State.joined(corrected).select(latest))
     for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
         pose[name][frames] = values
     return _with_held(hand, locked, pose)
@@ -298,7 +290,7 @@ def _put(state: State, rows: np.ndarray, found: State) -> State:
     """`state` with other poses in those rows."""
     order = np.arange(len(state))
     order[rows] = len(state) + np.arange(len(rows))
-    return joined([state, found]).select(order)
+    return State.joined([state, found]).select(order)
 
 
 def _check(should_stop: ShouldStop) -> None:
@@ -326,8 +318,8 @@ def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
     whole = Landmarked(*(np.full(shape, np.nan) for shape in ((*points, 2), (*points, 2), points, points)))
     if detections:
         found = _corrected_once(hand.side, detections)
-        for name in _ARRAYS:
-            getattr(whole, name)[there] = getattr(found, name)
+        order = np.where(there, np.cumsum(there) - 1, 0)
+        whole = found.select(order).where(there, whole)
     return whole
 
 
@@ -345,23 +337,8 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
     return _LAST["one"][1]
 
 
-_ARRAYS = tuple(f.name for f in fields(Landmarked) if f.name != "pinned")
-
-
-def _first_or_second(choose_first: np.ndarray, first: Landmarked, second: Landmarked) -> Landmarked:
-    def choose(name: str) -> np.ndarray:
-        mine, theirs = getattr(first, name), getattr(second, name)
-        return np.where(choose_first.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
-
-    return Landmarked(*(choose(name) for name in _ARRAYS))
-
-
 def _loosely(seen: Landmarked) -> Landmarked:
     return Landmarked(seen.pixels, LOOSE * seen.pixel_sigma, seen.depth, LOOSE * seen.depth_sigma)
-
-
-def _rows(seen: Landmarked, rows: np.ndarray) -> Landmarked:
-    return Landmarked(*(getattr(seen, name)[rows] for name in _ARRAYS))
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -416,7 +393,7 @@ def _cheapest(
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     held = held if held is None or len(starts) == 1 else held.select(index)
-    start = joined(starts)
+    start = State.joined(starts)
     problem = fitter.problem(observed if len(starts) == 1 else observed.select(index), held=held)
     solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)
     if len(starts) == 1:

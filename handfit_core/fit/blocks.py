@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.hand_model.chain import BETAS, Index
+from handfit_core.batch import Batch, Index
+from handfit_core.hand_model.chain import BETAS
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class Blocks(Batch):
     """Gauss-Newton matrices of B problems, H x = -g, with the gradients (J^T r: half the costs') as their
     last column."""
 
@@ -31,10 +32,6 @@ class Blocks:
         """The other's problems in place of these, where the index says so."""
         for name in self.__dataclass_fields__:
             getattr(self, name)[index] = getattr(other, name)[index]
-
-    def select(self, index: Index) -> Blocks:
-        """The problems of that index."""
-        return Blocks(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
     def holding(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
         """The same problems with some variables held: their increments come out as exactly zero, and the

@@ -31,7 +31,7 @@ from handfit_core.fit.terms import (
 )
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.chain import Chain, State, joined
+from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import FILE, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
@@ -131,7 +131,7 @@ class FastFitter:
         """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
         parts = [slice(first, first + SLICE) for first in range(0, len(start), SLICE)]
-        return Solution.of(
+        return Solution.joined(
             [
                 solve(problem.select(part), start.select(part), max_iterations=most, tolerance=TOLERANCE)
                 for part in parts
@@ -233,7 +233,7 @@ def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Sol
         parts.append(fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas)))
         if should_stop():
             break
-    return Solution.of(parts)
+    return Solution.joined(parts)
 
 
 def _motion(smoothing: float, fps: float) -> Motion:
@@ -273,7 +273,7 @@ def over_time(
             guess = smoothed(replace(problem, motion=motion, looked_at=known), guess, before_each)
         frames.append(stretch)
         states.append(guess)
-    return np.concatenate(frames), joined(states)
+    return np.concatenate(frames), State.joined(states)
 
 
 def _track_fit(

@@ -87,4 +87,4 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
     status[status == _GOES_ON] = Status.ITERATIONS
     finished.append((index, Solution(state, blocks.cost, iterations, status)))
     order = np.argsort(np.concatenate([rows for rows, _ in finished]))
-    return Solution.of([part for _, part in finished]).select(order)
+    return Solution.joined([part for _, part in finished]).select(order)

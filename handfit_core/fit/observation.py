@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.detect.correction.corrected import Landmarked
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.chain import Index
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class Kept(Batch):
     """Poses that B hands are to stay near, and how firmly; a sigma that is infinite keeps nothing. What is
     held exactly: `problem.Held`."""
 
@@ -29,13 +29,9 @@ class Kept:
     the kept angles where these go further, that cost as much as one sigma; NaN: as hands without a pose to
     keep have it"""
 
-    def __getitem__(self, index: Index) -> Kept:
-        """The hands of that index."""
-        return Kept(*(getattr(self, f.name)[index] for f in fields(self)))
-
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class Observation(Batch):
     """Landmarks of B pictures of one model's hand, seen through a camera. Pixels, camera frame."""
 
     pixels: np.ndarray
@@ -57,15 +53,6 @@ class Observation:
     number of other landmarks can outvote them. None: there are none"""
     kept: Kept | None = None
     """Poses that the hands are to stay near; None: there are none"""
-
-    def __len__(self) -> int:
-        return len(self.pixels)
-
-    def select(self, index: Index) -> Observation:
-        """The pictures of that index."""
-        return replace(
-            self, **{f.name: v[index] for f in fields(self) if (v := getattr(self, f.name)) is not None}
-        )
 
 
 def observation_of(seen: Landmarked, intrinsics: Intrinsics) -> Observation:

@@ -8,28 +8,25 @@ from typing import Literal
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, Group
-from handfit_core.hand_model.chain import FIXED_SHAPE, Chain, Index, State
+from handfit_core.hand_model.chain import FIXED_SHAPE, Chain, State
 from handfit_core.skeleton import JOINTS_BY_FINGER
 
 SharedShape = Literal["given", "each", "one"]
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class Held(Batch):
     """Which joints of B hands stay exactly as they are, and at what."""
 
     joints: np.ndarray
     """(B, 16) bool in MANO's order; 0 is the wrist: its rotation and its place"""
     state: State
     """B hands; only the held joints of it count"""
-
-    def select(self, index: Index) -> Held:
-        """The hands of that index."""
-        return Held(self.joints[index], self.state.select(index))
 
     @cached_property
     def variables(self) -> np.ndarray:
@@ -62,7 +59,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Batch):
     """B hands to be found."""
 
     chain: Chain
@@ -81,9 +78,6 @@ class Problem:
     """(5, 9) least and most radians that a step may lead angles to: limits are all but hard, and a step knows
     nothing of those that it has not crossed yet. None: anywhere"""
 
-    def __len__(self) -> int:
-        return len(self.seen)
-
     def within_reach(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
         """Increments of angles (B, 5, 9), cut off where they end; angles that are beyond go no farther."""
         if self.reach is None:
@@ -92,12 +86,6 @@ class Problem:
         angles = state.angles
         ends = np.clip(angles + of_fingers, np.minimum(least, angles), np.maximum(most, angles))
         return ends - angles
-
-    def select(self, index: Index) -> Problem:
-        """The hands of that index."""
-        held = None if self.held is None else self.held.select(index)
-        looked_at = None if self.looked_at is None else self.looked_at[index]
-        return replace(self, seen=self.seen.select(index), held=held, looked_at=looked_at)
 
     def blocks(self, state: State) -> Blocks:
         """Cost and Gauss-Newton matrices of B hands, each by itself."""

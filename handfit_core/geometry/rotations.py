@@ -75,51 +75,15 @@ def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:
     rotation is near a singular division.
     """
     m = np.asarray(rotmat, dtype=np.float64)
-    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    trace = m00 + m11 + m22
+    trace = np.trace(m, axis1=-2, axis2=-1)[..., None, None]
     # Four times the outer product of the quaternion with itself; each row is the quaternion scaled.
-    rows = np.stack(
-        [
-            np.stack(
-                [
-                    1 + trace,
-                    m[..., 2, 1] - m[..., 1, 2],
-                    m[..., 0, 2] - m[..., 2, 0],
-                    m[..., 1, 0] - m[..., 0, 1],
-                ],
-                -1,
-            ),
-            np.stack(
-                [
-                    m[..., 2, 1] - m[..., 1, 2],
-                    1 + m00 - m11 - m22,
-                    m[..., 0, 1] + m[..., 1, 0],
-                    m[..., 0, 2] + m[..., 2, 0],
-                ],
-                -1,
-            ),
-            np.stack(
-                [
-                    m[..., 0, 2] - m[..., 2, 0],
-                    m[..., 0, 1] + m[..., 1, 0],
-                    1 - m00 + m11 - m22,
-                    m[..., 1, 2] + m[..., 2, 1],
-                ],
-                -1,
-            ),
-            np.stack(
-                [
-                    m[..., 1, 0] - m[..., 0, 1],
-                    m[..., 0, 2] + m[..., 2, 0],
-                    m[..., 1, 2] + m[..., 2, 1],
-                    1 - m00 - m11 + m22,
-                ],
-                -1,
-            ),
-        ],
-        axis=-2,
+    rows = np.empty((*m.shape[:-2], 4, 4))
+    rows[..., :1, :1] = 1.0 + trace
+    rows[..., 0, 1:] = rows[..., 1:, 0] = np.stack(
+        [m[..., i, j] - m[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1
     )
-    best = np.argmax(np.stack([trace, m00, m11, m22], -1), axis=-1)
+    rows[..., 1:, 1:] = m + np.swapaxes(m, -1, -2) + (1.0 - trace) * np.eye(3)
+    best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
     quat = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
     quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
     return np.where(quat[..., :1] < 0, -quat, quat)
@@ -128,21 +92,9 @@ def rotmat_to_quat(rotmat: np.ndarray) -> np.ndarray:
 def quat_to_rotmat(quat: np.ndarray) -> np.ndarray:
     """(..., 4) quaternions (w, x, y, z), normalised here -> (..., 3, 3)."""
     quat = np.asarray(quat, dtype=np.float64)
-    w, x, y, z = np.moveaxis(quat / np.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
-    return np.stack(
-        [
-            1 - 2 * (y * y + z * z),
-            2 * (x * y - w * z),
-            2 * (x * z + w * y),
-            2 * (x * y + w * z),
-            1 - 2 * (x * x + z * z),
-            2 * (y * z - w * x),
-            2 * (x * z - w * y),
-            2 * (y * z + w * x),
-            1 - 2 * (x * x + y * y),
-        ],
-        axis=-1,
-    ).reshape(*np.shape(w), 3, 3)
+    quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    across = skew(quat[..., 1:])
+    return np.eye(3) + 2.0 * (quat[..., :1, None] * across + across @ across)
 
 
 def rotmat_to_rotvec(rotmat: np.ndarray) -> np.ndarray:

@@ -16,11 +16,11 @@ derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.geometry.rotations import (
     euler_to_rotmat,
     rotmat_to_euler,
@@ -48,12 +48,9 @@ HAND_SIZE = 17
 FIXED_SHAPE = np.r_[ROOT, PLACE, DEPTH_ZERO]
 """Those of a hand whose shape is given"""
 
-Index = np.ndarray | slice
-"""Which of a batch's hands: numbers, booleans or a slice"""
-
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(Batch):
     """Pose and place of B hands."""
 
     root: np.ndarray
@@ -67,22 +64,6 @@ class State:
     depth_zero: np.ndarray
     """(B,) metres along the line of sight where the detector's depth is zero"""
 
-    def __len__(self) -> int:
-        return len(self.root)
-
-    def select(self, index: Index) -> State:
-        """The hands of that index."""
-        return State(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
-
-    def where(self, chosen: np.ndarray, other: State) -> State:
-        """This state where `chosen` (B,) says so, else the other."""
-
-        def pick(name: str) -> np.ndarray:
-            mine, theirs = getattr(self, name), getattr(other, name)
-            return np.where(chosen.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
-
-        return State(*(pick(name) for name in self.__dataclass_fields__))
-
     def moved(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> State:
         """Increments of the hand's own variables (B, 17), or (B, 7) where the shape is given, and of the
         angles (B, 5, 9)."""
@@ -95,11 +76,6 @@ class State:
             betas=self.betas + of_hand[:, BETAS] if free else self.betas,
             depth_zero=self.depth_zero + of_hand[:, -1],
         )
-
-
-def joined(states: Sequence[State]) -> State:
-    """The hands of all states, one after the other."""
-    return State(*(np.concatenate([getattr(s, name) for s in states]) for name in State.__dataclass_fields__))
 
 
 def turns_by_angles(angles: np.ndarray, local: np.ndarray) -> np.ndarray:

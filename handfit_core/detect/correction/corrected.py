@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
 from handfit_core.detect.keypoints import CorrectedLandmarks, HandDetection
@@ -41,7 +42,7 @@ TRUST: Final = Trust()
 
 
 @dataclass(frozen=True, eq=False)
-class Landmarked:
+class Landmarked(Batch):
     """What is seen of N detections, without a camera: pixels."""
 
     pixels: np.ndarray
@@ -92,7 +93,7 @@ def corrected(
     for first in range(0, max(len(detections), 1), CHUNK):
         part = slice(first, first + CHUNK)
         parts.append(_of_chunk(detections[part], sides[part], trust))
-    whole = Landmarked(*(np.concatenate([getattr(found, name) for found, _ in parts]) for name in _ARRAYS))
+    whole = Landmarked.joined([found for found, _ in parts])
     return whole, np.concatenate([probability for _, probability in parts])
 
 

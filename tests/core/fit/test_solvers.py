@@ -179,8 +179,6 @@ def test_the_status_says_why_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     stuck = solve(problem, first.state, max_iterations=60, tolerance=0.0)
     assert (stuck.status == Status.STUCK).all()
     assert stuck.converged.all()
-    for status in Status:
-        assert len(status.words) > 20
 
 
 def test_a_shared_shape_is_one_shape() -> None:

@@ -1,0 +1,59 @@
+"""Dataclasses of arrays that have a row for each of a batch's hands or frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+
+Index = np.ndarray | slice
+"""Which rows: numbers, booleans or a slice"""
+
+
+class Batch:
+    """A frozen dataclass of arrays (B, ...), of other batches, and of what belongs to all rows alike."""
+
+    __dataclass_fields__: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(next(value for _, value in self._rows()))
+
+    def _rows(self) -> list[tuple[str, Any]]:
+        """The fields that have a row each."""
+        values = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
+        return [(name, value) for name, value in values if isinstance(value, np.ndarray | Batch)]
+
+    def _with(self, **rows: Any) -> Self:
+        # Not by dataclasses.replace, which takes as long as a small batch's sums.
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return type(self)(**fields | rows)
+
+    def select(self, index: Index) -> Self:
+        """The rows of that index."""
+        return self._with(
+            **{
+                name: value.select(index) if isinstance(value, Batch) else value[index]
+                for name, value in self._rows()
+            }
+        )
+
+    def where(self, chosen: np.ndarray, other: Self) -> Self:
+        """These rows where `chosen` (B,) says so, else the other's, which has the same fields."""
+
+        def pick(mine: Any, theirs: Any) -> Any:
+            if isinstance(mine, Batch):
+                return mine.where(chosen, theirs)
+            return np.where(chosen.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
+
+        return self._with(**{name: pick(value, getattr(other, name)) for name, value in self._rows()})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """The rows of all parts, one after the other; what belongs to all rows is the first part's."""
+
+        def join(name: str, first: Any) -> Any:
+            rows = [getattr(part, name) for part in parts]
+            return first.joined(rows) if isinstance(first, Batch) else np.concatenate(rows)
+
+        return parts[0]._with(**{name: join(name, value) for name, value in parts[0]._rows()})
