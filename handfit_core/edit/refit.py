@@ -65,19 +65,20 @@ def warm_up(model: str = OPEN_HAND) -> None:
         except HandModelError as error:  # a MANO file of one side is enough
             errors.append(error)
             continue
-        refit_each(_dragged(loaded, model, side))
+        hand = seen_hand(loaded, model, side)
+        hand.pins[0, 8] = hand.keypoints_2d[0, 8] + 10.0  # a fingertip is pulled
+        refit_each(hand)
     if len(errors) == len(SIDES):
         raise errors[0]
 
 
-def _dragged(loaded: HandModel, model: str, side: Side) -> RefineHand:
-    """A flat hand before a camera, one fingertip of which is pulled."""
+def seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
+    """A relaxed hand before a camera, as a detector sees it."""
     camera = Intrinsics(600.0, 600.0, 320.0, 240.0)
-    pose = np.array([[-np.pi / 2, 0.0, 0.0]]), np.zeros((1, 45)), np.array([[0.0, 0.0, 0.6]])
+    pose = np.array([[-np.pi / 2, 0.0, 0.0]]), loaded.hands_mean[None], np.array([[0.0, 0.0, 0.5]])
     points = landmark_points(loaded, np.zeros(NUM_BETAS), *pose)
     pixels = camera.project(points)
     pins = np.full((1, NUM_KEYPOINTS, 2), np.nan)
-    pins[0, 8] = pixels[0, 8] + 10.0
     depth = (points[..., 2:] - points[:, :1, 2:]) * camera.fx / points[..., 2:].mean()
     detection = HandDetection(
         side, 0.9, np.concatenate([pixels, depth], axis=2)[0], (points - points.mean(axis=1))[0]

@@ -18,12 +18,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import Cancelled, HandfitError, OptionError
-from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND, load_model
-from handfit_core.skeleton import NUM_BETAS, SIDES, WRIST_KEYPOINT, Side
+from handfit_core.skeleton import SIDES, Side
 from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL
 
@@ -46,10 +44,6 @@ _ZIP_AGAIN: Final = "install the add-on's zip again"
 
 _LATER: Final = ("cv2", "scipy.optimize")
 """What a capture loads beside what the self-tests need"""
-
-_CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)
-_DISTANCE = 0.5
-"""metres between the self-test's hand and the camera"""
 
 
 def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
@@ -119,21 +113,14 @@ def blank_picture_hands() -> int:
 def synthetic_fit_error_mm(side: Side = "right") -> float:
     """Mean distance in mm of the 21 keypoints that the fast solver finds, from those of the relaxed open hand
     that was projected for it, laid over each other."""
-    from handfit_core.edit import landmark_points
+    from handfit_core.edit.refit import seen_hand
     from handfit_core.fit.fast import fit_frames
 
     model = load_model(None, side)
-    orient, transl = np.array([[-np.pi / 2, 0.0, 0.0]]), np.array([[0.0, 0.0, _DISTANCE]])
-    pose = model.hands_mean[None]
-    seen = landmark_points(model, np.zeros(NUM_BETAS), orient, pose, transl)[0]
-    per_pixel = seen[:, 2].mean() / _CAMERA.fx
-    depth = (seen[:, 2] - seen[WRIST_KEYPOINT, 2]) / per_pixel
-    detection = HandDetection(
-        side, 0.9, np.column_stack([_CAMERA.project(seen), depth]), seen - seen.mean(axis=0)
-    )
-    fits = fit_frames(model, [detection], _CAMERA)
+    hand = seen_hand(model, OPEN_HAND, side)
+    fits = fit_frames(model, [d for d in hand.detections if d is not None], hand.intrinsics)
     found = model.keypoints(fits.betas[0], fits.global_orient, fits.hand_pose, fits.transl)[0]
-    true = model.keypoints(None, orient, pose, transl)[0]
+    true = model.keypoints(None, hand.global_orient, hand.hand_pose, hand.transl)[0]
     laid = align(found, true, with_scale=True).apply(found)
     return float(np.linalg.norm(laid - true, axis=1).mean() * 1e3)
 

@@ -104,18 +104,6 @@ class WriteEnd(_End):
         return wait_for([], self, seconds)
 
 
-def pipe_from_child() -> tuple[ReadEnd, int]:
-    """Our end, and the descriptor that the child gets, which the caller closes. Raises OSError."""
-    read, write = _new_pipe()
-    return ReadEnd(read), write
-
-
-def pipe_to_child() -> tuple[WriteEnd, int]:
-    """Our end, and the descriptor that the child gets, which the caller closes. Raises OSError."""
-    read, write = _new_pipe()
-    return WriteEnd(write), read
-
-
 def wait_for(readers: Sequence[ReadEnd], writer: WriteEnd | None, seconds: float) -> bool:
     """Return True when something can be read, has ended, or can be written, or False after `seconds`."""
     open_readers = [end for end in readers if not end.closed]
@@ -142,7 +130,8 @@ def wait_for(readers: Sequence[ReadEnd], writer: WriteEnd | None, seconds: float
     return bool(waiting.poll(seconds * 1000))
 
 
-def _new_pipe() -> tuple[int, int]:
+def new_pipe() -> tuple[int, int]:
+    """Descriptors of the end that is read and of the one that is written. Raises OSError."""
     if sys.platform == "win32":
         read, write = _winapi.CreatePipe(None, _SIZE)
         return msvcrt.open_osfhandle(read, os.O_RDONLY), msvcrt.open_osfhandle(write, 0)

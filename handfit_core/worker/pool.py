@@ -12,30 +12,29 @@ from multiprocessing import get_context, parent_process
 from typing import Any
 
 from handfit_core.errors import Cancelled
-from handfit_core.worker.runner import THREAD_VARIABLES, Answer, Runner, answered, error_fields
+from handfit_core.worker.runner import THREAD_VARIABLES, Answer, Event, Runner, error_fields, events_of
 
 
 class Pool(Runner):
     """Does as many requests at a time as it has processes; they start with the first requests.
 
-    Fields of requests and answers may be whatever can be pickled.
+    What a request says on the way is heard together with its end. Fields of requests and answers may be
+    whatever can be pickled.
     """
 
     def __init__(self, processes: int, make_answer: Callable[[], Answer]) -> None:
         """`make_answer` is called once in each process, which has to find it by its module's name."""
         super().__init__()
-        context = get_context("spawn")
-        self._said: Any = context.SimpleQueue()
         self._executor = ProcessPoolExecutor(
-            processes, context, initializer=_set_up, initargs=(make_answer, self._said)
+            processes, get_context("spawn"), initializer=_set_up, initargs=(make_answer,)
         )
-        self._running: dict[Future[dict[str, Any]], int] = {}
+        self._running: dict[Future[list[Event]], int] = {}
 
     def submit(self, kind: str, /, **fields: Any) -> int:
         """Hand a request to the next process that is free."""
         number = self._opened(kind)
         with _one_thread_per_child():
-            future = self._executor.submit(_do, number, {**fields, "request": kind})
+            future = self._executor.submit(_do, {**fields, "request": kind})
         self._running[future] = number
         return number
 
@@ -47,34 +46,26 @@ class Pool(Runner):
 
     def stop(self) -> None:
         """Take out everything that waits, and wait for what is worked on."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        while not all(future.done() for future in self._running):
-            self._collect(0.05)  # a process that has much to say waits until it is heard
-        self._executor.shutdown()
+        self._executor.shutdown(cancel_futures=True)
         self._collect(0.0)
 
     def _collect(self, wait: float) -> None:
         if wait:
             futures_wait(self._running, wait, FIRST_COMPLETED)
-        ended = [future for future in self._running if future.done()]
-        while not self._said.empty():  # before the ends: a request has said everything when it ends
-            self._events.append(self._said.get())
-        for future in ended:
-            number = self._running.pop(future)
-            del self._open[number]
-            self._events.append({"id": number, **_ending(future)})
+        for future in [future for future in self._running if future.done()]:
+            self._ended(self._running.pop(future), _events_of(future))
 
 
-def _ending(future: Future[dict[str, Any]]) -> dict[str, Any]:
-    """The last event of a request."""
+def _events_of(future: Future[list[Event]]) -> list[Event]:
+    """What a request that is over has said."""
     if future.cancelled():
-        return {"event": "error", **error_fields(Cancelled("cancelled before it was begun"))}
+        return [{"event": "error", **error_fields(Cancelled("cancelled before it was begun"))}]
     error = future.exception()
     if error is None:
-        return {"event": "done", **future.result()}
+        return future.result()
     if not isinstance(error, Exception):  # Ctrl-C reaches the children, too
         error = Cancelled("interrupted")
-    return {"event": "error", **error_fields(error), "exception": error}
+    return [{"event": "error", **error_fields(error), "exception": error}]
 
 
 @contextlib.contextmanager
@@ -95,15 +86,13 @@ def _one_thread_per_child() -> Iterator[None]:
 
 _answer: Answer | None = None
 """What this process does with requests, where it is one of a pool's"""
-_queue: Any = None
-"""Takes what a request says on the way"""
 
 
-def _set_up(make_answer: Callable[[], Answer], said: Any) -> None:
+def _set_up(make_answer: Callable[[], Answer]) -> None:
     """Make a new process ready for requests."""
-    global _answer, _queue
+    global _answer
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _answer, _queue = make_answer(), said
+    _answer = make_answer()
 
 
 def _end_with_parent() -> None:
@@ -114,7 +103,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _do(number: int, message: dict[str, Any]) -> dict[str, Any]:
-    """Do one request in a process of the pool."""
+def _do(message: dict[str, Any]) -> list[Event]:
+    """Do one request in a process of the pool; its events."""
     assert _answer is not None
-    return answered(_answer, message, lambda kind, said: _queue.put({"event": kind, "id": number, **said}))
+    return events_of(_answer, message)

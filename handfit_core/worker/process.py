@@ -14,7 +14,7 @@ from typing import Any
 
 from handfit_core.errors import ProtocolError
 from handfit_core.worker import protocol
-from handfit_core.worker.pipes import ReadEnd, pipe_from_child, pipe_to_child, wait_for
+from handfit_core.worker.pipes import ReadEnd, WriteEnd, new_pipe, wait_for
 from handfit_core.worker.protocol import LONGEST_EVENT
 
 _CHUNK = 1 << 14
@@ -45,16 +45,9 @@ class ChildProcess:
     def __init__(self, command: Sequence[str], environment: dict[str, str], *, echo: bool = False) -> None:
         """Start it. `echo` repeats its stderr on ours. Raises OSError."""
         reap()
-        with contextlib.ExitStack() as theirs, contextlib.ExitStack() as ours:
-            self._stdin, child_stdin = pipe_to_child()
-            theirs.callback(os.close, child_stdin)
-            ours.callback(self._stdin.close)
-            self._stdout, child_stdout = pipe_from_child()
-            theirs.callback(os.close, child_stdout)
-            ours.callback(self._stdout.close)
-            self._stderr, child_stderr = pipe_from_child()
-            theirs.callback(os.close, child_stderr)
-            ours.callback(self._stderr.close)
+        (child_stdin, stdin), (stdout, child_stdout), (stderr, child_stderr) = (new_pipe() for _ in range(3))
+        self._stdin, self._stdout, self._stderr = WriteEnd(stdin), ReadEnd(stdout), ReadEnd(stderr)
+        try:
             self._process = subprocess.Popen(
                 command,
                 stdin=child_stdin,
@@ -63,7 +56,12 @@ class ChildProcess:
                 env=environment,
                 **_apart(),
             )
-            ours.pop_all()
+        except OSError:
+            self._close()
+            raise
+        finally:
+            for theirs in (child_stdin, child_stdout, child_stderr):
+                os.close(theirs)
         self.pid = self._process.pid
         self.noise = 0
         """Lines on its stdout that were no messages"""
@@ -143,8 +141,7 @@ class ChildProcess:
         """End it at once, with whatever it started; what it said last is read."""
         self.exchange()
         self._to_send.clear()
-        for end in (self._stdin, self._stdout, self._stderr):
-            end.close()
+        self._close()
         if self.exit_code is not None:
             return
         with contextlib.suppress(OSError):
@@ -156,6 +153,10 @@ class ChildProcess:
             self._process.wait(_DEATH)
         except subprocess.TimeoutExpired:
             _killed.append(self._process)
+
+    def _close(self) -> None:
+        for end in (self._stdin, self._stdout, self._stderr):
+            end.close()
 
     def _write(self) -> None:
         until = time.perf_counter() + _SLICE

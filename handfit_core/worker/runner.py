@@ -15,7 +15,7 @@ import time
 import traceback
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, Self
 
 from handfit_core import errors
@@ -158,6 +158,11 @@ class Runner(ABC):
         self._open[self._number] = kind
         return self._number
 
+    def _ended(self, number: int, events: Iterable[Event]) -> None:
+        """Take in the events of a request that is over."""
+        del self._open[number]
+        self._events += ({**event, "id": number} for event in events)
+
     def _taken(self, ids: tuple[int, ...]) -> list[Event]:
         """The events of these requests, of all where none are named, which are not kept any longer."""
         found = [event for event in self._events if not ids or event["id"] in ids]
@@ -188,7 +193,8 @@ class InProcess(Runner):
         for number, message in self._waiting:
             if number == request:
                 self._waiting.remove((number, message))
-                self._close(number, "error", **error_fields(Cancelled("cancelled before it was begun")))
+                cancelled = Cancelled("cancelled before it was begun")
+                self._ended(number, [{"event": "error", **error_fields(cancelled)}])
                 return
 
     def stop(self) -> None:
@@ -197,35 +203,30 @@ class InProcess(Runner):
         self._answer_all(Cancelled.__name__, "stopped before it was finished", "")
 
     def _collect(self, wait: float) -> None:  # noqa: ARG002 - the request itself is what it waits for
-        if not self._waiting:
-            return
-        number, message = self._waiting.popleft()
-
-        def say(kind: str, fields: dict[str, Any]) -> None:
-            self._events.append({"event": kind, "id": number, **fields})
-
-        try:
-            done = answered(self._answer, message, say)
-        except Exception as error:
-            self._close(number, "error", **error_fields(error), exception=error)
-        else:
-            self._close(number, "done", **done)
-
-    def _close(self, number: int, event: str, /, **fields: Any) -> None:
-        del self._open[number]
-        self._events.append({"event": event, "id": number, **fields})
+        if self._waiting:
+            number, message = self._waiting.popleft()
+            self._ended(number, events_of(self._answer, message))
 
 
-def answered(
-    answer: Answer, message: Mapping[str, Any], say: Callable[[str, dict[str, Any]], None]
-) -> dict[str, Any]:
-    """Do a request in this process; `say` gets the kind and fields of the events before its end."""
-    with warnings_told(lambda text: say("warning", {"message": text})):
-        return answer(
-            message,
-            lambda: False,
-            lambda stage, done, total: say("progress", {"stage": stage, "done": done, "total": total}),
-        )
+def events_of(answer: Answer, message: Mapping[str, Any]) -> list[Event]:
+    """Do a request in this process: what it says on the way, and last `done` or `error`, without its id."""
+    said: list[Event] = []
+
+    def say(kind: str, /, **fields: Any) -> None:
+        said.append({"event": kind, **fields})
+
+    try:
+        with warnings_told(lambda text: say("warning", message=text)):
+            done = answer(
+                message,
+                lambda: False,
+                lambda stage, done, total: say("progress", stage=stage, done=done, total=total),
+            )
+    except Exception as error:
+        say("error", **error_fields(error), exception=error)
+    else:
+        say("done", **done)
+    return said
 
 
 @contextlib.contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -132,11 +131,3 @@ def test_a_pool_has_processes_of_its_own_with_one_thread_each() -> None:
     assert os.getpid() not in {event["pid"] for event in done}
     assert {event["threads"] for event in done} == {"1"}
     assert os.environ.get("OMP_NUM_THREADS") == before
-
-
-def test_a_pool_is_stopped_while_a_request_has_more_to_say_than_a_pipe_holds() -> None:
-    with Pool(1, a_talker) as runner:
-        request = runner.submit("talk", count=20_000)
-        while not runner.events(request, wait=0.05):
-            time.sleep(0.01)
-    assert not runner.busy or all(event["id"] == request for event in runner.events())
