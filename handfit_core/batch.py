@@ -57,3 +57,10 @@ class Batch:
             return first.joined(rows) if isinstance(first, Batch) else np.concatenate(rows)
 
         return parts[0]._with(**{name: join(name, value) for name, value in parts[0]._rows()})
+
+
+def spread(rows: Any, at: Any, count: int, nothing: Any = np.nan) -> np.ndarray:
+    """(count, ...) with `rows` in the places `at`, and `nothing` in the others."""
+    whole = np.full((count, *np.shape(rows)[1:]), nothing)
+    whole[at] = rows
+    return whole

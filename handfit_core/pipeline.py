@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from handfit_core.batch import spread
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.finder import HandCounter, open_finder
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
@@ -296,26 +297,18 @@ def _holes(numbers: list[int]) -> tuple[int, ...]:
 
 def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics: Intrinsics) -> HandTrack:
     """What a take keeps of one fitted track: the parameters and what follows from them."""
-    count = len(track.detections)
-    keypoints_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
-    depth, world = np.full((count, NUM_KEYPOINTS), np.nan), np.full((count, NUM_KEYPOINTS, 3), np.nan)
-    score, right_side = np.full(count, np.nan), np.full(count, np.nan)
-    other = np.zeros(count, dtype=bool)
-    for i, detection in enumerate(track.detections):
-        if detection is not None:
-            keypoints_2d[i], depth[i] = detection.keypoints_2d, detection.keypoints[:, 2]
-            world[i] = detection.world
-            score[i] = detection.score
-            other[i] = detection.side != track.side
-            if detection.right_side is not None:
-                right_side[i] = detection.right_side
-    joints_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
-    present = fit.present
-    joints_3d[present] = model.keypoints(
+    count, seen, present = len(track.detections), track.detected, fit.present
+    found = [d for d in track.detections if d is not None]
+    points, world = (
+        spread(np.array(rows).reshape(-1, NUM_KEYPOINTS, 3), seen, count)
+        for rows in ([d.keypoints for d in found], [d.world for d in found])
+    )
+    keypoints_2d = points[..., :2]
+    joints = model.keypoints(
         fit.betas, fit.global_orient[present], fit.hand_pose[present], fit.transl[present]
     )
+    joints_3d = spread(joints, present, count)
     distance = np.linalg.norm(intrinsics.project(joints_3d) - keypoints_2d, axis=-1)
-    seen = track.detected
     return HandTrack(
         side=track.side,
         betas=fit.betas,
@@ -326,13 +319,13 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         keypoints_2d=keypoints_2d,
         reprojection_error=distance.mean(axis=-1),
         detected=seen,
-        score=score,
+        score=spread([d.score for d in found], seen, count),
         filled=present & ~seen,
         doubtful=fit.doubtful,
-        keypoints_depth=depth,
+        keypoints_depth=points[..., 2],
         world_landmarks=world,
-        right_side=right_side,
-        other_side=other,
+        right_side=spread([np.nan if d.right_side is None else d.right_side for d in found], seen, count),
+        other_side=spread([d.side != track.side for d in found], seen, count, False),
     )
 
 

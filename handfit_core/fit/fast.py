@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import spread
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.clips import smoothed
@@ -77,12 +78,7 @@ class FrameFits:
     """(B, 45) radians"""
     transl: np.ndarray
     """(B, 3) metres"""
-    cost: np.ndarray
-    """(B,) of all terms, in squared sigmas"""
-    iterations: np.ndarray
-    """(B,) int"""
-    converged: np.ndarray
-    """(B,) bool"""
+    solution: Solution
     doubtful: np.ndarray
     """(B,) bool: landmarks that are expected to be far off, or that no hand fits"""
 
@@ -164,9 +160,7 @@ def fit_frames(
     solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
     return FrameFits(
         *fitter.chain.parameters(solution.state),
-        cost=solution.cost,
-        iterations=solution.iterations,
-        converged=solution.converged,
+        solution=solution,
         doubtful=_uncertain(fitter, seen, solution.state),
     )
 
@@ -200,33 +194,37 @@ def fit_track(
     Gaps up to `gaps.LONGEST_GAP` are filled. `should_stop` is asked after every `CHUNK` frames; those that
     were not reached are NaN. `hand_length` is as `FastFitter` has it.
     """
-    found = np.flatnonzero(track.detected)
-    detections = [d for d in track.detections if d is not None]
-    if len(detections) == 1:
-        fits = fit_frames(model, detections, intrinsics, hand_length)
-        parameters = [fits.betas, fits.global_orient, fits.hand_pose, fits.transl]
-        frames, converged, doubtful = found, fits.converged, fits.doubtful
+    found, count = np.flatnonzero(track.detected), len(track.detections)
+    fitter = fitter_of(model, hand_length)
+    seen = fitter.observe([d for d in track.detections if d is not None], intrinsics)
+    if len(found) == 1:
+        solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
+        frames, state = found, solution.state
     else:
-        fitter = fitter_of(model, hand_length)
-        seen = fitter.observe(detections, intrinsics)
         solution = _clip(fitter, seen, should_stop)
-        found = found[: len(solution.state)]
+        found = found[: len(solution)]
         seen = seen.select(slice(len(found)))
-        converged = solution.converged
-        doubtful = _uncertain(fitter, seen, solution.state)
         cuts = jumps(seen.pixels) | missing_between(found, track.holes)
         frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
-        parameters = list(fitter.chain.parameters(state))
     for _ in found:
         on_frame()
-    return _track_fit(parameters, frames, found, converged, doubtful, len(track.detections))
+    betas, orient, pose, transl = fitter.chain.parameters(state)
+    return TrackFit(
+        betas=betas[0],
+        global_orient=spread(orient, frames, count),
+        hand_pose=spread(pose, frames, count),
+        transl=spread(transl, frames, count),
+        converged=spread(solution.converged, found, count, False),
+        filled=spread(True, np.setdiff1d(frames, found), count, False),
+        doubtful=spread(_uncertain(fitter, seen, solution.state), found, count, False),
+    )
 
 
 def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Solution:
     """Every frame by itself, all with one shape; fewer when stopped."""
     count = len(seen)
-    spread = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
-    betas = fitter.solve_shape(seen.select(np.unique(spread)))
+    chosen = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
+    betas = fitter.solve_shape(seen.select(np.unique(chosen)))
     parts = []
     for first in range(0, count, CHUNK):
         chunk = seen.select(slice(first, first + CHUNK))
@@ -274,35 +272,3 @@ def over_time(
         frames.append(stretch)
         states.append(guess)
     return np.concatenate(frames), State.joined(states)
-
-
-def _track_fit(
-    parameters: list[np.ndarray],
-    frames: np.ndarray,
-    found: np.ndarray,
-    converged: np.ndarray,
-    doubtful: np.ndarray,
-    count: int,
-) -> TrackFit:
-    """Rows of `frames` spread over a track of `count` frames."""
-
-    def spread(rows: np.ndarray) -> np.ndarray:
-        whole = np.full((count, rows.shape[1]), np.nan)
-        whole[frames] = rows
-        return whole
-
-    def flags(at: np.ndarray, values: np.ndarray | bool) -> np.ndarray:
-        whole = np.zeros(count, dtype=bool)
-        whole[at] = values
-        return whole
-
-    betas, orient, pose, transl = parameters
-    return TrackFit(
-        betas=betas[0],
-        global_orient=spread(orient),
-        hand_pose=spread(pose),
-        transl=spread(transl),
-        converged=flags(found, converged),
-        filled=flags(np.setdiff1d(frames, found), True),
-        doubtful=flags(found, doubtful),
-    )

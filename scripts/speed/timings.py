@@ -43,7 +43,7 @@ class Hand:
     def fast_quality(self) -> tuple[float, float]:
         """Shares of the fast solver's fits that converged and that it doubts, over all detections."""
         fits = fit_frames(self.model, self.detections, self.intrinsics)
-        return float(fits.converged.mean()), float(fits.doubtful.mean())
+        return float(fits.solution.converged.mean()), float(fits.doubtful.mean())
 
 
 def find_hand(source: str, frames: FrameRange | None = None, model: str | None = None) -> Hand:
