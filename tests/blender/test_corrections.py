@@ -16,8 +16,6 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
 from handfit_core.edit.corrections import (
-    Correction,
-    CorrectionField,
     changed_quats,
     correction_between,
 )
@@ -27,21 +25,6 @@ from .conftest import FRAMES, UNSEEN
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEN = np.delete(FRAMES, UNSEEN)
-
-
-def correction(rng: np.random.Generator, spread: float = 6.0, size: float = 0.4, **fields) -> Correction:
-    return Correction(
-        {8: (1.0, 2.0)},
-        rng.normal(scale=size, size=(16, 3)),
-        rng.normal(scale=0.01, size=3),
-        spread,
-        **fields,
-    )
-
-
-def random_field(seed: int, frames, spread: float = 6.0) -> CorrectionField:
-    rng = np.random.default_rng(seed)
-    return CorrectionField({int(f): correction(rng, spread) for f in frames})
 
 
 # In the scene

@@ -51,36 +51,6 @@ def test_names_that_the_console_cannot_show(tmp_path: Path) -> None:
     assert output.is_file()
 
 
-def test_intrinsics(tmp_path: Path) -> None:
-    assert run("capture", PHOTO, "--intrinsics", "700,710,320,240", "-o", tmp_path / "a.npz").returncode == 0
-    assert vars(Take.load(tmp_path / "a.npz").intrinsics) == {"fx": 700, "fy": 710, "cx": 320, "cy": 240}
-
-
-def test_hand_length_is_in_millimetres(tmp_path: Path) -> None:
-    depths = []
-    for length in ("150", "200"):
-        result = run("capture", PHOTO, "--hand-length", length, "-o", tmp_path / "a.npz")
-        assert result.returncode == 0, result.stderr
-        depths.append(Take.load(tmp_path / "a.npz").hands[0].transl[0, 2])
-    assert depths[1] / depths[0] == pytest.approx(200 / 150, rel=0.05)
-    result = run("capture", PHOTO, "--hand-length", "0.18", "-o", tmp_path / "b.npz")
-    assert result.returncode == 1
-    assert "between 50 and 300 mm" in result.stderr
-
-
-def test_smoothing_and_plain_detection_reach_the_capture(tmp_path: Path) -> None:
-    pattern = PHOTO.parent / "hand.%04d.jpg"
-    takes = []
-    for i, options in enumerate([["--smoothing=0"], ["--smoothing", "10", "--plain-detection"], []]):
-        output = tmp_path / f"{i}.npz"
-        result = run("capture", pattern, "--frames=1-4", *options, "-o", output)
-        assert result.returncode == 0, result.stderr
-        takes.append(Take.load(output).hands[0])
-    # The more smoothing, the less the wrist accelerates.
-    rough, smooth, default = (np.linalg.norm(np.diff(t.transl, 2, axis=0), axis=1).mean() for t in takes)
-    assert smooth < default < rough
-
-
 def bad_calls(folder: Path) -> list[tuple[list[str | Path], str]]:
     (folder / "zero.jpg").write_bytes(b"")
     (folder / "text.jpg").write_text("no picture")

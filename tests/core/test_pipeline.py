@@ -154,19 +154,6 @@ def test_stopped_before_a_hand_was_found() -> None:
     assert take.hands[0].detected.all()
 
 
-def test_detections_can_be_taken_from_the_take(take: Take) -> None:
-    (hand,) = take.hands
-    assert hand.refinable
-    for row in range(len(take.frame_numbers)):
-        detection = hand.detection(row)
-        assert detection is not None
-        np.testing.assert_array_equal(detection.keypoints_2d, hand.keypoints_2d[row])
-        assert abs(detection.keypoints[0, 2]) < 1.0  # pixels; depth is relative to the wrist
-        assert 0.1 < np.linalg.norm(np.ptp(detection.world, axis=0)) < 0.3  # a hand, in metres
-        assert detection.right_side is not None
-        assert detection.right_side > 0.5
-
-
 @pytest.fixture(scope="module")
 def two_right_hands(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A photo of two hands that the detector rightly calls right ones."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import os
 import pickle
@@ -236,11 +235,9 @@ def test_what_the_detector_found_is_checked(tmp_path: Path, changes: dict[str, A
     assert said in message_of(edited(path, **{f"hand0_{name}": array}))
 
 
-@pytest.mark.parametrize("compact", [True, False])
-def test_as_bytes(compact: bool) -> None:
+def test_compact_bytes_come_back_in_32_bits() -> None:
     original = take(hands=(as_detected(), track("left", 1)))
-    data = original.to_bytes(compact=compact)
-    back = Take.from_bytes(data)
+    back = Take.from_bytes(original.to_bytes())
     assert back.source == original.source
     assert back.intrinsics == original.intrinsics
     np.testing.assert_array_equal(back.frame_numbers, original.frame_numbers)
@@ -251,10 +248,8 @@ def test_as_bytes(compact: bool) -> None:
                 assert found == expected
                 continue
             assert found.dtype == expected.dtype, field.name
-            if compact and found.dtype == np.float64:
-                np.testing.assert_array_equal(found, expected.astype(np.float32), err_msg=field.name)
-            else:
-                np.testing.assert_array_equal(found, expected, err_msg=field.name)
+            kept = expected.astype(np.float32) if found.dtype == np.float64 else expected
+            np.testing.assert_array_equal(found, kept, err_msg=field.name)
 
 
 def test_compact_bytes_are_much_smaller_and_deterministic_in_content() -> None:
@@ -475,36 +470,3 @@ def test_a_small_file_takes_no_more_memory_than_small_takes(tmp_path: Path) -> N
         assert tracemalloc.get_traced_memory()[1] < 20_000_000
     finally:
         tracemalloc.stop()
-
-
-def test_mutated_takes_are_takes_or_a_sentence() -> None:
-    """Bytes changed, cut and doubled anywhere: nothing but a TakeError ever comes of it."""
-    rng, messages = np.random.default_rng(13), []
-    seeds = [take(hands=(as_detected(),)).to_bytes(), _stored(take(hands=(bridged(),)))]
-    for number in range(1500):
-        data = bytearray(seeds[number % len(seeds)])
-        for _ in range(rng.integers(1, 6)):
-            at = int(rng.integers(len(data)))
-            match rng.integers(4):
-                case 0:
-                    data[at] = rng.integers(256)
-                case 1:
-                    data[at : at + 4] = rng.choice([0, 1, 2**31 - 1, 2**32 - 1]).astype("<u4").tobytes()
-                case 2:
-                    del data[at : at + int(rng.integers(1, 40))]
-                case 3:
-                    data[at:at] = data[at : at + int(rng.integers(1, 40))]
-        try:
-            Take.from_bytes(bytes(data))
-        except TakeError as error:
-            messages.append(str(error))
-    assert len(messages) > 1000
-    assert not any("\n" in message for message in messages)
-
-
-def _stored(one: Take) -> bytes:
-    """A take whose arrays are not compressed, so that changes reach their descriptions and the header."""
-    with np.load(io.BytesIO(one.to_bytes())) as archive:
-        stream = io.BytesIO()
-        np.savez(stream, **dict(archive))
-    return stream.getvalue()

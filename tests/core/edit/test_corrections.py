@@ -20,21 +20,7 @@ from handfit_core.geometry.rotations import (
     rotvec_to_quat,
     rotvec_to_rotmat,
 )
-
-
-def correction(rng: np.random.Generator, spread: float = 6.0, size: float = 0.4, **fields) -> Correction:
-    return Correction(
-        {8: (1.0, 2.0)},
-        rng.normal(scale=size, size=(16, 3)),
-        rng.normal(scale=0.01, size=3),
-        spread,
-        **fields,
-    )
-
-
-def random_field(seed: int, frames, spread: float = 6.0) -> CorrectionField:
-    rng = np.random.default_rng(seed)
-    return CorrectionField({int(f): correction(rng, spread) for f in frames})
+from tests.corrections import correction, random_field
 
 
 def test_weights_are_one_at_home_and_zero_on_other_corrections():

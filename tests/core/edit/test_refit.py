@@ -203,21 +203,6 @@ def test_without_pins_a_pose_stays_to_the_last_bit() -> None:
         np.testing.assert_array_equal(getattr(found, name), rows)
 
 
-def test_a_pose_made_by_hand_is_kept_but_for_the_dragged_finger() -> None:
-    """The detection, which says something else, does not take the other fingers back."""
-    detection, start = photo()
-    betas, orient, pose, transl = start
-    by_hand = pose.copy()
-    by_hand[0, 27:33] *= 0.5  # the ring finger's first two joints, half as bent
-    start = (betas, orient, by_hand, transl)
-    before = handles("right", start)[0]
-    assert distance(before, handles("right", photo()[1])[0])[[15, 16]].max() > 5.0
-    pins = no_pins(1)
-    pins[0, TIP] = before[TIP] + (5.0, 8.0)
-    after = refit_each(make_hand("right", [detection], start, pins)).landmarks_2d[0]
-    assert distance(after, before)[OTHERS].max() < 2.0
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_a_wrong_fingertip_is_mended(side: Side) -> None:
     """The detector puts a fingertip 40 px aside; the artist puts it back."""
@@ -313,14 +298,6 @@ def test_many_frames_are_each_by_itself() -> None:
         np.testing.assert_allclose(alone.joints_3d[0], together.joints_3d[i], atol=2e-4)
 
 
-def test_a_guess_leads_to_the_same_place() -> None:
-    hand, _ = dragged(TIP, (12.0, 8.0))
-    near = refit_each(dragged(TIP, (10.0, 7.0))[0])
-    alone, led = refit_each(hand), refit_each(hand, near)
-    assert distance(led.landmarks_2d, alone.landmarks_2d).max() < 1.0
-    assert distance(led.landmarks_2d, hand.pins)[0, TIP] < 1.0
-
-
 def outwards(points: np.ndarray, keypoint: int) -> np.ndarray:
     """(2,) the direction in the picture from a fingertip's finger's first point (21, 2) to itself."""
     along = points[keypoint] - points[keypoint - 3]
@@ -365,17 +342,6 @@ def test_palm_pins_change_the_distance() -> None:
     assert distance(found.landmarks_2d, hand.pins)[0, palm].max() < 3.0
     wrist = keypoints_of("right", *photo()[1])[0, 0, 2]
     assert 0.85 * wrist < found.joints_3d[0, 0, 2] < 0.95 * wrist
-
-
-@pytest.mark.parametrize("keypoint", [4, 8, 20])
-def test_a_drag_that_comes_back_ends_where_a_direct_one_does(keypoint: int) -> None:
-    way = np.array([14.0, -9.0])
-    direct = refit_each(dragged(keypoint, tuple(way))[0])
-    led = None
-    for far in (*np.linspace(0.5, 5.0, 7), *np.linspace(5.0, 1.0, 7)):
-        led = refit_each(dragged(keypoint, tuple(far * way))[0], led)
-    assert led is not None
-    assert distance(led.joints_3d, direct.joints_3d).max() < 0.0005
 
 
 def test_drafts_follow_a_drag_and_the_last_answer_is_as_good_as_a_direct_one() -> None:

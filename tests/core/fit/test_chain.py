@@ -147,19 +147,6 @@ def test_moved_by_nothing_is_the_same_and_without_shape_keeps_betas() -> None:
     assert np.array_equal(after.betas, state.betas)
 
 
-def test_batch_equals_loop() -> None:
-    chain = chain_of("left", OFFSETS)
-    state = make_state(4, chain)
-    whole, rows = chain.pose(state), random(4, 21, 2, 5)
-    for i in range(4):
-        index = slice(i, i + 1)
-        one = chain.pose(state.select(index))
-        close(whole.points[i], one.points[0])
-        for shape in (False, True):
-            everything = chain.jacobian(whole, rows, shape=shape)
-            close(everything[i], chain.jacobian(one, rows[index], shape=shape)[0])
-
-
 def test_state_where_chooses_hand_by_hand() -> None:
     chain = chain_of()
     first, second = make_state(3, chain, seed=1), make_state(3, chain, seed=2)

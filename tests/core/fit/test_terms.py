@@ -121,16 +121,6 @@ def test_derivatives(term: Term) -> None:
 
 
 @every_term
-def test_batch_equals_loop(term: Term) -> None:
-    posed, seen = hands()
-    whole = term(posed, seen)
-    for i in range(3):
-        index = slice(i, i + 1)
-        one = term(CHAIN.pose(posed.state.select(index)), seen.select(index))
-        close(whole.columns[i], one.columns[0], rtol=1e-9, atol=1e-9)
-
-
-@every_term
 def test_what_lies_behind_the_camera_stays_finite(term: Term) -> None:
     posed, seen = hands()
     posed.points[0, 3, 2], posed.points[0, 4, 2], posed.state.depth_zero[:] = -0.4, 0.0, -0.1

@@ -132,12 +132,6 @@ def test_error_comes_at_its_frame_and_ends_the_thread() -> None:
     assert source.closed_in == "handfit-read-ahead"
 
 
-def test_error_before_the_first_frame() -> None:
-    with pytest.raises(InputError, match="frame 1"):
-        next(read_ahead(Source(3, fails_at=1).frames()))
-    assert readers() == 0
-
-
 def test_stopping_early_ends_the_thread_and_closes_the_source() -> None:
     source = Source(1000)
     with closing(read_ahead(source.frames(), 4)) as frames:
@@ -148,21 +142,6 @@ def test_stopping_early_ends_the_thread_and_closes_the_source() -> None:
     assert source.made <= 1 + 4 + 1
     with pytest.raises(StopIteration):
         next(frames)
-
-
-@pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt])
-def test_exception_in_the_loop_ends_the_thread(kind: type[BaseException]) -> None:
-    source = Source(1000)
-
-    def look(frame: Frame) -> None:
-        if frame.number == 3:
-            raise kind
-
-    with pytest.raises(kind):
-        for_each(look, read_ahead(source.frames(), 4))
-    gc.collect()
-    assert readers() == 0
-    assert source.closed_in == "handfit-read-ahead"
 
 
 def test_interrupt_while_waiting_for_a_frame() -> None:
@@ -214,13 +193,3 @@ def test_pictures_and_videos_read_the_same(tmp_path: Path, caplog: pytest.LogCap
         for one, other in zip(plain, ahead, strict=True):
             np.testing.assert_array_equal(one.rgb, other.rgb)
     assert "frame 5 is left empty" in caplog.text
-
-
-def test_sequence_of_two_sizes_fails_at_the_same_picture(tmp_path: Path) -> None:
-    for n in (1, 2, 3):
-        write(tmp_path / f"a.{n}.png", grey(9, 12, 20))
-    write(tmp_path / "a.4.png", grey(9, 13, 20))
-    seen: list[Frame] = []
-    with pytest.raises(InputError, match="must have one size"):
-        for_each(seen.append, read_ahead(open_media(tmp_path).frames(), 4))
-    assert [f.number for f in seen] == [1, 2, 3]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -25,7 +23,7 @@ from handfit_core.media.size_limit import (
     common_limit,
 )
 from tests.bombs import clip, with_claimed_size, with_frame_count, with_sample_count
-from tests.child import ROOT, peak_megabytes
+from tests.child import peak_megabytes
 
 SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".jp2", ".ppm", ".pgm", ".hdr")
 
@@ -148,17 +146,6 @@ def test_the_limit_is_an_option(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="1200 x 1000 pixels"):
             open_media(source, max_megapixels=1.1)
     assert read_picture(tmp_path / "a1.png")[0].shape == (1000, 1200, 3)
-
-
-def test_the_command_line_has_the_option(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((1000, 1200, 3), 90, dtype=np.uint8))
-    command = [sys.executable, "-m", "handfit_core", "capture", str(tmp_path / "a.png"), "-o", "a.npz"]
-    done = subprocess.run(
-        [*command, "--max-megapixels", "1.1"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "1200 x 1000 pixels (1.2 megapixels)" in done.stderr
 
 
 def test_videos_have_limits_of_their_own(tmp_path: Path) -> None:
