@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -33,7 +31,6 @@ from handfit_core.edit.recent import Recent
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
 from handfit_core.fit.fast import fit_frames, fit_track
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.kept import kept_model
@@ -43,6 +40,7 @@ from handfit_core.worker.protocol import pack
 from tests.core.fit.detections import (
     CAMERA,
     keypoints_of,
+    laid_error,
     landmarks_of,
     mirrored,
     model_of,
@@ -126,11 +124,6 @@ def dragged(keypoint: int, by: tuple[float, float], **more: Any) -> tuple[Refine
 
 def distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.linalg.norm(a - b, axis=-1)
-
-
-def laid_error(found: np.ndarray, aims: np.ndarray) -> np.ndarray:
-    laid = np.array([align(f, a, with_scale=True).apply(f) for f, a in zip(found, aims, strict=True)])
-    return distance(laid, aims).mean(axis=1)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -228,14 +221,6 @@ def test_a_wrong_fingertip_is_mended(side: Side) -> None:
         assert distance(result.landmarks_2d, pins[i : i + 1])[0, tips[i]] < 2.0
     before, after = laid_error(np.array(uncorrected), aims), laid_error(np.array(corrected), aims)
     assert after.mean() < 0.85 * before.mean()
-    tip_error = [
-        np.mean([distance(c, a)[t] for c, a, t in zip(found, aims, tips, strict=True)])
-        for found in (
-            [align(c, a, with_scale=True).apply(c) for c, a in zip(uncorrected, aims, strict=True)],
-            [align(c, a, with_scale=True).apply(c) for c, a in zip(corrected, aims, strict=True)],
-        )
-    ]
-    assert tip_error[1] < 0.6 * tip_error[0]
 
 
 @pytest.mark.parametrize("locked", [(0,), (1, 2, 3), (2,), (0, 1, 4, 7, 10, 13)])
@@ -675,13 +660,6 @@ def test_bad_hands_are_named(field: str, value: Any, named: str) -> None:
         ("agrees", pack(np.zeros(2, dtype=bool))),
         ("betas", [0.0] * 10),
         ("pins", {"dtype": "float32", "shape": [1, 21, 2], "data": "AAAA"}),
-        ("intrinsics", [600.0, 600.0, 320.0]),
-        ("intrinsics", [600.0, -1.0, 320.0, 240.0]),
-        ("intrinsics", ["a", 1.0, 2.0, 3.0]),
-        ("fps", "fast"),
-        ("smoothing", True),
-        ("model", 3),
-        ("holes", "none"),
         ("side", "both"),
     ],
 )
@@ -726,15 +704,6 @@ def test_warming_up(tmp_path: Path) -> None:
     warm_up(str(path))  # one side is enough
     with pytest.raises(HandModelError):
         warm_up(str(tmp_path / "none.npz"))
-
-
-def test_importing_is_light() -> None:
-    code = (
-        "import sys, handfit_core.edit\n"
-        "heavy = {'torch', 'scipy', 'cv2', 'mediapipe'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.landmarks import detector_landmarks
@@ -115,3 +116,9 @@ def mirror_image(detection: HandDetection, camera: Intrinsics = CAMERA) -> HandD
 def angles_of_pose(pose: np.ndarray, side: Side) -> np.ndarray:
     """(N, 45) -> (N, 15, 3) twist, spread, bend in radians."""
     return anatomical_angles(rotvec_to_rotmat(pose.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
+
+
+def laid_error(found: np.ndarray, aims: np.ndarray) -> np.ndarray:
+    """(N,) metres, mean over the points after similarity transforms."""
+    laid = np.array([align(f, a, with_scale=True).apply(f) for f, a in zip(found, aims, strict=True)])
+    return np.linalg.norm(laid - aims, axis=-1).mean(axis=1)

@@ -12,7 +12,6 @@ from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
 from handfit_core.fit.gaps import LONGEST_GAP
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.geometry.similarity import align
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
 from handfit_core.skeleton import PARENTS, SIDES, Side
@@ -21,6 +20,7 @@ from tests.core.fit.detections import (
     CAMERA,
     angles_of_pose,
     keypoints_of,
+    laid_error,
     landmarks_of,
     mirror_image,
     mirrored,
@@ -44,12 +44,6 @@ def detections_of(side: Side, parameters: Parameters, noise: float = 0.0) -> lis
 
 def points_of(side: Side, fits: FrameFits) -> np.ndarray:
     return keypoints_of(side, fits.betas, fits.global_orient, fits.hand_pose, fits.transl)
-
-
-def laid_error(found: np.ndarray, aims: np.ndarray) -> np.ndarray:
-    """(N,) metres, mean over the points after similarity transforms."""
-    laid = np.array([align(f, a, with_scale=True).apply(f) for f, a in zip(found, aims, strict=True)])
-    return np.linalg.norm(laid - aims, axis=-1).mean(axis=1)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -223,13 +217,6 @@ def test_short_gaps_are_filled_and_marked(smoothing: float) -> None:
     # Every frame is fitted to its own picture, before the gap and behind it.
     off = np.linalg.norm(CAMERA.project(points) - CAMERA.project(aims), axis=-1).mean(axis=1)
     assert off[present].max() < 5.0  # pixels
-
-
-def test_progress_is_told_once_per_detection() -> None:
-    _, track = clip("right", 8, missing=(2, 3))
-    calls: list[int] = []
-    fit_track(1.0, model_of("right"), track, CAMERA, lambda: calls.append(1))
-    assert len(calls) == 6
 
 
 def test_a_single_picture_among_empty_frames() -> None:

@@ -10,21 +10,14 @@ import pytest
 
 from handfit_core.errors import InputError
 from handfit_core.media.opening import open_media
+from tests.bombs import clip
 from tests.listener import listening
 from tests.playlists import names, playlists
 
 
-def clip(path: Path, value: int = 200) -> Path:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
-    for _ in range(5):
-        writer.write(np.full((48, 64, 3), value, dtype=np.uint8))
-    writer.release()
-    return path
-
-
 def test_a_name_is_no_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    content = clip(tmp_path / "clip.mp4").read_bytes()
+    content = clip(tmp_path / "clip.mp4", frames=5)
     with listening(tmp_path) as (port, connections):
         for name in [*names(port), "file:clip.mp4", "concat:clip.mp4", "subfile,,start,0,end,9,,:clip.mp4"]:
             (tmp_path / name).write_bytes(content)
@@ -45,7 +38,8 @@ def test_a_playlist_is_no_video(tmp_path: Path, name: str) -> None:
 
 
 def test_a_playlist_reads_no_other_file(tmp_path: Path) -> None:
-    hidden = clip(tmp_path / "hidden.mp4")
+    hidden = tmp_path / "hidden.mp4"
+    clip(hidden)
     for address in (str(hidden), hidden.name, f"file:{hidden}"):
         for content in playlists(address).values():
             (tmp_path / "list.mp4").write_bytes(content)
@@ -57,7 +51,7 @@ def test_a_pattern_in_a_videos_name_reads_no_pictures(tmp_path: Path) -> None:
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"secret{number}.png"), np.full((48, 64, 3), 99, dtype=np.uint8))
     for name in ("secret%d.mp4", "secret%01d.png.xyz", "secret%d.gif"):
-        (tmp_path / name).write_bytes(clip(tmp_path / "clip.mp4").read_bytes())
+        (tmp_path / name).write_bytes(clip(tmp_path / "clip.mp4", frames=5))
         with pytest.raises(InputError, match="rename them"):
             open_media(tmp_path / name)
     # Without such a file it is meant as a pattern.

@@ -10,6 +10,7 @@ import pytest
 from handfit_core.media.exif import known_intrinsics, read_focal_35mm, read_orientation, upright
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
+from tests.bombs import clip
 
 
 def tiff_block(orientation: int, order: str) -> bytes:
@@ -25,11 +26,15 @@ def encoded(suffix: str) -> bytes:
     return cv2.imencode(suffix, pixels)[1].tobytes()
 
 
+def jpeg_with_exif(data: bytes, block: bytes) -> bytes:
+    segment = b"Exif\0\0" + block
+    return data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:]
+
+
 def with_exif(suffix: str, block: bytes) -> bytes:
     data = encoded(suffix)
     if suffix == ".jpg":
-        segment = b"Exif\0\0" + block
-        return data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:]
+        return jpeg_with_exif(data, block)
     if suffix == ".png":
         chunk = b"eXIf" + block
         chunk = struct.pack(">I", len(block)) + chunk + struct.pack(">I", zlib.crc32(chunk))
@@ -67,9 +72,7 @@ def test_upright_agrees_with_opencv(tmp_path) -> None:
     pixels = np.repeat(np.repeat(coarse, 16, axis=0), 16, axis=1)
     plain = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
     for orientation in range(1, 9):
-        segment = b"Exif\0\0" + tiff_block(orientation, ">")
-        data = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + plain[2:]
-        buffer = np.frombuffer(data, dtype=np.uint8)
+        buffer = np.frombuffer(jpeg_with_exif(plain, tiff_block(orientation, ">")), dtype=np.uint8)
         stored = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(upright(stored, orientation), cv2.imdecode(buffer, cv2.IMREAD_COLOR))
 
@@ -80,17 +83,8 @@ def test_tiff_is_turned_once(tmp_path) -> None:
     pixels[0, 0] = 255  # top left as stored
     params = [cv2.IMWRITE_TIFF_COMPRESSION, 1]
     data = bytearray(cv2.imencode(".tif", pixels, params)[1].tobytes())
-    expected = {
-        1: (0, 0),
-        2: (0, 19),
-        3: (11, 19),
-        4: (11, 0),
-        5: (0, 0),
-        6: (0, 11),
-        7: (19, 11),
-        8: (19, 0),
-    }
-    for orientation, corner in expected.items():
+    corners = [(0, 0), (0, 19), (11, 19), (11, 0), (0, 0), (0, 11), (19, 11), (19, 0)]
+    for orientation, corner in enumerate(corners, 1):
         path = tmp_path / f"{orientation}.tif"
         path.write_bytes(with_tiff_orientation(bytes(data), orientation))
         rgb, found = read_picture(path)
@@ -123,10 +117,7 @@ def lens_block(millimetres: int, order: str = "<", kind: int = 3, orientation: i
 
 def photo(path: Path, block: bytes | None, width: int = 60, height: int = 40) -> Path:
     data = cv2.imencode(".jpg", np.full((height, width, 3), 90, dtype=np.uint8))[1].tobytes()
-    if block is not None:
-        segment = b"Exif\0\0" + block
-        data = data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:]
-    path.write_bytes(data)
+    path.write_bytes(data if block is None else jpeg_with_exif(data, block))
     return path
 
 
@@ -137,30 +128,11 @@ def test_reads_the_focal_length(suffix: str, order: str) -> None:
     assert read_focal_35mm(lens_block(300, order)) == 300.0
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp"])
-def test_no_focal_length(suffix: str) -> None:
-    assert read_focal_35mm(encoded(suffix)) is None
-    assert read_focal_35mm(b"") is None
-
-
 def test_focal_lengths_that_are_none() -> None:
     """Zero means unknown (EXIF 2.32); a value of another type is not taken, nor another directory's."""
     assert read_focal_35mm(with_exif(".jpg", lens_block(0, "<"))) is None
     assert read_focal_35mm(with_exif(".jpg", lens_block(26, "<", kind=5))) is None
     assert read_focal_35mm(with_exif(".jpg", tiff_block(6, "<"))) is None
-
-
-def test_damaged_focal_lengths() -> None:
-    data = with_exif(".jpg", lens_block(26, ">"))
-    start = data.index(b"MM\0*")
-    for end in range(2, start + 60):
-        assert read_focal_35mm(data[:end]) in (None, 26.0)
-    for spot in range(start, start + 60):
-        for flip in (0x01, 0x80, 0xFF):
-            damaged = bytearray(data)
-            damaged[spot] ^= flip
-            focal = read_focal_35mm(bytes(damaged))
-            assert focal is None or focal > 0
 
 
 @pytest.mark.parametrize("order", "<>")
@@ -215,10 +187,5 @@ def test_a_file_that_is_gone(tmp_path: Path) -> None:
 
 
 def test_videos_do_not_tell(tmp_path: Path) -> None:
-    path = tmp_path / "clip.avi"
-    fourcc = cv2.VideoWriter.fourcc(*"MJPG")
-    writer = cv2.VideoWriter(str(path), fourcc, 25.0, (60, 40))
-    for _ in range(3):
-        writer.write(np.full((40, 60, 3), 90, dtype=np.uint8))
-    writer.release()
-    assert known_intrinsics(open_media(path)) is None
+    clip(tmp_path / "clip.avi", "MJPG")
+    assert known_intrinsics(open_media(tmp_path / "clip.avi")) is None

@@ -10,7 +10,8 @@ from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media, sequence_numbers
 from handfit_core.media.pictures import read_picture
-from tests.core.media.test_exif import tiff_block
+from tests.bombs import clip
+from tests.core.media.test_exif import photo, tiff_block
 
 
 def write(path: Path, pixels: np.ndarray) -> Path:
@@ -25,12 +26,8 @@ def grey(value: int, height: int = 12, width: int = 20) -> np.ndarray:
 
 @pytest.fixture
 def video(tmp_path: Path) -> Path:
-    path = tmp_path / "clip.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
-    for i in range(12):
-        writer.write(grey(20 * i, 48, 64))
-    writer.release()
-    return path
+    clip(tmp_path / "clip.mp4", frames=12)
+    return tmp_path / "clip.mp4"
 
 
 def numbers(source, frames: str | None = None) -> list[int]:
@@ -98,11 +95,7 @@ def test_pictures_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_exif_orientation_is_undone(tmp_path: Path) -> None:
-    plain = cv2.imencode(".jpg", grey(90, 12, 20))[1].tobytes()
-    segment = b"Exif\0\0" + tiff_block(6, "<")
-    path = tmp_path / "phone.jpg"
-    path.write_bytes(plain[:2] + b"\xff\xe1" + (len(segment) + 2).to_bytes(2, "big") + segment + plain[2:])
-    media = open_media(path)
+    media = open_media(photo(tmp_path / "phone.jpg", tiff_block(6, "<"), 20, 12))
     assert (media.width, media.height, media.source.orientation) == (12, 20, 6)
     (frame,) = media.frames()
     assert frame.rgb is not None
@@ -274,9 +267,7 @@ def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: s
 def test_a_video_whose_name_is_no_text_never_reaches_opencv(tmp_path: Path) -> None:
     """Which ends the process on such names."""
     path = tmp_path / "\udcff.mp4"
-    writer = cv2.VideoWriter(str(tmp_path / "good.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 12.0, (64, 48))
-    writer.write(np.zeros((48, 64, 3), np.uint8))
-    writer.release()
+    clip(tmp_path / "good.mp4")
     (tmp_path / "good.mp4").rename(path)
     with pytest.raises(InputError, match="rename the file"):
         open_media(path)

@@ -72,28 +72,22 @@ def test_size_behind_large_metadata() -> None:
     assert read(data[:2] + b"\xff\xff\xff" + data[3:]) == Header(80, 48)  # padding before a marker
 
 
+def tiff(order: str, *tags: tuple[int, int]) -> bytes:
+    """With these tags and values, in the picture's own or the other type of numbers."""
+    sizes = b"".join(struct.pack(order + "HHII", tag, 4, 1, v) for tag, v in tags if tag not in (258, 277))
+    counts = b"".join(struct.pack(order + "HHIHH", tag, 3, 1, v, 0) for tag, v in tags if tag in (258, 277))
+    mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    return mark + struct.pack(order + "IH", 8, len(tags)) + sizes + counts + bytes(4)
+
+
 def test_a_large_tile_counts() -> None:
     """A decoder holds a whole tile."""
-    tags = [(256, 4, 80), (257, 4, 48), (258, 3, 8), (277, 3, 1), (322, 4, 30000), (323, 4, 29000)]
-    entries = b"".join(
-        struct.pack(">HHIHH", tag, kind, 1, value, 0)
-        if kind == 3
-        else struct.pack(">HHII", tag, kind, 1, value)
-        for tag, kind, value in tags
-    )
-    data = b"MM\0*" + struct.pack(">IH", 8, len(tags)) + entries + bytes(4)
+    data = tiff(">", (256, 80), (257, 48), (258, 8), (277, 1), (322, 30000), (323, 29000))
     assert read(data) == Header(30000, 29000)
 
 
 def test_many_channels_count() -> None:
-    tags = [(256, 4, 80), (257, 4, 48), (258, 3, 16), (277, 3, 400)]
-    entries = b"".join(
-        struct.pack("<HHIHH", tag, kind, 1, value, 0)
-        if kind == 3
-        else struct.pack("<HHII", tag, kind, 1, value)
-        for tag, kind, value in tags
-    )
-    assert read(b"II*\0" + struct.pack("<IH", 8, 4) + entries) == Header(80, 48, 300)
+    assert read(tiff("<", (256, 80), (257, 48), (258, 16), (277, 400))) == Header(80, 48, 300)
     whole = encoded(".jp2", picture(".jp2"))
     at = whole.index(b"\xff\x4f\xff\x51") + 40
     assert read(whole[:at] + struct.pack(">H", 4000) + whole[at + 2 :]) == Header(80, 48, 4000)

@@ -18,14 +18,8 @@ def read(data: bytes) -> Header | None:
     return read_video_header(io.BytesIO(data))
 
 
-FILES = {
-    "a.mp4": "mp4v",
-    "a.mov": "mp4v",
-    "a.avi": "MJPG",
-    "a.mkv": "mp4v",
-    "a.webm": "VP80",
-    "a.wmv": "WMV2",
-}
+CODES = {"mp4": "mp4v", "mov": "mp4v", "avi": "MJPG", "mkv": "mp4v", "webm": "VP80", "wmv": "WMV2"}
+FILES = {f"a.{suffix}": code for suffix, code in CODES.items()}
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -85,6 +85,7 @@ def test_mode_may_be_missing(hand: RefineHand) -> None:
             "smoothing must be a finite number, not a number that is too large",
         ),
         ({"smoothing": float("nan")}, ProtocolError, "smoothing must be a finite number, not nan"),
+        ({"intrinsics": ["a", 1, 2, 3]}, ProtocolError, "intrinsics must be a finite number, not 'a'"),
         ({"intrinsics": [1, 2]}, ProtocolError, "intrinsics must be a list of 4 numbers, not"),
         ({"intrinsics": [10**400] * 4}, ProtocolError, "intrinsics must be a finite number, not"),
         ({"intrinsics": [1e-300, 1e-300, 0, 0]}, OptionError, "positive, finite focal lengths"),
