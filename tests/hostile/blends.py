@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from tests.hostile import takes
 from tests.hostile.engine import Case, Place
-from tests.hostile.mutations import MUTATIONS, mutated
+from tests.hostile.mutations import MUTATIONS, mutated, told
 from tests.hostile.npz import DEEP, VALUES, header_lies, lies
 
 CORRECTION: dict[str, Any] = {
@@ -31,13 +30,8 @@ TEXTS: dict[str, str] = {
     "newline": "a\nb", "shell": "$(touch canary)",
 }  # fmt: skip
 NUMBERS = {
-    "minus": -1,
-    "huge": 2**31 - 1,
-    "infinity": float("inf"),
-    "nan": float("nan"),
-    "zero": 0,
-    "large": 1e30,
-}
+    "minus": -1, "huge": 2**31 - 1, "infinity": float("inf"), "nan": float("nan"), "zero": 0, "large": 1e30,
+}  # fmt: skip
 RAW: dict[str, Any] = {
     "text": "x",
     "number": 5,
@@ -47,19 +41,8 @@ RAW: dict[str, Any] = {
     "empty": "",
 }
 
-HAND = (
-    "is_hand",
-    "side",
-    "capture",
-    "mesh",
-    "track",
-    "betas",
-    "corrections",
-    "locked",
-    "show_confidence",
-    "own_colors",
-)
-CAPTURE = ("is_capture", "take", "digest", "camera", "frame_offset", "frame_scale")
+HAND = "is_hand side capture mesh track betas corrections locked show_confidence own_colors".split()
+CAPTURE = "is_capture take digest camera frame_offset frame_scale".split()
 
 
 def _blend(name: str, *changes: tuple[str, str, Any], known: bool = False) -> Case:
@@ -89,27 +72,11 @@ def cases() -> Iterator[Case]:
                 yield _blend(f"{owner}-{name}-raw-{raw}", (owner, f"[manient][{name}]", value))
     for raw, value in RAW.items():
         yield _blend(f"marks-{raw}", ("action", "[manient_corrections]", value))
-    for path in (
-        "version",
-        "frames",
-        "3",
-        "pins",
-        "spread",
-        "rotation",
-        "location",
-        "start_rotation",
-        "start_location",
-    ):
+    of_frame = ("pins", "spread", "rotation", "location", "start_rotation", "start_location")
+    for path in (("version",), ("frames",), ("frames", "3"), *(("frames", "3", name) for name in of_frame)):
         for lie, text in VALUES.items():
-
-            def corrected(_: Place, path: str = path, text: str = text) -> dict[str, Any]:
-                content = json.loads(json.dumps(CORRECTION))
-                inner = content if path in content else content["frames"]
-                inner = inner if path in inner else inner["3"]
-                inner[path] = "@@"
-                return {"changes": [("hand", "corrections", json.dumps(content).replace('"@@"', text))]}
-
-            yield Case(f"blend-correction-{path}-{lie}", "blender.blend", corrected)
+            changes = [("hand", "corrections", told(CORRECTION, path, text))]
+            yield _blend(f"correction-{path[-1]}-{lie}", *changes)
     taken = [
         *lies("x", "x", takes.one_hand, "take.npz"),
         *header_lies("x", "x", takes.one_hand, "take.npz", takes.HEADER),

@@ -17,6 +17,9 @@ BAD: dict[str, tuple[str, Callable[[], bytes]]] = {
     "nothing": ("a.jpg", lambda: b""),
     "words": ("a", lambda: b"words"),
 }
+OUTPUTS = (
+    "result/out.npz", "kept.npz", "result", "/proc/out.npz", "/dev/full", "result/x/" * 40 + "y.npz", "a\0b", "\udcff.npz",
+)  # fmt: skip
 OPTIONS: dict[str, list[str]] = {
     "frames": ["--frames", "9" * 5000], "frames-minus": ["--frames=-5"], "threshold-nan": ["--threshold", "nan"],
     "threshold-huge": ["--threshold", "1e999"], "smoothing": ["--smoothing", "-inf"], "length": ["--hand-length", "nan"],
@@ -29,16 +32,7 @@ OPTIONS: dict[str, list[str]] = {
 
 def cases() -> Iterator[Case]:
     for kind, (file, data) in BAD.items():
-        for output in (
-            "result/out.npz",
-            "kept.npz",
-            "result",
-            "/proc/out.npz",
-            "/dev/full",
-            "result/x/" * 40 + "y.npz",
-            "a\0b",
-            "\udcff.npz",
-        ):
+        for output in OUTPUTS:
 
             def capture(place: Place, file=file, data=data, output=output) -> dict[str, Any]:
                 place.write(file, data())

@@ -77,6 +77,24 @@ class Case:
         return self.known or random.Random(f"{SEED} quick {self.name}").random() < 0.04
 
 
+def file_case(
+    name: str,
+    door: str,
+    file: str,
+    data: Callable[[Place], bytes],
+    *,
+    refused: bool = False,
+    known: bool = False,
+    **arguments: Any,
+) -> Case:
+    """A case that is one file: the door gets its path, and `arguments`."""
+
+    def make(place: Place) -> dict[str, Any]:
+        return {"path": str(place.write(file, data(place))), **arguments}
+
+    return Case(name, door, make, refused, known)
+
+
 class Doorkeeper:
     """Runs cases and tells what went wrong in each."""
 

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from random import Random
+from typing import Any
 
-from tests.hostile.engine import Case
+from tests.hostile.engine import Case, Place, file_case
 
-EXTREMES = (
-    0,
-    1,
-    0x7F,
-    0x80,
-    0xFF,
-    0x7FFF,
-    0xFFFF,
-    0x7FFFFFFF,
-    0x80000000,
-    0xFFFFFFFF,
-    (1 << 63) - 1,
-    (1 << 64) - 1,
-)
+EXTREMES = (0, 1, *((1 << bits) - 1 for bits in (7, 8, 15, 16, 31, 32, 63, 64)), 0x80, 0x80000000)
 
 
 def flip(data: bytearray, rng: Random) -> None:
@@ -76,14 +66,24 @@ def mutated(data: bytes, mutation: Callable[[bytearray, Random], None], rng: Ran
 
 
 def mutants(
-    stem: str, door: str, good: Callable[[], bytes], file: str, count: int, **arguments: object
+    stem: str, door: str, good: Callable[[], bytes], file: str, count: int, **arguments: Any
 ) -> Iterator[Case]:
     """Cases for one good file: `count` of each mutation. The door gets its path and `arguments`."""
     for mutation in MUTATIONS:
         for number in range(count):
+            name = f"{stem}-{mutation.__name__}-{number}"
+            made = partial(_mutant, good, mutation)
+            yield file_case(name, door, file, made, **arguments)
 
-            def make(place, mutation=mutation):
-                path = place.write(file, mutated(good(), mutation, place.rng))
-                return {"path": str(path), **arguments}
 
-            yield Case(f"{stem}-{mutation.__name__}-{number}", door, make)
+def _mutant(good: Callable[[], bytes], mutation: Callable[[bytearray, Random], None], place: Place) -> bytes:
+    return mutated(good(), mutation, place.rng)
+
+
+def told(content: Any, path: tuple[str, ...], text: str) -> str:
+    """`content` as JSON, with that text where `path` leads."""
+    content = inner = json.loads(json.dumps(content))
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = "@@"
+    return json.dumps(content).replace('"@@"', text)

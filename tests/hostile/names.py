@@ -24,19 +24,7 @@ CONTENTS: dict[str, tuple[str, Callable[[], bytes], str, dict[str, Any]]] = {
 FILES = {
     **{
         f"{protocol}-{number}": f"{protocol}:{rest}{{suffix}}"
-        for protocol in (
-            "http",
-            "https",
-            "tcp",
-            "rtmp",
-            "rtsp",
-            "ftp",
-            "mmsh",
-            "icecast",
-            "httpproxy",
-            "tls",
-            "rtp",
-        )
+        for protocol in "http https tcp rtmp rtsp ftp mmsh icecast httpproxy tls rtp".split()
         for number, rest in enumerate(("127.0.0.1:{port}?x", "127.0.0.1:{port}/x"))
     },
     "async": "async:http:127.0.0.1:{port}?x{suffix}",

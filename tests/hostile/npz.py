@@ -8,11 +8,11 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
-from tests.hostile.engine import Case, Place
+from tests.hostile.engine import Case, Place, file_case
+from tests.hostile.mutations import told
 from tests.hostile.pickles import system_call
 
 Arrays = dict[str, np.ndarray]
@@ -21,22 +21,10 @@ DEEP = 100_000
 """Brackets in brackets: more than any parser's stack."""
 
 VALUES: dict[str, str] = {
-    "null": "null",
-    "true": "true",
-    "minus": "-1",
-    "zero": "0",
-    "nan": "NaN",
-    "infinity": "Infinity",
-    "huge": "1e308",
-    "whole": "9" * 400,
-    "text": '"x"',
-    "surrogate": r'"\ud800"',
-    "nul": r'"a\u0000b"',
-    "list": "[]",
-    "lists": "[[[1]], null]",
-    "object": "{}",
-    "deep": "[" * DEEP + "]" * DEEP,
-}
+    "null": "null", "true": "true", "minus": "-1", "zero": "0", "nan": "NaN", "infinity": "Infinity", "huge": "1e308",
+    "whole": "9" * 400, "text": '"x"', "surrogate": r'"\ud800"', "nul": r'"a\u0000b"', "list": "[]",
+    "lists": "[[[1]], null]", "object": "{}", "deep": "[" * DEEP + "]" * DEEP,
+}  # fmt: skip
 """What may stand in JSON where something else is expected, by name."""
 
 
@@ -138,15 +126,14 @@ _HEADER_LIES: dict[str, bytes] = {
 }
 
 
-def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **arguments: object) -> Iterator[Case]:
+def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **arguments: Any) -> Iterator[Case]:
     """Cases for an npz of these arrays; the door gets the path and `arguments`."""
 
     def case(name: str, build: Callable[[dict[str, bytes], Place], bytes], **options: bool) -> Case:
-        def make(place: Place) -> dict[str, Any]:
-            members = {key: member(array) for key, array in good().items()}
-            return {"path": str(place.write(file, build(members, place))), **arguments}
+        def data(place: Place) -> bytes:
+            return build({key: member(array) for key, array in good().items()}, place)
 
-        return Case(f"{stem}-{name}", door, make, **options)
+        return file_case(f"{stem}-{name}", door, file, data, **options, **arguments)
 
     names = [name for name in good() if name != "header"]
     for name in names:
@@ -213,22 +200,17 @@ def header_lies(
     good: Callable[[], Arrays],
     file: str,
     fields: list[tuple[str, ...]],
-    **arguments: object,
+    **arguments: Any,
 ) -> Iterator[Case]:
     """Cases in which one field of the JSON in `header` holds each of VALUES."""
     for field in fields:
         for value, text in VALUES.items():
 
-            def make(place: Place, field=field, text=text) -> dict[str, Any]:
+            def data(_: Place, field=field, text=text) -> bytes:
                 arrays = dict(good())
-                header = json.loads(str(arrays["header"][()]))
-                inner = header
-                for key in field[:-1]:
-                    inner = inner[key]
-                inner[field[-1]] = "@@"
-                arrays["header"] = np.array(json.dumps(header).replace('"@@"', text))
-                data = zipped({key: member(array) for key, array in arrays.items()})
-                return {"path": str(place.write(file, data)), **arguments}
+                arrays["header"] = np.array(told(json.loads(str(arrays["header"][()])), field, text))
+                return zipped({key: member(array) for key, array in arrays.items()})
 
             known = (field[-1], value) in {("fps", "infinity"), ("width", "whole"), ("solver", "object")}
-            yield Case(f"{stem}-{'-'.join(field)}-{value}", door, make, known=known)
+            name = f"{stem}-{'-'.join(field)}-{value}"
+            yield file_case(name, door, file, data, known=known, **arguments)

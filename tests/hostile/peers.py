@@ -14,8 +14,8 @@ import numpy as np
 
 from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL, encode, pack
-from tests.hostile.engine import Case, Place
-from tests.hostile.mutations import MUTATIONS, mutated
+from tests.hostile.engine import Case, Place, file_case
+from tests.hostile.mutations import MUTATIONS, mutants, mutated, told
 from tests.hostile.npz import DEEP, VALUES
 
 CAPTURE: dict[str, Any] = {
@@ -98,12 +98,7 @@ def _field_lies(
         for name, value in VALUES.items():
 
             def line(path: tuple[str, ...] = path, value: str = value) -> bytes:
-                message = json.loads(json.dumps(request()))
-                inner = message
-                for key in path[:-1]:
-                    inner = inner[key]
-                inner[path[-1]] = "@@"
-                return json.dumps(message).replace('"@@"', value).encode() + b"\n"
+                return told(request(), path, value).encode() + b"\n"
 
             yield f"{'-'.join(path)}-{name}", line
 
@@ -114,9 +109,7 @@ def _servers() -> Iterator[Case]:
     fields = [("mode",), ("hand",)] + [("hand", name) for name in hand]
     lies = [*_field_lies(lambda: CAPTURE, capture), *_field_lies(refit, fields)]
     for name, line in lies:
-        if name.endswith(
-            ("-nan", "-huge", "-deep", "-text", "-object", "-lists", "-minus", "-whole", "-surrogate")
-        ):
+        if name.rpartition("-")[2] in "nan huge deep text object lists minus whole surrogate".split():
             yield _server(name, line)
     for name, packed in hand.items():
         if isinstance(packed, dict):
@@ -129,23 +122,13 @@ def _servers() -> Iterator[Case]:
                 yield _server(f"array-{name}-{lie}", line)
     for name, data in LINES.items():
         yield _server(f"line-{name}", lambda data=data: data)
-    for mutation in MUTATIONS:
-        for number in range(6):
-
-            def make(place: Place, mutation=mutation, number=number) -> dict[str, Any]:
-                good = encode(CAPTURE) if number % 2 else encode(refit())
-                return {"path": str(place.write("requests", mutated(good, mutation, place.rng)))}
-
-            yield Case(f"client-{mutation.__name__}-{number}", "core.server", make)
-    yield Case(
-        "client-endless-line",
-        "core.server",
-        lambda place: {"path": str(place.write("requests", b"{")), "endless": 300_000_000},
-    )
+    yield from mutants("client-capture", "core.server", lambda: encode(CAPTURE), "requests", 3)
+    yield from mutants("client-refit", "core.server", lambda: encode(refit()), "requests", 3)
+    yield file_case("client-endless-line", "core.server", "requests", lambda _: b"{", endless=300_000_000)
 
 
 def _server(name: str, line: Callable[[], bytes]) -> Case:
-    return Case(f"client-{name}", "core.server", lambda place: {"path": str(place.write("requests", line()))})
+    return file_case(f"client-{name}", "core.server", "requests", lambda _: line())
 
 
 PRELUDE = f"""#!{sys.executable} -S
@@ -215,13 +198,8 @@ def _workers() -> Iterator[Case]:
                     f"raw({text!r}.replace('\"@n\"', str(n)).replace('@@', big).encode() + b'\\n')\n"
                     "fail(n)"
                 )
-                kind = (
-                    "capture"
-                    if event == "progress" or field == "stopped"
-                    else "refit"
-                    if field == "result"
-                    else "probe"
-                )
+                kind = "capture" if event == "progress" or field == "stopped" else "probe"
+                kind = "refit" if field == "result" else kind
                 yield _worker(f"{event}-{field}-{lie}", code, kind, known=(field, lie) == ("id", "lists"))
     for name in ("Cancelled", "HandfitError", "SystemExit", "annotations", "__name__", "BuildInterrupted"):
         code = f"n = begin()\nsay(event='error', id=n, type={name!r}, message='two\\nlines', details=5)"

@@ -6,12 +6,11 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any
 
 import cv2
 import numpy as np
 
-from tests.hostile.engine import Case, Place
+from tests.hostile.engine import Case, file_case
 from tests.hostile.mutations import mutants
 
 DOOR = "core.media"
@@ -90,14 +89,8 @@ def exif(entries: list[tuple[int, int, int, int]], following: int = 0, order: by
 
 
 _SIZES = (
-    (32000, 32000),
-    (65500, 16000),
-    (65535, 65535),
-    (30000, 30000),
-    (1, 65535),
-    (65535, 1),
-    (0, 0),
-    (0, 5),
+    *((32000, 32000), (65500, 16000), (65535, 65535), (30000, 30000)),
+    *((1, 65535), (65535, 1), (0, 0), (0, 5)),
 )
 _LARGER = (*_SIZES, (2**31 - 1, 2**31 - 1), (2**31 - 1, 1), (2**32 - 1, 2**32 - 1), (1 << 20, 1 << 10))
 
@@ -135,34 +128,16 @@ def cases() -> Iterator[Case]:
     for suffix in ("jpg", "png", "webp", "bmp", "tif", "jp2", "ppm", "pgm", "hdr", "gif"):
         good = "tiff" if suffix == "tif" else suffix
         yield from mutants(suffix, DOOR, lambda good=good: encoded(good), f"picture.{suffix}", 4)
-        plate = mutants(
-            f"plate-{suffix}", PLATE, lambda good=good: encoded(good), f"a.{suffix}", 1, kind="photo"
-        )
-        yield from plate
+        plate = f"plate-{suffix}", PLATE, lambda good=good: encoded(good), f"a.{suffix}", 1
+        yield from mutants(*plate, kind="photo")
     good_exif = [(0x112, 3, 1, 6), (0x8769, 4, 1, 38), (0xA405, 3, 1, 35)]
     yield from mutants("exif", DOOR, lambda: exif(good_exif), "picture.jpg", 4)
     for name, data in HEADERS.items():
-
-        def make(place: Place, name: str = name, data: Callable[[], bytes] = data) -> dict[str, str]:
-            return {"path": str(place.write(f"picture.{name.split('-')[0].replace('exif', 'jpg')}", data()))}
-
-        yield Case(f"picture-{name}", DOOR, make, known=name in _KNOWN)
+        file, made = f"picture.{name.split('-')[0].replace('exif', 'jpg')}", lambda _, data=data: data()
+        yield file_case(f"picture-{name}", DOOR, file, made, known=name in _KNOWN)
         if sum(name.encode()) % 3 == 0 or name in _KNOWN:  # as a take names it, in Blender
-
-            def plate(place: Place, make: Any = make) -> dict[str, str]:
-                return {**make(place), "kind": "photo"}
-
-            yield Case(f"plate-{name}", PLATE, plate)
-    for right, wrong in (
-        ("png", "mp4"),
-        ("jpg", "png"),
-        ("gif", "jpg"),
-        ("webp", "mov"),
-        ("png", "npz"),
-        ("bmp", ""),
-    ):
-        yield Case(
-            f"picture-{right}-as-{wrong or 'nothing'}",
-            DOOR,
-            lambda place, right=right, wrong=wrong: {"path": str(place.write(f"x.{wrong}", encoded(right)))},
-        )
+            yield file_case(f"plate-{name}", PLATE, file, made, kind="photo")
+    for names in ("png mp4", "jpg png", "gif jpg", "webp mov", "png npz", "bmp "):
+        right, wrong = names.split(" ")
+        made = lambda _, right=right: encoded(right)  # noqa: E731
+        yield file_case(f"picture-{right}-as-{wrong or 'nothing'}", DOOR, f"x.{wrong}", made)

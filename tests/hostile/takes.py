@@ -19,18 +19,11 @@ from tests.hostile.mutations import mutants
 from tests.hostile.npz import header_lies, lies
 
 FRAMES = 6
-HEADER = [
-    *(
-        ("format",),
-        ("version",),
-        ("source",),
-        ("source", "kind"),
-        ("source", "files"),
-        ("source", "orientation"),
-    ),
-    *(("fps",), ("width",), ("height",), ("intrinsics",), ("intrinsics", "fx"), ("intrinsics", "cx")),
-    *(("solver",), ("model",), ("model_digests",), ("model_digests", "left"), ("sides",)),
-]
+_FIELDS = (
+    "format version source source.kind source.files source.orientation fps width height intrinsics intrinsics.fx "
+    "intrinsics.cx solver model model_digests model_digests.left sides"
+)
+HEADER = [tuple(field.split(".")) for field in _FIELDS.split(" ")]
 
 
 def good_take(**fields: Any) -> Take:

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
-from tests.hostile.engine import Case, Place
+from tests.hostile.engine import Case, Place, file_case
 from tests.hostile.mutations import EXTREMES, mutants
 
 DOOR = "core.media"
@@ -86,6 +86,9 @@ PLAYLISTS: dict[str, Callable[[bytes], bytes]] = {
 }  # fmt: skip
 
 
+TARGETS = ("other.mp4", "http://127.0.0.1:{port}/x.ts", "file:other.mp4", "tcp://127.0.0.1:{port}")
+
+
 def _atom(name: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data) + 8) + name + data
 
@@ -93,53 +96,34 @@ def _atom(name: bytes, data: bytes) -> bytes:
 def cases() -> Iterator[Case]:
     for suffix in CODECS:
         yield from mutants(suffix, DOOR, lambda suffix=suffix: good_bytes(suffix), f"clip.{suffix}", 5)
-        footage = f"footage-{suffix}"
-        yield from mutants(
-            footage, PLATE, lambda suffix=suffix: good_bytes(suffix), f"clip.{suffix}", 1, kind="video"
-        )
+        footage = f"footage-{suffix}", PLATE, lambda suffix=suffix: good_bytes(suffix), f"clip.{suffix}", 1
+        yield from mutants(*footage, kind="video")
     for field, (atom, offset) in FIELDS.items():
         for value in sorted({value & 0xFFFFFFFF for value in EXTREMES if value in (0, 1) or value > 0x7FFF}):
 
-            def lie(place: Place, atom=atom, offset=offset, value=value) -> dict[str, str]:
-                return {
-                    "path": str(place.write("clip.mp4", with_field(good_bytes(), atom, offset, value, True)))
-                }
+            def lie(_: Place, atom=atom, offset=offset, value=value) -> bytes:
+                return with_field(good_bytes(), atom, offset, value, True)
 
-            yield Case(f"mp4-{field}-{value:x}", DOOR, lie)
+            yield file_case(f"mp4-{field}-{value:x}", DOOR, "clip.mp4", lie)
     for count in (10**6, 10**8, 2**31 - 1):
-        made: Callable[[], bytes] = lambda count=count: _claims_frames(count)  # noqa: E731
-        yield _file(f"mp4-claims-{count}-frames", "clip.mp4", made, known=True)
+        made = lambda _, count=count: _claims_frames(count)  # noqa: E731
+        yield file_case(f"video-mp4-claims-{count}-frames", DOOR, "clip.mp4", made, known=True)
     for offset in (0, 4, 16, 24, 28, 32, 36):
         for value in (0, 65535, 2**31 - 1, 2**32 - 1):
-            yield _file(f"avi-{offset}-{value:x}", "clip.avi", lambda o=offset, v=value: _avi(o, v))
+            made = lambda _, o=offset, v=value: _avi(o, v)  # noqa: E731
+            yield file_case(f"video-avi-{offset}-{value:x}", DOOR, "clip.avi", made)
     for kind, build in PLAYLISTS.items():
         for suffix in ("mp4", "gif", "mkv", "m3u8"):
-            for target in (
-                "other.mp4",
-                "http://127.0.0.1:{port}/x.ts",
-                "file:other.mp4",
-                "tcp://127.0.0.1:{port}",
-            ):
+            if suffix != "mp4" and "hls" not in kind and kind != "concat":
+                continue
+            for target in TARGETS:
 
-                def playlist(place: Place, build=build, suffix=suffix, target=target) -> dict[str, str]:
+                def playlist(place: Place, build=build, target=target) -> bytes:
                     place.write("other.mp4", good_bytes())
-                    uri = target.format(port=place.port).encode()
-                    return {"path": str(place.write(f"list.{suffix}", build(uri)))}
+                    return build(target.format(port=place.port).encode())
 
-                if suffix != "mp4" and "hls" not in kind and kind != "concat":
-                    continue
                 name = f"list-{kind}-{target.partition(':')[0].replace('.', '-')}-{suffix}"
                 if "hls" in kind or kind == "concat":
-                    shown = lambda place, playlist=playlist: {**playlist(place), "kind": "video"}  # noqa: E731
-                    yield Case(f"footage-{name}", PLATE, shown)
-                yield Case(
-                    name,
-                    DOOR,
-                    playlist,
-                    refused=True,
-                    known=name in ("list-hls-other-mp4-mp4", "list-hls-http-mp4"),
-                )
-
-
-def _file(name: str, file: str, data: Callable[[], bytes], known: bool = False) -> Case:
-    return Case(f"video-{name}", DOOR, lambda place: {"path": str(place.write(file, data()))}, known=known)
+                    yield file_case(f"footage-{name}", PLATE, f"list.{suffix}", playlist, kind="video")
+                known = name in ("list-hls-other-mp4-mp4", "list-hls-http-mp4")
+                yield file_case(name, DOOR, f"list.{suffix}", playlist, refused=True, known=known)
