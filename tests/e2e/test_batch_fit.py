@@ -350,7 +350,7 @@ def test_ctrl_c_ends_the_worker_too(peer, tmp_path):
         ("--intrinsics=1,2,3", "FX,FY,CX,CY"),
         ("--detector=x", "no detector 'x'"),
         ("--solver=magic", "paper-a"),
-        ("--format=blend,obj", "there is no export format 'obj'; choose from blend, glb"),
+        ("--format=blend,obj", "there is no export format 'obj'; choose from blend"),
     ],
 )
 def test_wrong_options_are_refused_before_any_work(batch, tmp_path, option, expected):
