@@ -98,13 +98,13 @@ def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator
     if take.source.kind == "sequence":
         first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
         files += [file for number, file in numbered_like(path) if first <= number <= last]
-    max_megapixels = common_limit(files, max_megapixels)
+    limit = common_limit(files, max_megapixels)
     for file in files:
         yield
         try:
             if not is_picture(file) and not is_video(file):
                 return _unreadable(file)
-            check_for_blender(file, max_megapixels)
+            check_for_blender(file, limit)
         except InputError as error:
             return f"{error}; nothing is shown behind the hands"
     return ""
