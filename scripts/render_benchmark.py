@@ -29,9 +29,8 @@ from handfit_core.errors import HandfitError, OptionError, OutputError
 from handfit_core.files import written_whole
 from handfit_core.skeleton import SIDES
 from scripts.benchmark.clips import clip_shot
-from scripts.benchmark.index import entries, save
 from scripts.benchmark.kinematics import model_of
-from scripts.benchmark.shots import Shot
+from scripts.benchmark.shots import Shot, entries, save
 from scripts.benchmark.stills import still_shot
 
 RECIPE = 1

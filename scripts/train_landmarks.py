@@ -84,14 +84,10 @@ def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
         for first in range(0, stills, CHUNK):
             path = folder / f"samples-{seed}-{first:06d}-{min(first + CHUNK, stills):06d}.npz"
             if not path.is_file():
-                found = [
-                    sample.row()
-                    for number in range(first, min(first + CHUNK, stills))
-                    for sample in samples_of(seed, number, detector)[1]
-                ]
-                columns: dict[str, Any] = {
-                    name: np.array([row[name] for row in found]) for name in (found[0] if found else ())
-                }
+                numbers = range(first, min(first + CHUNK, stills))
+                found = [row for number in numbers for row in samples_of(seed, number, detector)[1]]
+                names = found[0] if found else ()
+                columns: dict[str, Any] = {name: np.array([row[name] for row in found]) for name in names}
                 with written_whole(path) as beside, open(beside, "wb") as stream:
                     np.savez(stream, **columns)
                 print(f"stills {first}..{first + CHUNK - 1}: {len(found)} samples", flush=True)

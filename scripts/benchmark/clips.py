@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,6 @@ from handfit_core.skeleton import SIDES, other_side
 
 from .contact import clearance, penetration
 from .kinematics import RightHand, hand_pose_from_angles, model_of
-from .meshes import Mesh
 from .occluders import random_occluder
 from .people import Placed, arm_capsules, beside, random_betas, random_hand
 from .poses import POSES, random_pose
@@ -47,14 +47,11 @@ def clip_shot(seed: int, number: int, frames: int, size: int) -> Shot:
     It has `frames` pictures, `size` pixels square, and one key frame more at each end, for the blur.
     """
     rng = np.random.default_rng([seed, CLIPS, number])
-    while True:
-        shot = _draw(rng, seed, number, frames, size)
-        if shot is not None:
-            return shot
+    return next(filter(None, (_draw(rng, seed, number, frames, size) for _ in count())))
 
 
 def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: int) -> Shot | None:
-    count = frames + 2
+    rows = frames + 2
     side = SIDES[rng.integers(2)]
     betas = random_betas(rng)
     hands = [random_hand(side, betas, rng, kinds=("relaxed", "open"))]
@@ -64,7 +61,7 @@ def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: i
         if found is None:
             return None
         hands.append(found)
-    fingers = [finger_motion(RightHand(betas), count, rng) for _ in hands]
+    fingers = [finger_motion(RightHand(betas), rows, rng) for _ in hands]
     if len(hands) == 2 and not _stay_apart(hands, fingers):
         return None
 
@@ -75,18 +72,18 @@ def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: i
     for _ in range(30):
         arms = [hand.rotation @ hand.elbow for hand in hands]
         standpoint, view, roll = random_standpoint(arms, rng)
-        rotations = rotvec_to_rotmat(_wander(count, 20, 0.45, 3, rng)) @ facing(
+        rotations = rotvec_to_rotmat(_wander(rows, 20, 0.45, 3, rng)) @ facing(
             view, np.array([0.0, 0.0, 1.0]), roll
         )
-        off_axis = camera.cx + _wander(count, 22, 0.10 * size, 2, rng)
+        off_axis = camera.cx + _wander(rows, 22, 0.10 * size, 2, rng)
         rays = camera.rays(off_axis)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        distance = stand_off(rested @ rotations[count // 2].T, camera, rays[count // 2], coverage)
+        distance = stand_off(rested @ rotations[rows // 2].T, camera, rays[rows // 2], coverage)
         if distance is None:
             continue
         centre = 0.5 * (rested.min(axis=0) + rested.max(axis=0))
-        away = np.linalg.norm(rotations[count // 2] @ centre + distance)
-        depth = away * np.exp(_wander(count, 35, 0.10, 1, rng))
+        away = np.linalg.norm(rotations[rows // 2] @ centre + distance)
+        depth = away * np.exp(_wander(rows, 35, 0.10, 1, rng))
         translations = depth * rays - rotations @ centre
         moving = [_moving(h, f, rotations, translations) for h, f in zip(hands, fingers, strict=True)]
         if _well_seen(moving, hands, camera, rotations, translations, size):
@@ -95,25 +92,17 @@ def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: i
         return None
 
     points = [hand.keypoints() for hand in moving]
-    surroundings = _hand_held(count, rng)
-    props: list[Mesh] = []
-    occluder = "none"
-    if rng.random() < 0.3:
-        nearest = float(min(p[..., 2].min() for p in points)) - 0.02
-        found_prop = random_occluder(points[0][count // 2], camera, nearest, rng)
-        if found_prop is not None:
-            occluder = found_prop[0]
-            props.append(found_prop[1])
-    shown = range(1, count - 1)
+    surroundings = _hand_held(rows, rng)
+    nearest = float(min(p[..., 2].min() for p in points)) - 0.02
+    occluder, props = random_occluder(points[0][rows // 2], camera, nearest, rng)
     beyond = np.sum([outside(camera.project(p), size) for p in points], axis=0)
     return Shot(
         files=tuple(f"clips/{number:02d}/{t:04d}.jpg" for t in range(frames)),
         clip=f"{number:02d}",
         size=size,
-        focal_mm=focal_mm,
         camera=camera,
         hands=tuple(moving),
-        props=tuple(props),
+        props=props,
         surroundings=surroundings,
         tags=tuple(
             {
@@ -125,7 +114,7 @@ def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: i
                 "camera": standpoint,
                 **lens_tags(focal_mm),
             }
-            for t in shown
+            for t in range(1, rows - 1)
         ),
         look_seed=(seed, CLIPS, number, 1),
     )

@@ -14,6 +14,8 @@ from .kinematics import RightHand, model_of
 PALM_RADIUS: Final = 0.010
 """metres, about half the palm's thickness; the metacarpals' capsules have it"""
 
+Capsules = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Starts and ends (N, 3) of their axes, and radii (N,), metres"""
 SEGMENTS: Final = (
     *((1 + 4 * f + i, 2 + 4 * f + i) for f in range(5) for i in range(3)),
     *((0, 5 + 4 * f) for f in range(4)),
@@ -55,7 +57,7 @@ def radii() -> np.ndarray:
     return found
 
 
-def capsules(keypoints: np.ndarray, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def capsules(keypoints: np.ndarray, scale: float = 1.0) -> Capsules:
     """(..., 21, 3) keypoints -> starts and ends (..., 19, 3) and radii (19,) in metres.
 
     The last ones end one radius short of the fingertip, which lies on the skin.
@@ -118,7 +120,10 @@ def penetration(keypoints: np.ndarray, scale: float = 1.0) -> np.ndarray:
 
 def clearance(first: np.ndarray, second: np.ndarray, scale: float = 1.0) -> float:
     """Smallest gap between two hands' capsules, keypoints (21, 3) each; negative where they overlap."""
-    p1, q1, radius = capsules(first, scale)
-    p2, q2, _ = capsules(second, scale)
-    distance = segment_distance(p1[:, None], q1[:, None], p2[None], q2[None])
-    return float((distance - radius[:, None] - radius[None]).min())
+    return gap(capsules(first, scale), capsules(second, scale))
+
+
+def gap(first: Capsules, second: Capsules) -> float:
+    """Smallest gap between any two capsules of the one and of the other; negative where they overlap."""
+    (p1, q1, r1), (p2, q2, r2) = first, second
+    return float((segment_distance(p1[:, None], q1[:, None], p2, q2) - r1[:, None] - r2).min())

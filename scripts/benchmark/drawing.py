@@ -1,4 +1,4 @@
-"""Render a built scene's frame to a JPEG file."""
+"""Render a built scene's frame to a JPEG file, with a sensor's noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from handfit_core.errors import OutputError
 from handfit_core.files import written_whole
 
-from .sensor import with_noise
 from .shots import Shot
 
 
@@ -25,8 +24,10 @@ def draw(shot: Shot, picture: int, path: Path) -> None:
     gain = float(settings.uniform(0.0, 0.03))
     quality = int(settings.integers(60, 96))
     rgb = _render(picture + shot.lead)
-    noisy = with_noise(rgb, gain, np.random.default_rng((*shot.look_seed, 1, picture)))
-    _write_jpeg(noisy, path, quality)
+    noise = np.random.default_rng((*shot.look_seed, 1, picture))
+    # Shot noise grows with the root of the light, read noise does not; `gain` is the deviation at white.
+    spread = gain * np.sqrt(np.clip(rgb, 0.0, 1.0)) + 0.25 * gain
+    _write_jpeg(np.clip(rgb + spread * noise.standard_normal(rgb.shape), 0.0, 1.0), path, quality)
 
 
 def _render(frame: int) -> np.ndarray:

@@ -21,6 +21,20 @@ class Mesh:
         return replace(self, vertices=self.vertices @ rotation.T + translation)
 
 
+def face_normals(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:
+    """(F, 3) normals of triangles or quads (F, 3 or 4), as long as twice the area:"""
+    corners = vertices[polygons]
+    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1])
+
+
+def vertex_normals(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:
+    """(V, 3) area-weighted unit normals of a mesh of triangles or quads."""
+    normals, faces = np.zeros_like(vertices), face_normals(vertices, polygons)
+    for corner in polygons.T:
+        np.add.at(normals, corner, faces)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
 def tube(rings: np.ndarray, closed: bool = True) -> Mesh:
     """Join rings (R, N, 3) of points to a tube; `closed` puts a lid on both ends."""
     count, around = rings.shape[:2]

@@ -14,7 +14,7 @@ from handfit_core.hand_model import ShapedHand
 from handfit_core.skeleton import Side, other_side
 
 from .arm import Arm, build_arm, forearm_direction
-from .contact import capsules, clearance, segment_distance
+from .contact import Capsules, capsules, clearance, gap
 from .grasp import Held, random_grasp
 from .kinematics import RightHand, hand_pose_from_angles, model_of
 from .poses import POSES, random_pose
@@ -108,8 +108,8 @@ def _mirrored(held: Held) -> Held:
     return Held(held.kind, held.start * _MIRROR, held.end * _MIRROR, held.radius, mesh)
 
 
-def beside(first: Placed, second: Placed, gap: float, rng: np.random.Generator) -> Placed | None:
-    """The second hand (of the other side) near the first, `gap` metres away; None where arms collide."""
+def beside(first: Placed, second: Placed, apart: float, rng: np.random.Generator) -> Placed | None:
+    """The second hand (of the other side) near the first, `apart` metres away; None where arms collide."""
     assert second.side == other_side(first.side)
     # Turned half about the back's direction both hands' fingers point the same way.
     both_ahead = np.diag([-1.0, 1.0, -1.0])
@@ -127,25 +127,18 @@ def beside(first: Placed, second: Placed, gap: float, rng: np.random.Generator) 
     start = first.points.mean(axis=0) - turned.points.mean(axis=0)
     for distance in np.arange(0.03, 0.40, 0.008):
         placed = replace(turned, translation=start + distance * direction)
-        if clearance(first.points, placed.points, first.scale) >= gap:
+        if clearance(first.points, placed.points, first.scale) >= apart:
             return None if _arms_collide(first, placed) else placed
     return None
 
 
-def arm_capsules(hand: Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Its forearm as capsules where it stands: starts and ends (M, 3), radii (M,) in metres."""
+def arm_capsules(hand: Placed) -> Capsules:
+    """Its forearm as capsules where it stands."""
     axis = hand.carried(hand.arm.axis[8:])
     return axis[:-1], axis[1:], hand.arm.radii[9:]
 
 
 def _arms_collide(first: Placed, second: Placed) -> bool:
     a, b = arm_capsules(first), arm_capsules(second)
-    for arm, other in (
-        (a, capsules(second.points, second.scale)),
-        (b, capsules(first.points, first.scale)),
-        (a, b),
-    ):
-        distance = segment_distance(arm[0][:, None], arm[1][:, None], other[0][None], other[1][None])
-        if np.any(distance < arm[2][:, None] + other[2][None]):
-            return True
-    return False
+    hands = [capsules(hand.points, hand.scale) for hand in (first, second)]
+    return any(gap(*pair) < 0.0 for pair in ((a, hands[1]), (b, hands[0]), (a, b)))

@@ -13,10 +13,10 @@ from blender_manient.scene.build import BuiltTake, build_take
 from handfit_core.errors import OptionError
 from handfit_core.hand_model import axes
 
-from .materials import TINT, skin, skin_tone, surface
+from .materials import TINT, skin, surface
 from .meshes import Mesh, ball, box
 from .shots import Shot, ShotHand
-from .tint import LUMINANCE, hand_tint
+from .tint import LUMINANCE, hand_tint, skin_tone
 from .views import random_direction
 
 SHUTTER: Final = 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from typing import Final
 
 import numpy as np
@@ -9,19 +10,17 @@ import numpy as np
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.skeleton import SIDES, other_side
 
-from .contact import capsules
-from .meshes import Mesh
+from .contact import Capsules, capsules
 from .occluders import random_occluder
 from .people import Placed, arm_capsules, beside, random_betas, random_hand
 from .poses import POSES
 from .shots import Shot, ShotHand
 from .views import (
     COVERAGE,
+    Placement,
     hidden_by,
     intrinsics_of,
     lens_tags,
-    place_cut,
-    place_whole,
     random_focal_mm,
     random_standpoint,
     view_name,
@@ -41,10 +40,7 @@ def still_shot(seed: int, number: int, size: int) -> Shot:
     millimetres are the same in every size.
     """
     rng = np.random.default_rng([seed, STILLS, number])
-    while True:
-        shot = _draw(rng, seed, number, size)
-        if shot is not None:
-            return shot
+    return next(filter(None, (_draw(rng, seed, number, size) for _ in count())))
 
 
 def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot | None:
@@ -56,10 +52,10 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot |
     camera = intrinsics_of(focal_mm, size)
     points = np.concatenate([hand.points for hand in hands])
     coverage = rng.uniform(max(COVERAGE[0], 0.45 if cut else 0.6 if len(hands) > 1 else 0.0), COVERAGE[1])
-    find = place_cut if cut else place_whole
     for _ in range(30):
         standpoint, view, roll = random_standpoint([hand.rotation @ hand.elbow for hand in hands], rng)
-        placed = find(points, view, roll, camera, coverage, rng)
+        wanted = Placement(points, view, roll, camera, coverage)
+        placed = wanted.cut(rng) if cut else wanted.whole(rng)
         if placed is not None and not _hides_too_much(hands, *placed):
             break
     else:
@@ -67,19 +63,13 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot |
     rotation, translation = placed
 
     seen = [hand.points @ rotation.T + translation for hand in hands]
-    props: list[Mesh] = []
-    occluder = "none"
     if hands[0].held is not None:
-        occluder = f"held {hands[0].held.kind}"
-        props.append(hands[0].held.mesh.moved(rotation, translation))
+        occluder, props = f"held {hands[0].held.kind}", (hands[0].held.mesh.moved(rotation, translation),)
         if props[0].vertices[:, 2].min() < 0.03:
             return None
-    elif rng.random() < 0.3:
+    else:
         nearest = float(min(p[:, 2].min() for p in seen))
-        found = random_occluder(seen[0], camera, nearest, rng)
-        if found is not None:
-            occluder = found[0]
-            props.append(found[1])
+        occluder, props = random_occluder(seen[0], camera, nearest, rng)
     # `view` is in the first hand's frame, where both stand.
     tags = {
         "pose": hands[0].kind,
@@ -94,10 +84,9 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot |
         files=(f"stills/{number:05d}.jpg",),
         clip=None,
         size=size,
-        focal_mm=focal_mm,
         camera=camera,
         hands=tuple(shot_hand(h, rotation[None], translation[None]) for h in hands),
-        props=tuple(props),
+        props=props,
         surroundings=np.eye(4)[None],
         tags=(tags,),
         look_seed=(seed, STILLS, number, 1),
@@ -131,7 +120,7 @@ def shot_hand(hand: Placed, rotations: np.ndarray, translations: np.ndarray) -> 
 def _hides_too_much(hands: list[Placed], rotation: np.ndarray, translation: np.ndarray) -> bool:
     """Whether arms or the other hand hide most of a hand, or an arm comes up to the lens."""
 
-    def seen(parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def seen(parts: Capsules) -> Capsules:
         return parts[0] @ rotation.T + translation, parts[1] @ rotation.T + translation, parts[2]
 
     for hand in hands:

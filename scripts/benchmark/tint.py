@@ -1,4 +1,4 @@
-"""Where skin is lighter, redder or darker than elsewhere on a hand: palms, nails, knuckles, creases."""
+"""Colours of skin and things; where skin is lighter, redder or darker: palms, nails, knuckles, creases."""
 
 from __future__ import annotations
 
@@ -6,24 +6,45 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS
 
 from .kinematics import model_of
+from .meshes import vertex_normals
 from .shots import ShotHand
 
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 """Of linear sRGB"""
+TONES: Final = np.array(
+    [
+        *((0.045, 0.022, 0.013), (0.11, 0.05, 0.028), (0.24, 0.115, 0.062)),
+        *((0.42, 0.22, 0.13), (0.60, 0.36, 0.24), (0.74, 0.49, 0.37)),
+    ]
+)
+"""Skin from dark to light, linear RGB"""
 _NAIL_FROM: Final = 0.52
 """Where a nail begins, from the last joint (0) to the fingertip (1)"""
+
+
+def skin_tone(rng: np.random.Generator, tones: np.ndarray = TONES) -> np.ndarray:
+    """(3,) linear RGB, as often dark as light."""
+    place = rng.uniform(0, len(tones) - 1)
+    below = int(place)
+    tone = tones[below] + (place - below) * (tones[below + 1] - tones[below])
+    return np.clip(tone * rng.normal(1.0, [0.04, 0.06, 0.08]), 0.01, 0.9)
+
+
+def random_colour(rng: np.random.Generator) -> np.ndarray:
+    """(3,) linear RGB of things: greys as often as colours."""
+    value = rng.uniform(0.02, 0.75)
+    return np.clip(value * (1 + rng.uniform(0.0, 0.9) * rng.uniform(-1, 1, 3)), 0.01, 0.85)
 
 
 def hand_tint(hand: ShotHand, tone: np.ndarray) -> np.ndarray:
     """(V, 3) what to multiply skin of that tone (3, linear RGB) with."""
     model = model_of(hand.side)
     shaped = model.shaped(hand.betas)
-    normals = _normals(shaped, model.faces)
+    normals = vertex_normals(shaped.vertices, model.faces)
     wrist = shaped.joints[0]
     # The arm's skin is plain: the palm's fades before the wrist.
     to_fingers = (wrist - shaped.vertices)[:, 0] * np.sign(wrist[0])
@@ -54,13 +75,3 @@ def hand_tint(hand: ShotHand, tone: np.ndarray) -> np.ndarray:
             crease *= np.linalg.norm(offset, axis=1) < 0.016
             tint *= 1 - crease[:, None] * np.array([0.18, 0.26, 0.28])
     return np.clip(tint, 0.0, 3.0)
-
-
-def _normals(shaped: ShapedHand, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals of the flat hand."""
-    corners = shaped.vertices[faces]
-    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(shaped.vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], facing)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -5,6 +5,7 @@ Camera frame: OpenCV's, metres. Pictures are square, the principal point is thei
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -51,36 +52,28 @@ def random_direction(rng: np.random.Generator) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-def random_view(arms: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
-    """(3,) direction from the hand to the camera in the hand's frame, away from all `arms` (3,)."""
+def random_view(arms: list[np.ndarray], rng: np.random.Generator, *, usual: bool = False) -> np.ndarray:
+    """(3,) direction from the hand to the camera in the hand's frame, away from all `arms` (3,).
+
+    usual: onto the first hand's palm or back, where people film hands from.
+    """
     for _ in range(1000):
-        view = random_direction(rng)
-        if all(view @ arm < np.cos(LEAST_ANGLE_TO_ARM) for arm in arms):
-            return view
-    raise AssertionError("the arms leave no room for a camera")
-
-
-def usual_view(arms: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
-    """(3,) as `random_view`, but onto the first hand's palm or back, where people film hands from."""
-    while True:
-        view = np.array([0.0, rng.choice([-1.0, 1.0]), 0.0]) + rng.normal(0.0, 0.45, 3)
+        view = np.array([0.0, rng.choice([-1.0, 1.0]), 0.0]) if usual else np.zeros(3)
+        view += rng.normal(0.0, 0.45 if usual else 1.0, 3)
         view /= np.linalg.norm(view)
         if all(view @ arm < np.cos(LEAST_ANGLE_TO_ARM) for arm in arms):
             return view
-
-
-def usual_roll(view: np.ndarray, elbow: np.ndarray, rng: np.random.Generator) -> float:
-    """Roll that lets the arm come from below, more or less; `elbow` (3,) is its direction."""
-    x, y, _ = facing(view, np.array([0.0, 0.0, 1.0]), 0.0) @ elbow
-    return float(np.arctan2(y, x) - np.pi / 2 + rng.normal(0.0, 0.6))
+    raise AssertionError("the arms leave no room for a camera")
 
 
 def random_standpoint(arms: list[np.ndarray], rng: np.random.Generator) -> tuple[str, np.ndarray, float]:
     """Where the camera is: `sphere`, any view and roll, or as often `usual`; view (3,); roll in radians."""
     if rng.random() < 0.5:
         return "sphere", random_view(arms, rng), float(rng.uniform(-np.pi, np.pi))
-    view = usual_view(arms, rng)
-    return "usual", view, usual_roll(view, arms[0], rng)
+    view = random_view(arms, rng, usual=True)
+    # The roll lets the arm come from below, more or less.
+    x, y, _ = facing(view, np.array([0.0, 0.0, 1.0]), 0.0) @ arms[0]
+    return "usual", view, float(np.arctan2(y, x) - np.pi / 2 + rng.normal(0.0, 0.6))
 
 
 def facing(view: np.ndarray, ray: np.ndarray, roll: float) -> np.ndarray:
@@ -121,74 +114,65 @@ def stand_off(turned: np.ndarray, camera: Intrinsics, ray: np.ndarray, coverage:
     return high * ray - centre
 
 
-def place(
-    points: np.ndarray,
-    view: np.ndarray,
-    roll: float,
-    camera: Intrinsics,
-    coverage: float,
-    pixel: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Rotation (3, 3) and translation (3,) that show points (N, 3) from `view` about `pixel` (2,)."""
-    ray = camera.rays(pixel)
-    ray = ray / np.linalg.norm(ray)
-    rotation = facing(view, ray, roll)
-    translation = stand_off(points @ rotation.T, camera, ray, coverage)
-    return None if translation is None else (rotation, translation)
+Placing = tuple[np.ndarray, np.ndarray]
+"""Rotation (3, 3) and translation (3,) into the camera's frame"""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Points (N, 3) that are to be seen from `view` (3,), their box over `coverage` of the picture."""
+
+    points: np.ndarray
+    view: np.ndarray
+    roll: float
+    camera: Intrinsics
+    coverage: float
+
+    def about(self, pixel: np.ndarray) -> Placing | None:
+        """The points about `pixel` (2,); None where the camera would have to stand among them."""
+        ray = self.camera.rays(pixel)
+        ray = ray / np.linalg.norm(ray)
+        rotation = facing(self.view, ray, self.roll)
+        translation = stand_off(self.points @ rotation.T, self.camera, ray, self.coverage)
+        return None if translation is None else (rotation, translation)
+
+    def pixels(self, placed: Placing) -> np.ndarray:
+        """(N, 2) where the points are seen."""
+        return self.camera.project(self.points @ placed[0].T + placed[1])
+
+    def whole(self, rng: np.random.Generator) -> Placing | None:
+        """Somewhere in the picture with all points inside; None where that fails."""
+        size = 2 * self.camera.cx
+        pixel = np.array([self.camera.cx, self.camera.cy])
+        margin = _MARGIN * size
+        for _ in range(12):
+            placed = self.about(pixel)
+            if placed is None:
+                return None
+            pixels = self.pixels(placed)
+            low, high = pixels.min(axis=0), pixels.max(axis=0)
+            inside = np.all(low >= margin) and np.all(high <= size - margin)
+            if inside and not np.allclose(pixel, self.camera.cx):
+                return placed
+            slack = np.maximum(size - 2 * margin - (high - low), 0.0)
+            corner = margin + slack * rng.uniform(0.0, 1.0, 2)
+            pixel = np.clip(pixel + 0.95 * (corner - low), 0.0, size)
+        return None
+
+    def cut(self, rng: np.random.Generator) -> Placing | None:
+        """With 3 to 8 of the points outside of the picture; None where that fails."""
+        size = 2 * self.camera.cx
+        angle = rng.uniform(0, 2 * np.pi)
+        towards = np.array([np.cos(angle), np.sin(angle)])
+        tried = [self.about(self.camera.cx + away * size * towards) for away in np.linspace(0.05, 0.6, 24)]
+        least, most = CUT_OUTSIDE
+        found = [p for p in tried if p is not None and least <= outside(self.pixels(p), size) <= most]
+        return found[rng.integers(len(found))] if found else None
 
 
 def outside(pixels: np.ndarray, size: float) -> np.ndarray:
     """(..., N, 2) pixels -> (...) how many lie outside of the picture."""
     return np.any((pixels < 0) | (pixels > size), axis=-1).sum(axis=-1)
-
-
-def place_whole(
-    points: np.ndarray,
-    view: np.ndarray,
-    roll: float,
-    camera: Intrinsics,
-    coverage: float,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `place`, somewhere in the picture with all points inside; None where that fails."""
-    size = 2 * camera.cx
-    pixel = np.array([camera.cx, camera.cy])
-    margin = _MARGIN * size
-    for _ in range(12):
-        placed = place(points, view, roll, camera, coverage, pixel)
-        if placed is None:
-            return None
-        pixels = camera.project(points @ placed[0].T + placed[1])
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
-        if np.all(low >= margin) and np.all(high <= size - margin) and not np.allclose(pixel, camera.cx):
-            return placed
-        slack = np.maximum(size - 2 * margin - (high - low), 0.0)
-        corner = margin + slack * rng.uniform(0.0, 1.0, 2)
-        pixel = np.clip(pixel + 0.95 * (corner - low), 0.0, size)
-    return None
-
-
-def place_cut(
-    points: np.ndarray,
-    view: np.ndarray,
-    roll: float,
-    camera: Intrinsics,
-    coverage: float,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `place`, with 3 to 8 of the points outside of the picture; None where that fails."""
-    size = 2 * camera.cx
-    angle = rng.uniform(0, 2 * np.pi)
-    towards = np.array([np.cos(angle), np.sin(angle)])
-    found = []
-    for away in np.linspace(0.05, 0.6, 24):
-        placed = place(points, view, roll, camera, coverage, camera.cx + away * size * towards)
-        if placed is None:
-            continue
-        count = int(outside(camera.project(points @ placed[0].T + placed[1]), size))
-        if CUT_OUTSIDE[0] <= count <= CUT_OUTSIDE[1]:
-            found.append(placed)
-    return found[rng.integers(len(found))] if found else None
 
 
 def hidden_by(points: np.ndarray, starts: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> int:
@@ -200,29 +184,11 @@ def hidden_by(points: np.ndarray, starts: np.ndarray, ends: np.ndarray, radii: n
 
 def covered_by(pixels: np.ndarray, outline: np.ndarray) -> int:
     """How many of the pixels (N, 2) lie within the convex hull of `outline` (M, 2)."""
-    hull = _convex_hull(outline)
-    edges = np.roll(hull, -1, axis=0) - hull
-    towards = pixels[:, None] - hull[None]
-    return int(np.all(edges[:, 0] * towards[..., 1] - edges[:, 1] * towards[..., 0] >= 0, axis=1).sum())
-
-
-def _convex_hull(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull of (M, 2) points by Andrew's monotone chain."""
-    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
-
-    def chain(sequence: np.ndarray) -> list[np.ndarray]:
-        corners: list[np.ndarray] = []
-        for p in sequence:
-            while len(corners) > 1 and _turn(corners[-2], corners[-1], p) <= 0:
-                corners.pop()
-            corners.append(p)
-        return corners[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
-
-
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    # From within, the outline is seen all around: no two neighbouring directions are half a turn apart.
+    towards = outline - pixels[:, None]
+    seen = np.sort(np.arctan2(towards[..., 1], towards[..., 0]), axis=1)
+    gaps = np.diff(seen, axis=1, append=seen[:, :1] + 2 * np.pi)
+    return int(np.sum(gaps.max(axis=1) <= np.pi))
 
 
 _SIDES: Final = (("palm", (0, -1, 0)), ("back", (0, 1, 0)), ("tips", (-1, 0, 0)), ("wrist", (1, 0, 0)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -14,14 +14,14 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
-from handfit_core.hand_model.chain import Chain, State
+from handfit_core.hand_model.chain import Chain, Posed
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, hand_length
 from handfit_core.paper.placement import turn_to_ray
 from handfit_core.skeleton import JOINTS_BY_FINGER, SIDES, TIP_KEYPOINTS, Side
 from scripts.benchmark.kinematics import model_of
 
 Samples = dict[str, np.ndarray]
-"""The rows of `samples.Sample.row`, stacked"""
+"""Those of `samples.sample`, stacked"""
 
 WELL_SEEN = 0.014
 """metres; detections with a smaller error after alignment show where the detector puts its landmarks"""
@@ -36,24 +36,19 @@ NOISE = 0.02
 """Added to the features, in canonical units"""
 
 
-@dataclass(frozen=True, eq=False)
-class TrueHands:
-    """The true hands of samples of one side, unmirrored, in their model's frame."""
+def _of_side(samples: Samples, side: Side) -> np.ndarray:
+    """(M,) which samples are of hands that were of that side before the picture was mirrored."""
+    before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
+    return np.flatnonzero(before == SIDES.index(side))
 
-    index: np.ndarray
-    """(M,) which samples"""
-    chain: Chain
-    state: State
 
-    @classmethod
-    def of(cls, samples: Samples, side: Side, landmarks: Landmarks) -> TrueHands:
-        """All samples whose hand, before the picture was mirrored, was of that side."""
-        before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
-        index = np.flatnonzero(before == SIDES.index(side))
-        chain = Chain(model_of(side), landmarks)
-        zero = np.zeros((len(index), 3))
-        state = chain.state(samples["betas"][index], zero, samples["hand_pose"][index], zero, zero[:, 0])
-        return cls(index, chain, replace(state, wrist=zero))
+def _true_hands(samples: Samples, side: Side, landmarks: Landmarks) -> tuple[np.ndarray, Posed]:
+    """(M,) which samples are of that side, and their true hands, unmirrored, in the model's frame."""
+    index = _of_side(samples, side)
+    chain = Chain(model_of(side), landmarks)
+    zero = np.zeros((len(index), 3))
+    state = chain.state(samples["betas"][index], zero, samples["hand_pose"][index], zero, zero[:, 0])
+    return index, chain.pose(replace(state, wrist=zero))
 
 
 def calibrate(samples: Samples) -> np.ndarray:
@@ -66,18 +61,12 @@ def calibrate(samples: Samples) -> np.ndarray:
     collected = []
     fused = _fused(samples)
     for side in SIDES:
-        hands = TrueHands.of(samples, side, NO_OFFSETS)
-        posed = hands.chain.pose(hands.state)
+        index, posed = _true_hands(samples, side, NO_OFFSETS)
         points = posed.points
         of_joints = posed.frames.reshape(-1, 5, 3, 4, 3).swapaxes(2, 3)[:, :, :3]
-        frames = np.concatenate(
-            [
-                np.broadcast_to(np.eye(3), (len(points), 1, 3, 3)),
-                _by_joint(of_joints),
-            ],
-            axis=1,
-        )
-        for row, sample in enumerate(hands.index):
+        in_order = np.empty((len(points), 16, 3, 3))
+        in_order[:, 0], in_order[:, JOINTS_BY_FINGER] = np.eye(3), of_joints
+        for row, sample in enumerate(index):
             if samples["detected_side"][sample] != samples["side"][sample]:
                 continue
             seen = fused[sample] * _unmirror(samples, sample)
@@ -85,7 +74,7 @@ def calibrate(samples: Samples) -> np.ndarray:
             offset = laid - points[row]
             if np.linalg.norm(offset, axis=1).mean() > WELL_SEEN:
                 continue
-            local = np.einsum("kab,ka->kb", frames[row, list(LANDMARK_BONES)], offset)
+            local = np.einsum("kab,ka->kb", in_order[row, list(LANDMARK_BONES)], offset)
             collected.append(local / hand_length(model_of(side)) * _as_right(side))
     offsets = np.zeros((21, 3))
     tips = list(TIP_KEYPOINTS)
@@ -100,14 +89,6 @@ def _as_right(side: Side) -> np.ndarray:
         signs[:, 2] = -1.0
         signs[0] = (-1.0, 1.0, 1.0)
     return signs
-
-
-def _by_joint(frames: np.ndarray) -> np.ndarray:
-    """(M, 5, 3, ...) finger by finger -> (M, 15, ...) in MANO's order."""
-    order = JOINTS_BY_FINGER.reshape(-1) - 1
-    ordered = np.empty((len(frames), 15, *frames.shape[3:]))
-    ordered[:, order] = frames.reshape(len(frames), 15, *frames.shape[3:])
-    return ordered
 
 
 def _unmirror(samples: Samples, sample: int) -> np.ndarray:
@@ -129,8 +110,7 @@ def pose_prior(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """Mean (5, 9) and covariance (5, 9, 9) of our own poses, as a right hand's, widened."""
     collected = []
     for side in SIDES:
-        before = np.where(samples["mirrored"], 1 - samples["side"], samples["side"])
-        poses = np.unique(samples["hand_pose"][before == SIDES.index(side)], axis=0)
+        poses = np.unique(samples["hand_pose"][_of_side(samples, side)], axis=0)
         angles = anatomical_angles(
             rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side))
         )
@@ -145,14 +125,12 @@ def true_landmarks(samples: Samples, landmarks: Landmarks) -> np.ndarray:
     """(N, 21, 3) where the landmarks truly are, metres, camera frame."""
     found = np.empty_like(samples["joints_3d"])
     for side in SIDES:
-        hands = TrueHands.of(samples, side, landmarks)
-        points = hands.chain.pose(hands.state).points
-        bare = TrueHands.of(samples, side, NO_OFFSETS)
-        joints = bare.chain.pose(bare.state).points
-        for row, sample in enumerate(hands.index):
+        index, seen = _true_hands(samples, side, landmarks)
+        joints = _true_hands(samples, side, NO_OFFSETS)[1].points
+        for row, sample in enumerate(index):
             flip = _unmirror(samples, sample)
             move = align(joints[row], samples["joints_3d"][sample] * flip, with_scale=False)
-            found[sample] = move.apply(points[row]) * flip
+            found[sample] = move.apply(seen.points[row]) * flip
     return found
 
 

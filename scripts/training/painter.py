@@ -11,15 +11,13 @@ from typing import Final
 import cv2
 import numpy as np
 
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from scripts.benchmark.kinematics import model_of
-from scripts.benchmark.meshes import Mesh
+from scripts.benchmark.meshes import Mesh, face_normals, vertex_normals
 from scripts.benchmark.shots import Shot, ShotHand
-from scripts.benchmark.tint import hand_tint
+from scripts.benchmark.tint import TONES, hand_tint, random_colour, skin_tone
 
-_TONES: Final = np.array(
-    [(0.045, 0.022, 0.013), (0.11, 0.05, 0.028), (0.24, 0.115, 0.062), (0.42, 0.22, 0.13), (0.74, 0.49, 0.37)]
-)
-"""Skin from dark to light, linear RGB"""
+_TONES: Final = np.delete(TONES, 4, axis=0)
 _SHIFT: Final = 4
 """Fractional bits of a polygon's corners"""
 _CELL: Final = 0.0025
@@ -32,49 +30,37 @@ _COARSE: Final = 0.025
 
 def paint(shot: Shot, rng: np.random.Generator) -> np.ndarray:
     """(size, size, 3) uint8 RGB of a still."""
-    tone = _skin_tone(rng)
-    parts = []  # (vertices, polygons, colours per vertex, how much the sky shows)
+    tone = skin_tone(rng, _TONES)
+    parts = []  # (vertices, quads, colours per vertex)
     for hand in shot.hands:
         model = model_of(hand.side)
         posed = model.posed(hand.betas, hand.global_orient[0], hand.hand_pose[0], hand.transl[0])
         parts.append((posed.vertices, model.polygons, tone * hand_tint(hand, tone)))
-        sleeve = _random_colour(rng)
+        sleeve = random_colour(rng)
         for mesh, colour in ((hand.arm.skin, tone), (hand.arm.sleeve, sleeve)):
             if mesh is not None:
                 parts.append(_flat(Mesh(_with_wrist(hand, mesh.vertices), mesh.polygons), colour, rng))
     for prop in shot.props:
-        parts.append(_flat(_divided(prop), _random_colour(rng), rng))
+        parts.append(_flat(_divided(prop), random_colour(rng), rng))
     picture = _background(shot.size, rng)
-    lit = _shaded([p[0] for p in parts], [p[1] for p in parts], [p[2] for p in parts], rng)
+    vertices, quads, colours = zip(*parts, strict=True)
+    lit = _shaded(vertices, quads, colours, rng)
     exposure = rng.uniform(0.10, 0.27) / max(float(np.mean([c.mean() for c in lit[: len(shot.hands)]])), 1e-3)
-    _fill(picture, [p[0] for p in parts], [p[1] for p in parts], [c * exposure for c in lit], shot)
+    _fill(picture, vertices, quads, [c * exposure for c in lit], shot)
     return _through_lens(picture, rng)
 
 
 def _with_wrist(hand: ShotHand, vertices: np.ndarray) -> np.ndarray:
     """Points of the model frame (N, 3) that move as the wrist does -> camera frame."""
-    from handfit_core.geometry.rotations import rotvec_to_rotmat
-
     wrist = model_of(hand.side).shaped(hand.betas).joints[0]
     rotation = rotvec_to_rotmat(hand.global_orient[0])
     return (vertices - wrist) @ rotation.T + wrist + hand.transl[0]
 
 
-def _skin_tone(rng: np.random.Generator) -> np.ndarray:
-    place = rng.uniform(0, len(_TONES) - 1)
-    below = min(int(place), len(_TONES) - 2)
-    tone = _TONES[below] + (place - below) * (_TONES[below + 1] - _TONES[below])
-    return np.clip(tone * rng.normal(1.0, [0.04, 0.06, 0.08]), 0.01, 0.9)
-
-
-def _random_colour(rng: np.random.Generator) -> np.ndarray:
-    return np.clip(rng.uniform(0.02, 0.75) * (1 + rng.uniform(0.0, 0.9) * rng.uniform(-1, 1, 3)), 0.01, 0.85)
-
-
 def _flat(mesh: Mesh, colour: np.ndarray, rng: np.random.Generator):
     colours = np.repeat(colour[None], len(mesh.vertices), axis=0)
     colours = colours * (1 + rng.uniform(0, 0.2) * rng.normal(size=(len(colours), 1)))
-    return mesh.vertices, mesh.polygons, np.clip(colours, 0.005, 1.0)
+    return mesh.vertices, _as_quads(mesh.polygons), np.clip(colours, 0.005, 1.0)
 
 
 def _divided(mesh: Mesh) -> Mesh:
@@ -89,15 +75,11 @@ def _divided(mesh: Mesh) -> Mesh:
             continue
         u = np.linspace(0, 1, n + 1)
         a, b, c, d = corners
-        grid = (1 - u)[:, None, None] * ((1 - u)[None, :, None] * a + u[None, :, None] * b) + u[
-            :, None, None
-        ] * ((1 - u)[None, :, None] * d + u[None, :, None] * c)
-        first = len(vertices)
+        along, across = u[:, None, None], u[:, None]
+        grid = (1 - along) * ((1 - across) * a + across * b) + along * ((1 - across) * d + across * c)
+        at = len(vertices) + np.add.outer(np.arange(n) * (n + 1), np.arange(n)).ravel()
         vertices.extend(grid.reshape(-1, 3))
-        for i in range(n):
-            for j in range(n):
-                at = first + i * (n + 1) + j
-                polygons.append((at, at + 1, at + n + 2, at + n + 1))
+        polygons.extend(np.stack([at, at + 1, at + n + 2, at + n + 1], axis=1).tolist())
     return Mesh(np.array(vertices), tuple(polygons), mesh.smooth)
 
 
@@ -116,22 +98,9 @@ def _as_quads(polygons) -> np.ndarray:
 
 def _winding(vertices: np.ndarray, quads: np.ndarray) -> float:
     """1 where corners go clockwise seen from outside in the picture's axes, else -1, by the volume's sign."""
-    corners = vertices[quads] - vertices.mean(axis=0)
-    volume = np.einsum(
-        "qc,qc->q", corners[:, 0], np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    )
-    return -1.0 if volume.sum() > 0 else 1.0
-
-
-def _normals(vertices: np.ndarray, polygons) -> np.ndarray:
-    quads = _as_quads(polygons)
-    corners = vertices[quads]
-    facing = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    facing *= -_winding(vertices, quads)
-    normals = np.zeros_like(vertices)
-    for k in range(4):
-        np.add.at(normals, quads[:, k], facing)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    centred = vertices - vertices.mean(axis=0)
+    volume = np.sum(centred[quads[:, 0]] * face_normals(vertices, quads))
+    return -1.0 if volume > 0 else 1.0
 
 
 def _lit_from(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -148,10 +117,11 @@ def _lit_from(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return height > top[cells] - _BIAS
 
 
-def _shaded(vertices, polygons, colours, rng: np.random.Generator) -> list[np.ndarray]:
+def _shaded(vertices, quads, colours, rng: np.random.Generator) -> list[np.ndarray]:
     """Linear RGB per vertex of every part."""
     points = np.concatenate(vertices)
-    normals = np.concatenate([_normals(v, p) for v, p in zip(vertices, polygons, strict=True)])
+    parts = zip(vertices, quads, strict=True)
+    normals = np.concatenate([-_winding(v, q) * vertex_normals(v, q) for v, q in parts])
     colour = np.concatenate(colours)
     light = np.zeros_like(points)
     for i in range(int(rng.integers(1, 3))):
@@ -174,36 +144,29 @@ def _shaded(vertices, polygons, colours, rng: np.random.Generator) -> list[np.nd
     return np.split(shaded, np.cumsum([len(v) for v in vertices])[:-1])
 
 
-def _fill(picture: np.ndarray, vertices, polygons, colours, shot: Shot) -> None:
+def _fill(picture: np.ndarray, vertices, of_parts, colours, shot: Shot) -> None:
     faces = []
-    for points, polys, colour in zip(vertices, polygons, colours, strict=True):
+    for points, quads, colour in zip(vertices, of_parts, colours, strict=True):
         if points[:, 2].min() < 0.02:
             points = points.copy()
             points[:, 2] = np.maximum(points[:, 2], 0.02)
         corners = shot.camera.project(points) - 0.5
         pixels = np.round(np.clip(corners, -2000, 4000) * 2**_SHIFT).astype(np.int32)
         srgb = np.clip(colour, 0, 1) ** (1 / 2.2) * 255
-        quads = _as_quads(polys)
         seen = corners[quads]
         following = np.roll(seen, -1, axis=1)
         # Shoelace: what turns away is behind something else of its own mesh.
         area = np.sum(seen[..., 0] * following[..., 1] - following[..., 0] * seen[..., 1], axis=1)
         quads = quads[area * _winding(points, quads) > 0]
-        faces.extend(
-            zip(
-                points[quads, 2].mean(axis=1).tolist(),
-                pixels[quads],
-                srgb[quads].mean(axis=1).tolist(),
-                strict=True,
-            )
-        )
+        depth, shade = points[quads, 2].mean(axis=1).tolist(), srgb[quads].mean(axis=1).tolist()
+        faces.extend(zip(depth, pixels[quads], shade, strict=True))
     for _, corners, colour in sorted(faces, key=lambda f: -f[0]):
         cv2.fillConvexPoly(picture, corners, colour, cv2.LINE_AA, _SHIFT)
 
 
 def _background(size: int, rng: np.random.Generator) -> np.ndarray:
     def colour() -> np.ndarray:
-        return _random_colour(rng) ** (1 / 2.2) * 255
+        return random_colour(rng) ** (1 / 2.2) * 255
 
     picture = np.empty((size, size, 3), dtype=np.float32)
     picture[:] = colour()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,8 +10,8 @@ import numpy as np
 from handfit_core.detect.detector import Detector
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import SIDES, Side, other_side
-from scripts.benchmark.shots import Shot
+from handfit_core.skeleton import SIDES, other_side
+from scripts.benchmark.shots import Shot, ShotHand
 from scripts.benchmark.stills import still_shot
 
 from .painter import paint
@@ -26,44 +25,36 @@ _FARTHEST = 0.5
 """Of the hand's size; a detection that is farther from the truth is of something else"""
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One detected hand and the truth about it."""
+Sample = dict[str, Any]
+"""One detected hand and the truth about it, as an npz file keeps it"""
 
-    number: int
-    """of the still"""
-    view: int
-    detection: HandDetection
-    intrinsics: Intrinsics
-    size: int
-    side: Side
-    """the true one"""
-    joints_3d: np.ndarray
-    """(21, 3) metres, camera frame"""
-    betas: np.ndarray
-    """(10,)"""
-    hand_pose: np.ndarray
-    """(45,) radians, of the hand before mirroring"""
-    mirrored: bool
 
-    def row(self) -> dict[str, Any]:
-        """For an npz file."""
-        return {
-            "number": self.number,
-            "view": self.view,
-            "detected_side": SIDES.index(self.detection.side),
-            "score": self.detection.score,
-            "keypoints": self.detection.keypoints,
-            "world": self.detection.world,
-            "focal": self.intrinsics.fx,
-            "centre": np.array([self.intrinsics.cx, self.intrinsics.cy]),
-            "size": self.size,
-            "side": SIDES.index(self.side),
-            "joints_3d": self.joints_3d,
-            "betas": self.betas,
-            "hand_pose": self.hand_pose,
-            "mirrored": self.mirrored,
-        }
+def sample(
+    detection: HandDetection,
+    camera: Intrinsics,
+    size: int,
+    hand: ShotHand,
+    joints_3d: np.ndarray,
+    *,
+    mirrored: bool,
+) -> Sample:
+    """A hand of a still, (21, 3) metres where the `camera` of a picture `size` pixels square sees its joints,
+    and its detection. Where that picture shows the hand's mirror image, `side` is that of the image, and
+    shape and pose are those of the hand."""
+    return {
+        "detected_side": SIDES.index(detection.side),
+        "score": detection.score,
+        "keypoints": detection.keypoints,
+        "world": detection.world,
+        "focal": camera.fx,
+        "centre": np.array([camera.cx, camera.cy]),
+        "size": size,
+        "side": SIDES.index(other_side(hand.side) if mirrored else hand.side),
+        "joints_3d": joints_3d,
+        "betas": hand.betas,
+        "hand_pose": hand.hand_pose[0],
+        "mirrored": mirrored,
+    }
 
 
 def samples_of(seed: int, number: int, detector: Detector, size: int = SIZE) -> tuple[int, list[Sample]]:
@@ -89,13 +80,8 @@ def samples_of(seed: int, number: int, detector: Detector, size: int = SIZE) -> 
             ]
             if not near or min(near)[0] > _FARTHEST:
                 continue
-            side = other_side(hand.side) if mirrored else hand.side
-            found.append(
-                Sample(
-                    number, view, detections[min(near)[1]], camera, size, side, points,
-                    hand.betas, hand.hand_pose[0], mirrored,
-                )
-            )  # fmt: skip
+            made = sample(detections[min(near)[1]], camera, size, hand, points, mirrored=mirrored)
+            found.append({"number": number, "view": view, **made})
     return VIEWS * len(shot.hands), found
 
 

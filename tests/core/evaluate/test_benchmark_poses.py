@@ -13,10 +13,9 @@ from handfit_core.skeleton import FINGER_JOINTS, SIDES, TIP_KEYPOINTS
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.contact import penetration, segment_distance
 from scripts.benchmark.grasp import random_grasp
-from scripts.benchmark.index import entries
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import POSES, random_pose
-from scripts.benchmark.shots import Shot
+from scripts.benchmark.shots import Shot, entries
 from scripts.benchmark.stills import still_shot
 from scripts.benchmark.views import (
     COVERAGE,

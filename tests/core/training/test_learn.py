@@ -11,9 +11,10 @@ from handfit_core.detect.correction.network import LandmarkNetwork
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import NO_OFFSETS, Landmarks, detector_landmarks
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side, other_side
+from scripts.benchmark.shots import ShotHand
 from scripts.training import learn
 from scripts.training.learn import Samples
-from scripts.training.samples import Sample
+from scripts.training.samples import sample
 from tests.core.fit.detections import keypoints_of, landmarks_of, mirrored, poses, seen
 
 torch.set_num_threads(1)
@@ -40,7 +41,8 @@ def samples_with(noise: float = 0.0, count: int = 12) -> tuple[Samples, np.ndarr
             joints, points = joints * MIRROR, points * MIRROR
         shown = other_side(side) if flip else side
         detection = seen(points, shown, CAMERA, noise=noise, seed=i)
-        rows.append(Sample(i, 0, detection, CAMERA, SIZE, shown, joints, one[0][0], one[2][0], flip).row())
+        hand = ShotHand(side, *one[0], *one[1:], arm=None)  # pyright: ignore[reportArgumentType]
+        rows.append(sample(detection, CAMERA, SIZE, hand, joints, mirrored=flip))
         truth.append(points)
     return {name: np.array([r[name] for r in rows]) for name in rows[0]}, np.array(truth)
 

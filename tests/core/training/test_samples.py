@@ -9,7 +9,6 @@ import pytest
 from handfit_core.detect.finder import open_finder
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES
 from scripts.benchmark.stills import still_shot
 from scripts.training import samples
 from scripts.training.samples import Sample, samples_of
@@ -63,37 +62,29 @@ def found() -> tuple[int, list[Sample]]:
 
 def test_labels_agree_with_the_detector(found: tuple[int, list[Sample]]) -> None:
     """In every view of the still, turned and mirrored ones too."""
-    count, all_found = found
-    assert 0.4 * count < len(all_found) <= count
+    count, rows = found
+    assert 0.4 * count < len(rows) <= count
     errors = {view: [] for view in range(samples.VIEWS)}
-    for sample in all_found:
-        pixels = sample.intrinsics.project(sample.joints_3d)
+    for row in rows:
+        pixels = Intrinsics(row["focal"], row["focal"], *row["centre"]).project(row["joints_3d"])
         extent = np.ptp(pixels, axis=0).max()
-        off = np.linalg.norm(sample.detection.keypoints_2d - pixels, axis=1).mean() / extent
-        errors[sample.view].append(off)
-    assert all(len(e) for e in errors.values())
+        errors[row["view"]].append(np.linalg.norm(row["keypoints"][:, :2] - pixels, axis=1).mean() / extent)
     assert all(np.median(e) < 0.08 for e in errors.values())
-    named = np.mean([s.detection.side == s.side for s in all_found])
-    assert named > 0.6
+    assert np.mean([row["detected_side"] == row["side"] for row in rows]) > 0.6
+    stacked = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    assert all(array.dtype.kind in "biuf" for array in stacked.values())
+    assert stacked["joints_3d"].shape == (len(rows), 21, 3)
 
 
 def test_mirroring_swaps_the_side_and_nothing_else(found: tuple[int, list[Sample]]) -> None:
     by_hand: dict[tuple[int, bytes], list[Sample]] = {}
-    for sample in found[1]:
-        by_hand.setdefault((sample.number, sample.hand_pose.tobytes()), []).append(sample)
+    for row in found[1]:
+        by_hand.setdefault((row["number"], row["hand_pose"].tobytes()), []).append(row)
     assert any(len(group) > 1 for group in by_hand.values())
     for group in by_hand.values():
         # The side before mirroring is one and the same, and so are the bones and the distance.
-        assert len({(s.side == "left") != s.mirrored for s in group}) == 1
-        lengths = [np.linalg.norm(s.joints_3d - s.joints_3d[0], axis=1) for s in group]
-        np.testing.assert_allclose(lengths, np.broadcast_to(lengths[0], np.shape(lengths)), atol=1e-12)
-        for s in group:
-            np.testing.assert_allclose(s.joints_3d[:, 2], group[0].joints_3d[:, 2])
-
-
-def test_rows_hold_numbers_only(found: tuple[int, list[Sample]]) -> None:
-    rows = [s.row() for s in found[1]]
-    stacked = {name: np.array([r[name] for r in rows]) for name in rows[0]}
-    assert all(a.dtype.kind in "biuf" for a in stacked.values())
-    assert stacked["joints_3d"].shape == (len(rows), 21, 3)
-    assert [SIDES[i] for i in stacked["side"]] == [s.side for s in found[1]]
+        assert len({row["side"] != row["mirrored"] for row in group}) == 1
+        points = np.array([row["joints_3d"] for row in group])
+        lengths = np.linalg.norm(points - points[:, :1], axis=2)
+        np.testing.assert_allclose(lengths, np.broadcast_to(lengths[0], lengths.shape), atol=1e-12)
+        np.testing.assert_allclose(points[..., 2], np.broadcast_to(points[0, :, 2], points.shape[:2]))
