@@ -120,54 +120,29 @@ def tests(session: nox.Session, part: str) -> None:
         run_blender_tests(session, part.removeprefix("bpy-"))
 
 
-@nox.session(python=PYTHON, name="checkout-4.2")
-def checkout_42(session: nox.Session) -> None:
-    """Blender's side of the checkout, as in `tests`, in the oldest Blender that is supported."""
-    run_blender_tests(session, "4.2")
+def blender_sessions(version: str, python: str) -> None:
+    """The sessions `blender-VERSION`, and `checkout-VERSION` of the Blenders that `tests` leaves out."""
+
+    def installed(session: nox.Session) -> None:
+        # Here is nothing but Blender: no SciPy, no OpenCV and no MediaPipe.
+        install(session, BPY[version], *([OLDEST_NUMPY] if version == "4.2" else []), *PYTEST)
+        env, allowed = {"HANDFIT_ZIP": built_zip(session)}, ""
+        if version != "5.2":  # beside which the real Blender has its turn
+            env["HANDFIT_BLENDER_CHROOT"], allowed = "", "chroot"
+        run_pytest(session, "tests/installed", allowed_skips=allowed, env=env)
+
+    def checkout(session: nox.Session) -> None:
+        run_blender_tests(session, version)
+
+    installed.__doc__ = f"The zip in Blender {version}: installed offline into an empty profile, and used."
+    nox.session(python=python, name=f"blender-{version}")(installed)
+    if version in ("4.2", "5.2"):
+        checkout.__doc__ = f"Blender's side of the checkout, as in `tests`, in Blender {version}."
+        nox.session(python=python, name=f"checkout-{version}")(checkout)
 
 
-@nox.session(python="3.13", name="checkout-5.2")
-def checkout_52(session: nox.Session) -> None:
-    """The same in 5.2, under Python 3.13."""
-    run_blender_tests(session, "5.2")
-
-
-@nox.session(python=PYTHON, name="blender-4.2")
-def blender_42(session: nox.Session) -> None:
-    """The zip in the oldest Blender that is supported, with the NumPy that it may have."""
-    run_installed_tests(session, "4.2", OLDEST_NUMPY)
-
-
-@nox.session(python=PYTHON, name="blender-4.5")
-def blender_45(session: nox.Session) -> None:
-    """The zip in Blender 4.5: installed offline into an empty profile, used, removed."""
-    run_installed_tests(session, "4.5")
-
-
-@nox.session(python=PYTHON, name="blender-5.0")
-def blender_50(session: nox.Session) -> None:
-    """The zip in Blender 5.0."""
-    run_installed_tests(session, "5.0")
-
-
-@nox.session(python="3.13", name="blender-5.2")
-def blender_52(session: nox.Session) -> None:
-    """The zip in Blender 5.2, and in a real Blender where HANDFIT_BLENDER_CHROOT names one: Python 3.13."""
-    run_installed_tests(session, "5.2", real_blender=True)
-
-
-def run_installed_tests(
-    session: nox.Session, version: str, *packages: str, real_blender: bool = False
-) -> None:
-    """Test the zip where there is nothing but Blender: this environment has no SciPy, no OpenCV and no
-    MediaPipe."""
-    install(session, BPY[version], *packages, *PYTEST)
-    env, allowed = {"HANDFIT_ZIP": built_zip(session)}, ""
-    if not real_blender:
-        env["HANDFIT_BLENDER_CHROOT"], allowed = "", "chroot"
-    # What Blender's own tool makes of broken zips, and of two versions, its oldest and its newest tell.
-    paths = ["tests/installed/test_whole_life.py"] if version in ("4.5", "5.0") else ["tests/installed"]
-    run_pytest(session, *paths, allowed_skips=allowed, env=env)
+for blender in BPY:
+    blender_sessions(blender, "3.13" if blender == "5.2" else PYTHON)
 
 
 def built_zip(session: nox.Session) -> str:
@@ -259,17 +234,21 @@ def release(session: nox.Session) -> None:
 @nox.session(venv_backend="none")
 def bump(session: nox.Session) -> None:
     """Give the next release its version, in manifest and changelog: `-- 0.2.0`."""
-    (version,) = session.posargs
+    version = " ".join(session.posargs)
+    if not re.fullmatch(r"\d+\.\d+\.\d+", version):
+        session.error(f"give the next release's version, as in `nox -s bump -- 0.2.0`, not {version!r}")
     section = f"## Unreleased\n\n## {version} - {datetime.date.today()}\n"
+    changed: dict[Path, str] = {}
     for name, old, new in (
         ("blender_manifest.toml", r'^version = ".*"$', f'version = "{version}"'),
         ("CHANGELOG.md", r"^## Unreleased\n", section),
     ):
         text = (ROOT / name).read_text(encoding="utf-8")
-        text, found = re.subn(old, new, text, count=1, flags=re.MULTILINE)
-        if not found or not re.fullmatch(r"\d+\.\d+\.\d+", version):
-            session.error(f"give a version such as 0.2.0; {name} must have a line {old}")
-        (ROOT / name).write_text(text, encoding="utf-8", newline="\n")
+        changed[ROOT / name], found = re.subn(old, new, text, count=1, flags=re.MULTILINE)
+        if not found:
+            session.error(f"{name} has no line that matches {old}; put it back")
+    for path, text in changed.items():
+        path.write_text(text, encoding="utf-8", newline="\n")
 
 
 @nox.session(python=PYTHON)

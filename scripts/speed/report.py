@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
-from scripts.speed.interleaved import Spread, Timing
 from scripts.speed.memory import Peak
+from scripts.speed.timings import Timing
 
 PACKAGES = ("numpy", "scipy", "mediapipe", "opencv-python-headless")
 MOST_MORE_MB = 200.0
@@ -41,6 +41,29 @@ class Part:
         return "\n".join([self.title, "", *map(str.rstrip, lines), "", *self.notes]).rstrip()
 
 
+def timed_part(
+    key: str, title: str, timings: Sequence[Timing], reference: str, notes: Sequence[str], **more: Any
+) -> Part:
+    """What takes how long, and how many times faster than `reference` each is; `more` goes to the numbers."""
+    compared = next((t for t in timings if t.name == reference), None)
+    header = ["", "ms/frame", "quartiles", "frames/s"]
+    header += [f"x {compared.name}", "range"] if compared else []
+    rows, numbers = [], []
+    for timing in timings:
+        seconds = timing.seconds_per_frame
+        rate = {"seconds_per_frame": seconds._asdict(), "frames_per_second": 1 / seconds.median}
+        calls = {"frames_per_call": timing.frames, "rounds": timing.rounds}
+        numbers.append({"name": timing.name, **calls, **rate})
+        median, *quartiles = (1000 * value for value in seconds)
+        rows.append([timing.name, significant(median), _range(*quartiles), significant(1 / seconds.median)])
+        if compared:
+            ratio = timing.times_faster_than(compared)
+            rows[-1] += [significant(ratio.median), _range(ratio.low, ratio.high)]
+            numbers[-1]["times_faster"] = ratio._asdict()
+    found = {"reference": compared and compared.name, **more, "timings": numbers}
+    return Part(title, header, rows, notes, {key: found})
+
+
 def solvers_part(
     timings: Sequence[Timing], reference: str, detections: int, converged: float, doubtful: float
 ) -> Part:
@@ -48,47 +71,21 @@ def solvers_part(
 
     `detections` were distinct; of the fast solver's fits to them these shares converged and are doubtful.
     """
-    compared = next((t for t in timings if t.name == reference), None)
-    header = ["solver", "ms/frame", "quartiles", "frames/s"]
-    rows, numbers = [], []
-    for timing in timings:
-        row = [timing.name, *_per_frame(timing)]
-        numbers.append(_numbers(timing))
-        if compared is not None:
-            ratio = timing.times_faster_than(compared)
-            row += [significant(ratio.median), _range(ratio)]
-            numbers[-1]["times_faster"] = asdict(ratio)
-        rows.append(row)
-    if compared is not None:
-        header += [f"x {compared.name}", "range"]
     notes = [
         f"{len(timings[0].rounds)} rounds, in each of which all have their turn; batches are made of "
         f"{detections} distinct detections",
         f"fast: {100 * converged:.0f} % of those converged, {100 * doubtful:.0f} % doubtful",
     ]
-    found = {
-        "reference": compared and compared.name,
-        "distinct_detections": detections,
-        "fast_converged": converged,
-        "fast_doubtful": doubtful,
-        "timings": numbers,
-    }
-    return Part("Solvers, on the same detections", header, rows, notes, {"solvers": found})
+    shares = {"fast_converged": converged, "fast_doubtful": doubtful}
+    title = "Solvers, on the same detections"
+    return timed_part("solvers", title, timings, reference, notes, distinct_detections=detections, **shares)
 
 
 def pipeline_part(detection: Timing, pipeline: Timing) -> Part:
-    """The whole pipeline beside detection alone."""
-    share = pipeline.times_faster_than(detection)
-    both = (detection, pipeline)
-    numbers = {"timings": list(map(_numbers, both)), "share_of_detection_rate": asdict(share)}
-    return Part(
-        f"Whole pipeline against detection alone, {detection.frames} frames, "
-        f"{len(detection.rounds)} runs of each",
-        ["", "ms/frame", "quartiles", "frames/s"],
-        [[timing.name, *_per_frame(timing)] for timing in both],
-        [f"pipeline / detection: {share.median:.2f} ({share.low:.2f}-{share.high:.2f}) of its frame rate"],
-        {"pipeline": numbers},
-    )
+    """The whole pipeline beside detection alone, and the share of its frame rate."""
+    title = "Whole pipeline against detection alone"
+    title += f", {detection.frames} frames, {len(detection.rounds)} runs of each"
+    return timed_part("pipeline", title, (detection, pipeline), detection.name, ())
 
 
 def memory_part(peaks: Sequence[Peak]) -> Part:
@@ -139,24 +136,11 @@ def machine_text(facts: dict[str, Any]) -> str:
     )
 
 
-def _per_frame(timing: Timing) -> list[str]:
-    seconds = timing.seconds_per_frame
-    milliseconds = Spread(1000 * seconds.median, 1000 * seconds.low, 1000 * seconds.high)
-    return [significant(milliseconds.median), _range(milliseconds), significant(1 / seconds.median)]
-
-
-def _numbers(timing: Timing) -> dict[str, Any]:
-    seconds = timing.seconds_per_frame
-    rate = {"seconds_per_frame": asdict(seconds), "frames_per_second": 1 / seconds.median}
-    return {"name": timing.name, "frames_per_call": timing.frames, **rate, "rounds": timing.rounds}
-
-
-def _range(spread: Spread) -> str:
-    return f"{significant(spread.low)}-{significant(spread.high)}"
+def _range(low: float, high: float) -> str:
+    return f"{significant(low)}-{significant(high)}"
 
 
 def significant(value: float) -> str:
     """Three significant digits, without an exponent."""
-    if abs(value) >= 100:
-        return f"{value:.0f}"
-    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}" if abs(value) >= 1 else f"{value:.3f}"
+    before_the_point = len(str(int(abs(value)))) if abs(value) >= 1 else 0
+    return f"{value:.{max(0, 3 - before_the_point)}f}"
