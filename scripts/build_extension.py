@@ -14,7 +14,6 @@ they are downloaded once, into the user's cache. The same input gives the same b
 from __future__ import annotations
 
 import argparse
-import platform as machine
 import shutil
 import sys
 import tempfile
@@ -29,6 +28,7 @@ from scripts.needed import need
 
 need("numpy", "nox -s build")
 
+from blender_manient.installation import this_platform
 from handfit_core.errors import HandfitError
 from handfit_core.files import written_whole
 from handfit_core.version import __version__
@@ -101,13 +101,6 @@ def table(path: Path, wheels: Sequence[Wheel]) -> str:
         unpacked = sum(row[5] for row in rows if python in row[3])
         lines += ["", f"With Python {python} a Blender unpacks {unpacked / 1e6:.0f} MB."]
     return "\n".join(lines)
-
-
-def this_platform() -> str:
-    """Blender's name of the platform that this runs on, such as linux-x64 (also of those without a zip)."""
-    system = {"linux": "linux", "win32": "windows", "darwin": "macos"}.get(sys.platform, sys.platform)
-    processor = machine.machine().lower()
-    return f"{system}-{ {'x86_64': 'x64', 'amd64': 'x64', 'aarch64': 'arm64'}.get(processor, processor) }"
 
 
 def main() -> int:

@@ -10,7 +10,6 @@ It is run while setting up, never by the add-on.
 from __future__ import annotations
 
 import argparse
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -23,6 +22,7 @@ need("numpy", "python -m pip install -c constraints.txt .")
 
 from handfit_core.detect import landmark_model
 from handfit_core.errors import HandfitError, LandmarkModelError
+from scripts.extension.wheels import BuildError, pip
 
 
 def main() -> int:
@@ -49,18 +49,16 @@ def main() -> int:
 
 def download_wheel(folder: Path) -> Path:
     """Download the pinned wheel with pip. Raises LandmarkModelError."""
-    command = [sys.executable, "-m", "pip", "download", landmark_model.WHEEL_REQUIREMENT, "--no-deps"]
-    command += ["--only-binary=:all:", "--python-version", landmark_model.WHEEL_PYTHON]
-    command += ["--platform", landmark_model.WHEEL_PLATFORM, "--quiet", "--dest", str(folder)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    wheels = sorted(folder.glob("*.whl"))
-    if result.returncode or not wheels:
-        reason = (result.stderr.strip().splitlines() or ["pip gave no reason"])[-1]
+    of_linux = ["--python-version", landmark_model.WHEEL_PYTHON, "--platform", landmark_model.WHEEL_PLATFORM]
+    options = ["--no-deps", "--only-binary=:all:", *of_linux, "--dest", str(folder)]
+    try:
+        pip("download", landmark_model.WHEEL_REQUIREMENT, *options)
+    except BuildError as error:
         raise LandmarkModelError(
-            f"{landmark_model.WHEEL_REQUIREMENT} could not be downloaded ({reason}); check the network, or "
+            f"{landmark_model.WHEEL_REQUIREMENT} could not be downloaded ({error}); check the network, or "
             "download the wheel elsewhere and give it with --wheel"
-        )
-    return wheels[0]
+        ) from error
+    return next(folder.glob("*.whl"))
 
 
 if __name__ == "__main__":

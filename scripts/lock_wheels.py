@@ -11,7 +11,6 @@ platform and Python, the lock has none, and this says so.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -36,6 +35,8 @@ from scripts.extension.wheels import (
     BuildError,
     Pin,
     lock_path,
+    pip,
+    target,
 )
 
 SYSTEMS = {"linux": "linux", "windows": "win32", "macos": "darwin"}
@@ -93,14 +94,17 @@ def resolved(
     """The files that pip would download, in order of the names. Raises BuildError."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
-        command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-        command += ["--dry-run", "--report", str(report), "--ignore-installed", "--no-deps"]
-        command += ["--only-binary=:all:", "--target", folder, "--python-version", python]
-        command += [f"--platform={tag}" for tag in PLATFORMS.get(platform or "", ())]
-        command += [f"{name}=={pinned[name]}" for name in names]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise BuildError((done.stderr.strip().splitlines() or ["pip failed"])[-1].removeprefix("ERROR: "))
+        asked = [f"{name}=={pinned[name]}" for name in names]
+        options = [
+            "--dry-run",
+            "--ignore-installed",
+            "--no-deps",
+            "--report",
+            str(report),
+            "--target",
+            folder,
+        ]
+        pip("install", *options, *target(platform, python), *asked)
         entries = json.loads(report.read_text(encoding="utf-8"))["install"]
     found = {entry["metadata"]["name"].replace("_", "-").lower(): entry for entry in entries}
     return [

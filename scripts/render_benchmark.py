@@ -17,21 +17,21 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.evaluate.datasets.plain import save_index
 from handfit_core.files import written_whole
 from handfit_core.skeleton import SIDES
-from scripts.benchmark.clips import clip_shot
+from scripts.benchmark.clips import clip_file, clip_shot
 from scripts.benchmark.kinematics import model_of
-from scripts.benchmark.shots import Shot, entries, save
-from scripts.benchmark.stills import still_shot
+from scripts.benchmark.shots import FPS, NAME, NOTES, Shot, entries
+from scripts.benchmark.stills import still_file, still_shot
 
 RECIPE = 1
 """Raise it when the same seed no longer gives the same pictures"""
@@ -52,7 +52,13 @@ class Plan:
     def __len__(self) -> int:
         return self.stills + self.clips * self.frames
 
-    def shots(self, chosen: range) -> Iterator[tuple[Shot, list[int]]]:
+    def there(self, output: Path) -> list[int]:
+        """The numbers of the pictures that are in the folder, whenever they were rendered."""
+        clips = ((c, t) for c in range(self.clips) for t in range(self.frames))
+        files = [still_file(n) for n in range(self.stills)] + [clip_file(*at) for at in clips]
+        return [number for number, file in enumerate(files) if (output / file).is_file()]
+
+    def shots(self, chosen: Container[int]) -> Iterator[tuple[Shot, list[int]]]:
         """Each shot that has any of the `chosen` pictures, and which of its pictures those are."""
         for number in range(self.stills):
             if number in chosen:
@@ -165,13 +171,10 @@ def _render_all(output: Path, plan: Plan, chosen: range, samples: int, overwrite
     _agree_on_settings(output, plan, samples, overwrite)
 
     start, drawn, done = time.monotonic(), 0, 0
-    labelled: dict[str, dict[str, Any]] = {}
     with _stop_wanted() as stop:
         for shot, pictures in plan.shots(chosen):
             if stop.is_set():
                 break
-            labels = entries(shot)
-            labelled.update({label["file"]: label for label in labels})
             built = False
             for picture in pictures:
                 done += 1
@@ -191,9 +194,9 @@ def _render_all(output: Path, plan: Plan, chosen: range, samples: int, overwrite
                 )
     if stop.is_set():
         print("stopped; the same command goes on from here", flush=True)
-    pictures = _finished(output, plan, labelled)
+    pictures = [entries(shot)[t] for shot, found in plan.shots(plan.there(output)) for t in found]
     if pictures:
-        save(output, pictures)
+        save_index(output, pictures, name=NAME, notes=NOTES, fps=FPS)
     print(f"{drawn} pictures rendered, {len(pictures)} in {output / 'index.json'}", flush=True)
     return 130 if stop.is_set() else 0
 
@@ -213,25 +216,6 @@ def _stop_wanted() -> Iterator[threading.Event]:
         for number, handler in before.items():
             # Blender's own handlers are not Python's: they come back as None, and cannot be put back.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-def _finished(output: Path, plan: Plan, labelled: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """The labels of every picture of the plan that is there, whenever it was rendered."""
-    there = {
-        p.relative_to(output).as_posix() for p in output.glob("*/**/*.jpg") if not p.name.startswith(".")
-    }
-    found = []
-    for number in range(plan.stills):
-        file = f"stills/{number:05d}.jpg"
-        if file in there:
-            found.append(labelled.get(file) or entries(still_shot(plan.seed, number, plan.size))[0])
-    for clip in range(plan.clips):
-        files = [f for f in (f"clips/{clip:02d}/{t:04d}.jpg" for t in range(plan.frames)) if f in there]
-        if files and files[0] not in labelled:
-            shot = clip_shot(plan.seed, clip, plan.frames, plan.size)
-            labelled = {**labelled, **{label["file"]: label for label in entries(shot)}}
-        found.extend(labelled[f] for f in files)
-    return found
 
 
 if __name__ == "__main__":

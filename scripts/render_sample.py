@@ -25,11 +25,11 @@ from blender_manient.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
-from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.media.source import Source
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS
-from handfit_core.take import HandTrack, Take
+from handfit_core.skeleton import JOINTS_BY_FINGER
+from handfit_core.take import Take
+from scripts.benchmark.kinematics import hand_pose_from_angles, model_of
+from scripts.benchmark.shots import ShotHand, rendered_take
 
 WIDTH, HEIGHT = 640, 480
 CAMERA = Intrinsics(700.0, 700.0, WIDTH / 2, HEIGHT / 2)
@@ -81,44 +81,21 @@ def main() -> int:
 
 def truth() -> Take:
     """The motion that is rendered: open, pinch, point, open."""
-    model = load_model(None, SIDE)
     times = [key[0] for key in _KEYS]
     bends = np.array([key[1]["bend"] for key in _KEYS], dtype=float)
     spreads = np.array([key[1]["spread"] for key in _KEYS], dtype=float)
     turns = np.array([key[2] for key in _KEYS], dtype=float)
 
-    orient, pose, transl = np.empty((FRAMES, 3)), np.empty((FRAMES, 45)), np.empty((FRAMES, 3))
+    angles, orient, transl = np.zeros((FRAMES, 16, 3)), np.empty((FRAMES, 3)), np.empty((FRAMES, 3))
     for t in range(FRAMES):
-        eased = [_between(times, values, t) for values in (bends, spreads, turns)]
-        pose[t] = _pose(model, *eased[:2])
-        orient[t] = _towards_camera(*np.radians(eased[2]))
+        angles[t, JOINTS_BY_FINGER, 2] = np.radians(_between(times, bends, t))
+        angles[t, JOINTS_BY_FINGER[:, 0], 1] = np.radians(_between(times, spreads, t))
+        orient[t] = _towards_camera(*np.radians(_between(times, turns, t)))
         wrist_at = np.array([-0.01 + 0.02 * math.sin(t / 6), 0.075, 0.42 + 0.03 * math.sin(t / 9)])
-        transl[t] = wrist_at - model.shaped().joints[0]
-    joints = model.keypoints(None, orient, pose, transl)
-    track = HandTrack(
-        side=SIDE,
-        betas=np.zeros(10),
-        global_orient=orient,
-        hand_pose=pose,
-        transl=transl,
-        joints_3d=joints,
-        keypoints_2d=CAMERA.project(joints),
-        reprojection_error=np.zeros(FRAMES),
-        detected=np.ones(FRAMES, dtype=bool),
-        score=np.ones(FRAMES),
-    )
-    return Take(
-        source=Source("sequence", tuple(f"hand.{t + 1:04d}.jpg" for t in range(FRAMES))),
-        fps=24.0,
-        frame_numbers=np.arange(1, FRAMES + 1),
-        width=WIDTH,
-        height=HEIGHT,
-        intrinsics=CAMERA,
-        solver="rendered",
-        model=OPEN_HAND,
-        model_digests={SIDE: model.digest},
-        hands=(track,),
-    )
+        transl[t] = wrist_at - model_of(SIDE).shaped().joints[0]
+    hand = ShotHand(SIDE, np.zeros(10), orient, hand_pose_from_angles(angles[:, 1:], SIDE), transl)
+    source = Source("sequence", tuple(f"hand.{t + 1:04d}.jpg" for t in range(FRAMES)))
+    return rendered_take(source, 24.0, np.arange(1, FRAMES + 1), (WIDTH, HEIGHT), CAMERA, (hand,))
 
 
 def _between(times: list[int], values: np.ndarray, t: float) -> np.ndarray:
@@ -127,20 +104,6 @@ def _between(times: list[int], values: np.ndarray, t: float) -> np.ndarray:
     u = (t - times[i]) / (times[i + 1] - times[i])
     u = u * u * (3 - 2 * u)
     return (1 - u) * values[i] + u * values[i + 1]
-
-
-def _pose(model: HandModel, bends: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """(5, 3) bends and (5,) spreads in degrees -> (45,) axis-angle."""
-    axes = anatomical_axes(model)
-    pose = np.zeros((15, 3))
-    for f, finger in enumerate(FINGERS):
-        for i, joint in enumerate(FINGER_JOINTS[finger]):
-            spread, bend = axes[joint - 1][:, 1], axes[joint - 1][:, 2]
-            turn = rotvec_to_rotmat(np.radians(bends[f, i]) * bend)
-            if i == 0:
-                turn = rotvec_to_rotmat(np.radians(spreads[f]) * spread) @ turn
-            pose[joint - 1] = rotmat_to_rotvec(turn)
-    return pose.reshape(45)
 
 
 def _towards_camera(about_vertical: float, about_sight: float) -> np.ndarray:

@@ -24,59 +24,27 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
         "stopped goes on where it ended when the same command is given again.",
     )
     command.set_defaults(handler=_evaluate)
-    command.add_argument(
-        "dataset", type=Path, metavar="DIR", help="the data set's folder (docs/data-sets.md)"
-    )
-    command.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="REPORT",
-        help="folder for the report (default: out/evaluation/NAME-PROTOCOL)",
-    )
-    command.add_argument(
-        "--solvers",
-        nargs="+",
-        default=list(DEFAULT_METHODS),
-        metavar="NAMES",
-        help="solvers, and raw, fused, paper or all, separated by commas or spaces "
-        f"(default: {','.join(DEFAULT_METHODS)})",
-    )
-    command.add_argument(
-        "--protocol",
-        choices=get_args(ProtocolName),
-        default="strict",
-        help="strict counts misses; paper is the published evaluation, faults included (default: strict)",
-    )
-    command.add_argument("--kind", metavar="KIND", help="the data set's layout (default: recognised)")
-    command.add_argument("--split", metavar="SPLIT", help="which part of a data set that has several")
-    command.add_argument(
-        "--labels",
-        choices=("original", "cleaned"),
-        help="which labels of EgoDexter and Dexter+Object (default: cleaned where they are)",
-    )
-    command.add_argument(
-        "--camera",
-        choices=CAMERA_CHOICES,
-        default="assumed",
-        help="what solvers are told about the camera (default: assumed, that is nothing)",
-    )
-    command.add_argument(
-        "--every", type=int, default=1, metavar="N", help="every n-th still and every n-th clip only"
-    )
-    command.add_argument(
-        "--stills", action="store_true", help="take each picture of a clip for a still of its own"
-    )
-    command.add_argument(
-        "--reference", metavar="NAME", help="compare the others with this solver (default: the last one)"
-    )
-    command.add_argument(
-        "--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well"
-    )
+    add = command.add_argument
+    add("dataset", type=Path, metavar="DIR", help="the data set's folder (docs/data-sets.md)")
+    text = "folder for the report (default: out/evaluation/NAME-PROTOCOL)"
+    add("-o", "--output", type=Path, metavar="REPORT", help=text)
+    text = "solvers, and raw, fused, paper or all, separated by commas or spaces "
+    text += f"(default: {','.join(DEFAULT_METHODS)})"
+    add("--solvers", nargs="+", default=list(DEFAULT_METHODS), metavar="NAMES", help=text)
+    text = "strict counts misses; paper is the published evaluation, faults included (default: strict)"
+    add("--protocol", choices=get_args(ProtocolName), default="strict", help=text)
+    add("--kind", metavar="KIND", help="the data set's layout (default: recognised)")
+    add("--split", metavar="SPLIT", help="which part of a data set that has several")
+    text = "which labels of EgoDexter and Dexter+Object (default: cleaned where they are)"
+    add("--labels", choices=("original", "cleaned"), help=text)
+    text = "what solvers are told about the camera (default: assumed, that is nothing)"
+    add("--camera", choices=CAMERA_CHOICES, default="assumed", help=text)
+    add("--every", type=int, default=1, metavar="N", help="every n-th still and every n-th clip only")
+    add("--stills", action="store_true", help="take each picture of a clip for a still of its own")
+    add("--reference", metavar="NAME", help="compare the others with this solver (default: the last one)")
+    add("--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well")
     add_options(command, ("model", "detector", "threshold", "plain_detection", "landmark_model"))
-    command.add_argument(
-        "--progress", choices=("bar", "json", "none"), default="bar", help="how to show progress"
-    )
+    add("--progress", choices=("bar", "json", "none"), default="bar", help="how to show progress")
 
 
 def _evaluate(args: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ import platform
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -15,12 +16,11 @@ from handfit_core.evaluate.compare import compare
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import Fits, FitTask
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
-from handfit_core.evaluate.methods import method_names, method_title
-from handfit_core.evaluate.rows import Row, Rows, rows_of
+from handfit_core.evaluate.methods import TrackResult, method_names, method_title
+from handfit_core.evaluate.rows import Row, Rows, TrackInView, rows_of
 from handfit_core.evaluate.scores import (
     CAMERA_CHOICES,
     CameraChoice,
-    Comparison,
     Evaluation,
     ProtocolName,
     Scores,
@@ -101,6 +101,7 @@ def evaluate(
             score(name, method_title(name), found.rows, results, options.protocol, problems=of_meshes)
         )
         progress("score", len(scores), stages)
+    by_name = {s.method: s for s in scores}
     return Evaluation(
         dataset=dataset.name,
         kind=dataset.kind,
@@ -108,7 +109,12 @@ def evaluate(
         protocol=options.protocol,
         scores=tuple(scores),
         summaries={s.method: summarise(s, options.protocol) for s in scores},
-        comparisons=_comparisons(scores, reference, options.protocol),
+        comparisons=tuple(
+            compare(by_name[reference], by_name[name], metric)
+            for metric in COMPARED_METRICS[options.protocol]
+            for name in names
+            if name != reference
+        ),
         pictures=found.pictures,
         labelled_hands=len(found.rows),
         extra_hands=found.extra_hands,
@@ -175,37 +181,24 @@ def _fit_all(fits: Fits, names: Sequence[str], found: Rows, jobs: int, progress:
 
 def _results(fits: Fits, name: str) -> Callable[[Row], RowResult | None]:
     """A method's result of a row, reading each track's file once for neighbouring rows."""
-    last_view, last_result = None, None
+
+    @lru_cache(maxsize=1)
+    def of_track(view: TrackInView) -> TrackResult:
+        return fits.result(FitTask(name, view.track, view.intrinsics))
 
     def result_of(row: Row) -> RowResult | None:
-        nonlocal last_view, last_result
         if row.track is None:
             return None
-        if row.track is not last_view:
-            last_view = row.track
-            last_result = fits.result(FitTask(name, row.track.track, row.track.intrinsics))
-        assert last_result is not None
-        model = fits.models[row.track.track.side]
-        wanted = row.label.mesh is not None
+        found, model = of_track(row.track), fits.models[row.track.track.side]
         return RowResult(
-            points_3d=last_result.points_3d[row.frame],
-            picture_points=last_result.picture_points[row.frame],
-            fit_ms=float(last_result.milliseconds[row.frame]),
+            points_3d=found.points_3d[row.frame],
+            picture_points=found.picture_points[row.frame],
+            fit_ms=float(found.milliseconds[row.frame]),
             model=model,
-            vertices=last_result.vertices(model, row.frame) if wanted else None,
+            vertices=found.vertices(model, row.frame) if row.label.mesh else None,
         )
 
     return result_of
-
-
-def _comparisons(scores: Sequence[Scores], reference: str, protocol: ProtocolName) -> tuple[Comparison, ...]:
-    by_name = {s.method: s for s in scores}
-    others = [s for s in scores if not s.is_baseline and s.method != reference]
-    return tuple(
-        compare(by_name[reference], other, metric)
-        for metric in COMPARED_METRICS[protocol]
-        for other in others
-    )
 
 
 def _grouped(problems: Sequence[Problem]) -> dict[str, tuple[str, ...]]:

@@ -64,12 +64,10 @@ def _tint(data: bpy.types.Mesh, colours: np.ndarray) -> None:
 
 def _add_arm(hand: ShotHand, rig, skin_material: bpy.types.Material, fabric: bpy.types.Material) -> None:
     """Forearm and sleeve, bound to the wrist."""
-    parts = [("forearm", hand.arm.skin, skin_material), ("sleeve", hand.arm.sleeve, fabric)]
-    for name, mesh, material in parts:
-        if mesh is None:
-            continue
+    materials = {"forearm": skin_material, "sleeve": fabric}
+    for name, mesh in hand.arm_parts.items():
         made = add_mesh(f"{hand.side} {name}", mesh, axes.points_to_rest(mesh.vertices))
-        made.data.materials.append(material)
+        made.data.materials.append(materials[name])
         _tint(made.data, np.ones((len(mesh.vertices), 3)))
         bone = rig.armature.data.bones[0].name
         made.vertex_groups.new(name=bone).add(list(range(len(mesh.vertices))), 1.0, "REPLACE")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -42,7 +41,13 @@ class ShotHand:
     """(F, 45) radians"""
     transl: np.ndarray
     """(F, 3) metres"""
-    arm: Arm
+    arm: Arm | None = None
+
+    @property
+    def arm_parts(self) -> dict[str, Mesh]:
+        """Forearm and sleeve, those that there are, in the model's frame."""
+        parts = {"forearm": self.arm.skin, "sleeve": self.arm.sleeve} if self.arm else {}
+        return {name: mesh for name, mesh in parts.items() if mesh is not None}
 
     def keypoints(self) -> np.ndarray:
         """(F, 21, 3) metres, camera frame."""
@@ -76,36 +81,50 @@ class Shot:
 
     def take(self) -> Take:
         """The shot as a take, whose frame numbers are the key frames' rows."""
-        tracks = []
-        for hand in self.hands:
-            points = hand.keypoints()
-            tracks.append(
-                HandTrack(
-                    side=hand.side,
-                    betas=hand.betas,
-                    global_orient=hand.global_orient,
-                    hand_pose=hand.hand_pose,
-                    transl=hand.transl,
-                    joints_3d=points,
-                    keypoints_2d=self.camera.project(points),
-                    reprojection_error=np.zeros(len(points)),
-                    detected=np.ones(len(points), dtype=bool),
-                    score=np.ones(len(points)),
-                )
-            )
         count = len(self.surroundings)
-        return Take(
-            source=Source("sequence", tuple(f"{i}" for i in range(count))),
-            fps=FPS,
-            frame_numbers=np.arange(count),
-            width=self.size,
-            height=self.size,
-            intrinsics=self.camera,
-            solver="rendered",
-            model=OPEN_HAND,
-            model_digests={hand.side: model_of(hand.side).digest for hand in self.hands},
-            hands=tuple(tracks),
+        source = Source("sequence", tuple(f"{i}" for i in range(count)))
+        return rendered_take(source, FPS, np.arange(count), (self.size, self.size), self.camera, self.hands)
+
+
+def rendered_take(
+    source: Source,
+    fps: float,
+    frame_numbers: np.ndarray,
+    size: tuple[int, int],
+    camera: Intrinsics,
+    hands: Sequence[ShotHand],
+) -> Take:
+    """The take of hands that are known, as every frame shows them; `size` is width and height in pixels."""
+    count = len(frame_numbers)
+    tracks = []
+    for hand in hands:
+        points = hand.keypoints()
+        tracks.append(
+            HandTrack(
+                side=hand.side,
+                betas=hand.betas,
+                global_orient=hand.global_orient,
+                hand_pose=hand.hand_pose,
+                transl=hand.transl,
+                joints_3d=points,
+                keypoints_2d=camera.project(points),
+                reprojection_error=np.zeros(count),
+                detected=np.ones(count, dtype=bool),
+                score=np.ones(count),
+            )
         )
+    return Take(
+        source=source,
+        fps=fps,
+        frame_numbers=frame_numbers,
+        width=size[0],
+        height=size[1],
+        intrinsics=camera,
+        solver="rendered",
+        model=OPEN_HAND,
+        model_digests={hand.side: model_of(hand.side).digest for hand in hands},
+        hands=tuple(tracks),
+    )
 
 
 def entries(shot: Shot) -> list[dict[str, Any]]:
@@ -142,13 +161,6 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
             entry["clip"] = shot.clip
         found.append(entry)
     return found
-
-
-def save(root: Path, pictures: list[dict[str, Any]]) -> Path:
-    """Write `index.json`, whole or not at all. Raises OutputError."""
-    from handfit_core.evaluate.datasets.plain import save_index
-
-    return save_index(root, pictures, name=NAME, notes=NOTES, fps=FPS)
 
 
 def _rounded(values: np.ndarray, decimals: int) -> list:

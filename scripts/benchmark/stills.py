@@ -33,6 +33,11 @@ _MOST_HIDDEN: Final = 9
 _KINDS: Final = (*POSES, "grasp")
 
 
+def still_file(number: int) -> str:
+    """Where a still is in the benchmark's folder."""
+    return f"stills/{number:05d}.jpg"
+
+
 def still_shot(seed: int, number: int, size: int) -> Shot:
     """The still of that number, always the same: it depends on nothing but these three.
 
@@ -81,7 +86,7 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot |
         **lens_tags(focal_mm),
     }
     return Shot(
-        files=(f"stills/{number:05d}.jpg",),
+        files=(still_file(number),),
         clip=None,
         size=size,
         camera=camera,

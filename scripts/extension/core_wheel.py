@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import tomllib
 from pathlib import Path
 
 from handfit_core.detect import landmark_model
 from scripts.extension.staging import ROOT, fix
-from scripts.extension.wheels import BUILD_LOCK, BuildError, Wheel, fetched, read_lock, sha256_of
+from scripts.extension.wheels import BUILD_LOCK, BuildError, Wheel, fetched, pip, read_lock, sha256_of
 from scripts.fetch_landmark_model import download_wheel
 
 BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
@@ -49,27 +47,17 @@ def core_wheel(folder: Path, root: Path = ROOT) -> Wheel:
         tools = Path(temporary) / "tools"
         tools.mkdir()
         shutil.copy(setuptools, tools)
-        command = [
-            sys.executable,
-            "-m",
-            "pip",
-            "wheel",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-deps",
-        ]
-        command += ["--no-index", "--find-links", str(tools), "--wheel-dir", str(folder), str(source)]
-        done = subprocess.run(
-            command,
-            check=False,
-            capture_output=True,
-            text=True,
-            env={**os.environ, "SOURCE_DATE_EPOCH": SAME_TIME, "PIP_CONSTRAINT": "", "PIP_FIND_LINKS": ""},
-            umask=0o022,  # the files' modes are in the wheel
-        )
+        fixed = {"SOURCE_DATE_EPOCH": SAME_TIME, "PIP_CONSTRAINT": "", "PIP_FIND_LINKS": ""}
+        try:
+            pip(
+                *("wheel", "--no-deps", "--no-index", "--find-links", str(tools)),
+                *("--wheel-dir", str(folder), str(source)),
+                env={**os.environ, **fixed},
+                umask=0o022,  # the files' modes are in the wheel
+            )
+        except BuildError as error:
+            raise BuildError(f"handfit_core could not be built as a wheel: {error}") from error
     built = sorted(folder.glob("handfit_core-*.whl"))
-    if done.returncode or len(built) != 1:
-        raise BuildError(f"handfit_core could not be built as a wheel:\n{done.stderr.strip()}")
     fix(built[0])
     wheel = Wheel(built[0])
     inside = {name for name in wheel.members if ".dist-info/" not in name}

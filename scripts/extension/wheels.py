@@ -18,6 +18,7 @@ from email.message import Message
 from email.parser import HeaderParser
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from handfit_core.errors import HandfitError
 from handfit_core.files import cache_dir
@@ -171,24 +172,34 @@ def _download(pins: Sequence[Pin], platform: str | None, python: str | None) -> 
     with tempfile.TemporaryDirectory(prefix=".download-", dir=cache) as folder:
         requirements = Path(folder) / "requirements.txt"
         requirements.write_text("".join(f"{pin}\n" for pin in pins), encoding="utf-8")
-        command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
-        command += ["--require-hashes", "--no-deps", "--only-binary=:all:", "--dest", folder]
-        command += [f"--platform={tag}" for tag in PLATFORMS.get(platform or "", ())]
-        command += ["--python-version", python] if python else []
-        command += ["--requirement", str(requirements)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR: ")]
-            reason = (errors or done.stderr.strip().splitlines() or ["pip gave no reason"])[-1]
-            if "DO NOT MATCH" in done.stderr:
-                reason = "no file of the index has the hash in the lock"
-            target = f"the wheels for {platform}, Python {python}" if platform else "what builds the core"
+        command = ["download", "--require-hashes", "--no-deps", "--dest", folder, *target(platform, python)]
+        try:
+            pip(*command, "--requirement", str(requirements))
+        except BuildError as error:
+            what = f"the wheels for {platform}, Python {python}" if platform else "what builds the core"
             raise BuildError(
-                f"{target} could not be downloaded ({reason.removeprefix('ERROR: ').strip()}); check the "
-                f"network and pip's index, or put the wheels of the lock into {cache}"
-            )
+                f"{what} could not be downloaded ({error}); check the network and pip's index, or put the "
+                f"wheels of the lock into {cache}"
+            ) from error
         for path in Path(folder).glob("*.whl"):
             path.replace(cache / path.name)
+
+
+def target(platform: str | None, python: str | None) -> list[str]:
+    """pip's options for wheels of a platform and a Python, or of any."""
+    tags = [f"--platform={tag}" for tag in PLATFORMS.get(platform or "", ())]
+    return ["--only-binary=:all:", *tags, *(["--python-version", python] if python else [])]
+
+
+def pip(*arguments: str, **settings: Any) -> None:
+    """Run this Python's pip; `settings` are those of subprocess.run. Raises BuildError with pip's reason."""
+    command = [sys.executable, "-m", "pip", *arguments, "--quiet", "--disable-pip-version-check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **settings)
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or ["pip gave no reason"]
+        errors = [line.removeprefix("ERROR: ").strip() for line in said if line.startswith("ERROR: ")]
+        differs = "DO NOT MATCH" in done.stderr
+        raise BuildError("no file of the index has the hash in the lock" if differs else (errors or said)[-1])
 
 
 def sha256_of(path: Path) -> str:

@@ -36,10 +36,9 @@ def paint(shot: Shot, rng: np.random.Generator) -> np.ndarray:
         model = model_of(hand.side)
         posed = model.posed(hand.betas, hand.global_orient[0], hand.hand_pose[0], hand.transl[0])
         parts.append((posed.vertices, model.polygons, tone * hand_tint(hand, tone)))
-        sleeve = random_colour(rng)
-        for mesh, colour in ((hand.arm.skin, tone), (hand.arm.sleeve, sleeve)):
-            if mesh is not None:
-                parts.append(_flat(Mesh(_with_wrist(hand, mesh.vertices), mesh.polygons), colour, rng))
+        colours = {"forearm": tone, "sleeve": random_colour(rng)}
+        for name, mesh in hand.arm_parts.items():
+            parts.append(_flat(Mesh(_with_wrist(hand, mesh.vertices), mesh.polygons), colours[name], rng))
     for prop in shot.props:
         parts.append(_flat(_divided(prop), random_colour(rng), rng))
     picture = _background(shot.size, rng)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Reader
+from handfit_core.evaluate.labels import Dataset, Labels, MeshLabel, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
@@ -51,20 +50,16 @@ def read(root: Path, split: str | None = None) -> Dataset:
     labels = _Labels(root, split)
     count = len(labels.cameras)
 
-    numbers = {picture: reading.number_of(picture) for picture in pictures_in(folder)}
-    limit = _picture_limit(split, count, (n for n in numbers.values() if n is not None))
-    entries: list[Entry] = []
-    lonely: list[Path] = []
-    unused = set(range(count))
-    for picture, number in numbers.items():
-        if number is None or number >= limit:
-            lonely.append(picture)
-            continue
-        index = number % count
-        unused.discard(index)
-        read_labels = partial(labels.of, index, str(picture))
-        entries.append(Entry(f"{split}/{picture.stem}", picture, read_labels))
-    problems = reading.unpaired(lonely, root / f"{split}_xyz.json", unused)
+    pictures = pictures_in(folder)
+    limit = _picture_limit(split, count, pictures)
+    entries, problems = reading.paired(
+        split,
+        pictures,
+        lambda number: number % count if number < limit else None,
+        labels.of,
+        range(count),
+        root / f"{split}_xyz.json",
+    )
     return Dataset(
         name=f"FreiHAND ({split})",
         kind=KIND,
@@ -78,13 +73,13 @@ def read(root: Path, split: str | None = None) -> Dataset:
     )
 
 
-def _picture_limit(split: str, count: int, numbers: Iterable[int]) -> int:
+def _picture_limit(split: str, count: int, pictures: Iterable[Path]) -> int:
     """The first picture number that has no label.
 
     Label i belongs to pictures i, i + n, i + 2n, i + 3n of the training set. With a label missing, n would
     be wrong and pair pictures with others' labels, so copies are trusted only where they are complete.
     """
-    last = max(numbers, default=-1) + 1
+    last = 1 + max((int(p.stem) for p in pictures if p.stem.isascii() and p.stem.isdigit()), default=-1)
     complete = count == TRAINING_LABELS or (count > 0 and last % count == 0 and last <= _COPIES * count)
     return _COPIES * count if split == "training" and complete else count
 
@@ -95,9 +90,9 @@ class _Labels:
     def __init__(self, root: Path, split: str) -> None:
         self._files = {name: root / f"{split}_{name}.json" for name in ("K", "xyz", "verts")}
         self.cameras = reading.read_json_arrays(self._files["K"], LAYOUT)
-        self._joints = reading.Once(self._read_joints)
+        self._joints = reading.once(self._read_joints)
         # In single precision, as thousands of meshes stay in memory.
-        self._vertices = reading.Once(
+        self._vertices = reading.once(
             lambda: reading.read_json_arrays(self._files["verts"], LAYOUT, np.float32)
         )
 

@@ -150,9 +150,9 @@ class _Hidden:
     def __init__(self, root: Path, lines: int) -> None:
         self._lines = lines
         self._verts = root / "evaluation_verts.json"
-        self.joints = reading.Once(lambda: self._rows(root / "evaluation_xyz.json"))
+        self.joints = reading.once(lambda: self._rows(root / "evaluation_xyz.json"))
         # In single precision, as thousands of meshes stay in memory.
-        self._vertices = reading.Once(lambda: self._rows(self._verts, np.float32))
+        self._vertices = reading.once(lambda: self._rows(self._verts, np.float32))
 
     def _rows(self, path: Path, dtype: type = np.float64) -> list[np.ndarray | None]:
         rows = reading.read_json_arrays(path, LAYOUT, dtype)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from handfit_core.doors import safe_pickle
 from handfit_core.errors import DatasetError, OptionError
-from handfit_core.evaluate.labels import HandLabel, MeshLabel, Problem
+from handfit_core.evaluate.labels import Entry, HandLabel, Labels, MeshLabel, Problem
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
 
 T = TypeVar("T")
+Label = TypeVar("Label", bound=Hashable)
 
 NO_PICTURE: Final = "picture missing"
 NO_LABEL: Final = "picture without a label"
@@ -29,25 +31,23 @@ MAX_PICKLE_STEPS: Final = 10_000_000
 """RHD's 41 000 training labels have about 3 million instructions."""
 
 
-class Once(Generic[T]):
-    """A file that is read when first asked for, and once: also when it turns out to be damaged."""
+def once(read: Callable[[], T]) -> Callable[[], T]:
+    """What a file holds, read when first asked for, and once: also when it turns out to be damaged."""
 
-    def __init__(self, read: Callable[[], T]) -> None:
-        self._read = read
-        self._value: list[T] = []
-        self._error: DatasetError | None = None
+    @cache
+    def kept() -> T | DatasetError:
+        try:
+            return read()
+        except DatasetError as error:
+            return error
 
-    def __call__(self) -> T:
-        """What the file holds. Raises DatasetError."""
-        if self._error is not None:
-            raise DatasetError(str(self._error))
-        if not self._value:
-            try:
-                self._value.append(self._read())
-            except DatasetError as error:
-                self._error = error
-                raise
-        return self._value[0]
+    def asked() -> T:
+        found = kept()
+        if isinstance(found, DatasetError):
+            raise DatasetError(str(found))
+        return found
+
+    return asked
 
 
 def lacks(root: Path, name: str, layout: str) -> DatasetError:
@@ -103,11 +103,6 @@ def read_text(path: Path, layout: str) -> str:
         return read_bytes(path, layout).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DatasetError(f"{path}: not a text file, or a damaged one; copy it again") from error
-
-
-def number_of(file: Path) -> int | None:
-    """The number that a file's name is, as in `00012.png`; None for other names."""
-    return int(file.stem) if file.stem.isascii() and file.stem.isdigit() else None
 
 
 def read_json(path: Path, layout: str) -> Any:
@@ -258,6 +253,30 @@ def _whole_points(points: np.ndarray | None, dimensions: int) -> np.ndarray:
     if points is None:
         return np.full((NUM_KEYPOINTS, dimensions), np.nan)
     return np.where(np.all(np.isfinite(points), axis=1, keepdims=True), points, np.nan)
+
+
+def paired(
+    split: str,
+    pictures: Iterable[Path],
+    label_of: Callable[[int], Label | None],
+    read: Callable[[Label, str], Labels],
+    every: Iterable[Label],
+    file: Path,
+) -> tuple[list[Entry], tuple[Problem, ...]]:
+    """Pictures with the label that `label_of` gives for their numbers, which `read` reads for the picture; and
+    a problem for each picture without one, and for each of `every` label of the `file` without a picture."""
+    entries: list[Entry] = []
+    lonely: list[Path] = []
+    unused = set(every)
+    for picture in pictures:
+        number = int(picture.stem) if picture.stem.isascii() and picture.stem.isdigit() else None
+        label = None if number is None else label_of(number)
+        if label is None:
+            lonely.append(picture)
+            continue
+        unused.discard(label)
+        entries.append(Entry(f"{split}/{picture.stem}", picture, partial(read, label, str(picture))))
+    return entries, unpaired(lonely, file, unused)
 
 
 def unpaired(pictures: Iterable[Path], file: Path, labels: Iterable[object]) -> tuple[Problem, ...]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, Reader
+from handfit_core.evaluate.labels import Dataset, HandLabel, Labels, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
@@ -47,23 +46,20 @@ def read(root: Path, split: str | None = None) -> Dataset:
     path = root / split / f"anno_{split}.pickle"
     annotations = reading.read_pickle(path, LAYOUT)
 
-    entries: list[Entry] = []
-    lonely: list[Path] = []
-    unused = set(annotations)
-    for picture in pictures_in(folder):
-        number = reading.number_of(picture)
-        if number is None or number not in unused:
-            lonely.append(picture)
-            continue
-        unused.discard(number)
-        read_labels = partial(_labels, annotations[number], str(picture))
-        entries.append(Entry(f"{split}/{picture.stem}", picture, read_labels))
+    entries, problems = reading.paired(
+        split,
+        pictures_in(folder),
+        lambda number: number if number in annotations else None,
+        lambda number, where: _labels(annotations[number], where),
+        annotations,
+        path,
+    )
     return Dataset(
         name=f"RHD ({split})",
         kind=KIND,
         root=root,
         entries=entries,
-        problems=reading.unpaired(lonely, path, unused),
+        problems=problems,
         notes=(
             "RHD is rendered: labels are exact, those of hidden points too, and are all scored.",
             "A hand of which RHD marks no point as visible is no labelled hand.",

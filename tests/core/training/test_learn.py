@@ -41,7 +41,7 @@ def samples_with(noise: float = 0.0, count: int = 12) -> tuple[Samples, np.ndarr
             joints, points = joints * MIRROR, points * MIRROR
         shown = other_side(side) if flip else side
         detection = seen(points, shown, CAMERA, noise=noise, seed=i)
-        hand = ShotHand(side, *one[0], *one[1:], arm=None)  # pyright: ignore[reportArgumentType]
+        hand = ShotHand(side, *one[0], *one[1:])
         rows.append(sample(detection, CAMERA, SIZE, hand, joints, mirrored=flip))
         truth.append(points)
     return {name: np.array([r[name] for r in rows]) for name in rows[0]}, np.array(truth)
