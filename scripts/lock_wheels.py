@@ -95,15 +95,7 @@ def resolved(
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
         asked = [f"{name}=={pinned[name]}" for name in names]
-        options = [
-            "--dry-run",
-            "--ignore-installed",
-            "--no-deps",
-            "--report",
-            str(report),
-            "--target",
-            folder,
-        ]
+        options = ["--dry-run", "--ignore-installed", "--no-deps", f"--report={report}", f"--target={folder}"]
         pip("install", *options, *target(platform, python), *asked)
         entries = json.loads(report.read_text(encoding="utf-8"))["install"]
     found = {entry["metadata"]["name"].replace("_", "-").lower(): entry for entry in entries}

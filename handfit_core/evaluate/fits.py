@@ -40,7 +40,7 @@ class Fits:
         self._folder = folder
         self._protocol: ProtocolName = protocol
         self._model = model
-        self.models: Mapping[Side, HandModel] = _load_models(model, sides)
+        self.models: Mapping[Side, HandModel] = {side: load_model(model, side) for side in sides}
         libraries = "|".join(_version(name) for name in ("numpy", "scipy", "torch"))
         self._made_with = f"{protocol}|{libraries}|{_code()}"
         self._of_model = {side: _content(model) for side, model in self.models.items()}
@@ -107,23 +107,15 @@ def _code() -> str:
     from handfit_core import fit, geometry, paper, skeleton, solvers
     from handfit_core.detect import correction
     from handfit_core.detect.correction import network
-    from handfit_core.evaluate import methods, raw_landmarks
+    from handfit_core.evaluate import methods
     from handfit_core.hand_model import anatomy, chain, data, landmarks
 
     layer = Path(skeleton.__file__).parent / "layer" / "__init__.py"  # which needs torch to be imported
     of_models = (anatomy, chain, data, landmarks, layer)
     learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
     of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
-    code = code_digest(*of_solvers, methods, raw_landmarks, *of_models)
+    code = code_digest(*of_solvers, methods, *of_models)
     return "|".join([code, *learnt])
-
-
-def _load_models(model: str | None, sides: Iterable[Side]) -> Mapping[Side, HandModel]:
-    return {side: load_model(model, side) for side in sides}
-
-
-def _arrays(result: TrackResult) -> dict[str, np.ndarray]:
-    return dict(vars(result))
 
 
 def _fitting(protocol: ProtocolName, models: Mapping[Side, HandModel]) -> Answer:
@@ -134,7 +126,7 @@ def _fitting(protocol: ProtocolName, models: Mapping[Side, HandModel]) -> Answer
     ) -> dict[str, Any]:
         task: FitTask = message["task"]
         method = get_method(task.method, protocol)
-        save_kept(message["path"], _arrays(method(models, task.track, task.intrinsics)))
+        save_kept(message["path"], vars(method(models, task.track, task.intrinsics)))
         return {}
 
     return fit
@@ -142,4 +134,4 @@ def _fitting(protocol: ProtocolName, models: Mapping[Side, HandModel]) -> Answer
 
 def _fitting_anew(protocol: ProtocolName, model: str | None, sides: tuple[Side, ...]) -> Answer:
     """`_fitting` in a process of its own, which reads the models once."""
-    return _fitting(protocol, _load_models(model, sides))
+    return _fitting(protocol, {side: load_model(model, side) for side in sides})

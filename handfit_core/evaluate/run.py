@@ -12,7 +12,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from handfit_core.errors import DatasetError, OptionError
-from handfit_core.evaluate.compare import compare
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import Fits, FitTask
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
@@ -26,7 +25,7 @@ from handfit_core.evaluate.scores import (
     Scores,
 )
 from handfit_core.evaluate.scoring import RowResult, baselines, score
-from handfit_core.evaluate.summary import summarise
+from handfit_core.evaluate.summary import compare, summarise
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import CaptureOptions
 from handfit_core.version import __version__

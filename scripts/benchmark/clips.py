@@ -14,11 +14,10 @@ from handfit_core.skeleton import SIDES, other_side
 
 from .contact import clearance, penetration
 from .kinematics import RightHand, hand_pose_from_angles, model_of
-from .occluders import random_occluder
 from .people import Placed, arm_capsules, beside, random_betas, random_hand
 from .poses import POSES, random_pose
 from .shots import Shot, ShotHand
-from .stills import shot_hand
+from .stills import random_occluder, shot_hand
 from .views import (
     LEAST_ANGLE_TO_ARM,
     facing,

@@ -263,8 +263,8 @@ def paired(
     every: Iterable[Label],
     file: Path,
 ) -> tuple[list[Entry], tuple[Problem, ...]]:
-    """Pictures with the label that `label_of` gives for their numbers, which `read` reads for the picture; and
-    a problem for each picture without one, and for each of `every` label of the `file` without a picture."""
+    """Pictures with the label that `label_of` gives for their numbers, which `read` reads for the picture; a
+    problem for each picture without one, and for each of `every` label of the `file` without a picture."""
     entries: list[Entry] = []
     lonely: list[Path] = []
     unused = set(every)

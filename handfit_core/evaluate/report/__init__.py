@@ -12,19 +12,21 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from handfit_core.evaluate.report.plots import Plot, write_plots
-from handfit_core.evaluate.report.published import experiments_table, others_table, published_note
 from handfit_core.evaluate.report.sheets import write_sheets
 from handfit_core.evaluate.report.tables import (
     best_method,
     comparison_tables,
     count,
     error_metric,
+    experiments_table,
     focus_of,
     group_table,
     main_table,
     methods_of,
     metrics_shown,
     numbers_of,
+    others_table,
+    published_note,
     text_of,
 )
 from handfit_core.evaluate.scores import Evaluation

@@ -21,10 +21,11 @@ from handfit_core.evaluate.metrics import (
     mean_of_labelled,
     pck_curve,
 )
-from handfit_core.evaluate.report.published import beside_published, has_published
 from handfit_core.evaluate.report.tables import (
+    beside_published,
     error_metric,
     focus_of,
+    has_published,
     methods_of,
     numbers_of,
     sorted_values,

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from handfit_core.evaluate.compare import compare
+from handfit_core.evaluate.summary import compare
 from handfit_core.evaluate.scores import Evaluation, ProtocolName
 from handfit_core.evaluate.summary import summarise
 from tests.core.evaluate.factory import CENTRE, make_hands, make_scores

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import OptionError
-from handfit_core.evaluate.compare import compare
+from handfit_core.evaluate.summary import compare
 from handfit_core.evaluate.scores import Scores
 from tests.core.evaluate.factory import make_hands, make_scores
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handfit_core.evaluate.labels import Entry, Labels, units_of
-from handfit_core.evaluate.matching import label_pixels, match, view_of
+from handfit_core.evaluate.rows import label_pixels, match, view_of
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from tests.core.evaluate.hands import CAMERA, joints, label, seen
 

@@ -14,7 +14,7 @@ import pytest
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.report import REPORT_FILES, write_report
-from handfit_core.evaluate.report.published import EXPERIMENTS, OTHERS_AUC, experiments_table, others_table
+from handfit_core.evaluate.report.tables import EXPERIMENTS, OTHERS_AUC, experiments_table, others_table
 from handfit_core.evaluate.report.tables import (
     MISSING,
     Table,
