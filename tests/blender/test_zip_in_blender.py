@@ -52,6 +52,10 @@ def files():
     root = Path(bpy.utils.user_resource("EXTENSIONS"))
     return sorted(p.relative_to(root).as_posix() for p in root.rglob("*") if p.is_file())
 
+def commands():
+    command = sys.modules[NAME + ".command"]
+    return [command.main(a) for a in (["check"], ["capture", "a.jpg", "--output", "out"])]
+
 def found(value):
     print("FOUND " + json.dumps(value), flush=True)
     os._exit(0)
@@ -134,12 +138,15 @@ found([before, report, off, files()])
 )
 def test_without_handfit_core_there_is_a_sentence_and_nothing_else(blender, tmp_path, damage, said):
     path = small_zip(tmp_path / "broken.zip", damage={"handfit-core": damage})
-    done = blender(f"install({str(path)!r})\nfound(state())")
-    assert done.value["enabled"]
-    assert not done.value["runs"]
-    assert done.value["sections"] == ["MANIENT_PT_unusable_user_default"]
-    assert not done.value["scene"]
-    (sentence,) = done.value["problems"]
+    done = blender(f"install({str(path)!r})\nfound([state(), commands()])")
+    state, codes = done.value
+    assert state["enabled"]
+    assert not state["runs"]
+    assert state["sections"] == ["MANIENT_PT_unusable_user_default"]
+    assert not state["scene"]
+    assert codes == [1, 1]
+    assert "Traceback" not in done.console
+    (sentence,) = state["problems"]
     assert said in sentence
     assert "install" in sentence
     assert f"Manient Hand Capture: {sentence}" in done.console
@@ -179,16 +186,18 @@ try:
     worker.submit("capture", input=["a.jpg"], output="b.npz")
 except Exception as error:
     said.append(str(error))
+said.append(commands())
 os.environ["HANDFIT_PYTHON"] = "/some/python"
 said += [section.poll(bpy.context), shared_worker.capture_sentence()]
 found([state(), said])
 """)
-    state, (shown, sentence, refused, raised, shown_later, later) = done.value
+    state, (shown, sentence, refused, raised, codes, shown_later, later) = done.value
     assert state["runs"]
     assert shown
     assert said in sentence
     assert sentence in refused
     assert raised.lower() == sentence.lower()
+    assert codes == [1, 1]
     assert f"Manient Hand Capture: {sentence}" in done.console
     assert (shown_later, later) == (False, "")  # a Python of one's own has its own MediaPipe
 
@@ -435,3 +444,29 @@ found([first, second, third, state("bl_ext.other.manient")])
         in third["problems"][0]
     )
     assert alone["runs"]
+
+
+@pytest.mark.parametrize(("other", "kept"), [("0.2.0", "0.2.0"), ("0.0.1", "0.1.0")], ids=["newer", "older"])
+def test_with_another_version_gone_the_first_works_again(blender, tmp_path, other, kept):
+    first, second = small_zip(tmp_path / "1.zip"), small_zip(tmp_path / "2.zip", version=other)
+    done = blender(f"""
+def cores():
+    return [p.split("/")[-2] for p in files() if "handfit_core" in p and p.endswith("dist-info/RECORD")]
+bpy.ops.preferences.extension_repo_add(name="second", type="LOCAL")
+repos = [repo.module for repo in bpy.context.preferences.extensions.repos]
+install({str(first)!r})
+install({str(second)!r}, repo="second")
+seen = [cores(), commands()]
+bpy.ops.extensions.package_uninstall(repo_index=repos.index("second"), pkg_id="manient")
+disable()
+enable()
+found([*seen, cores(), state()])
+""")
+    both, codes, alone, state = done.value
+    assert both == [f"handfit_core-{kept}.dist-info"]
+    assert codes == [1, 1]  # the packages of these zips are empty
+    assert f"handfit_core, is version {kept}" in done.console
+    assert "restart Blender" in done.console
+    assert alone == ["handfit_core-0.1.0.dist-info"]
+    assert state["runs"]
+    assert state["problems"] == []

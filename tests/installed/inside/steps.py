@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import io
 import json
 import os
 import socket
 import sys
-import time
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -60,9 +58,9 @@ def surroundings() -> dict[str, Any]:
     }
 
 
-def module(name: str = "", repository: str = REPOSITORY) -> ModuleType:
+def module(name: str = "") -> ModuleType:
     """The installed add-on, or a module of it."""
-    return importlib.import_module(".".join(filter(None, ("bl_ext", repository, ID, name))))
+    return importlib.import_module(".".join(filter(None, ("bl_ext", REPOSITORY, ID, name))))
 
 
 def enabled() -> list[str]:
@@ -70,28 +68,19 @@ def enabled() -> list[str]:
     return [name for name in bpy.context.preferences.addons.keys() if ID in name]  # noqa: SIM118
 
 
-def install(file: str, repository: str = REPOSITORY) -> dict[str, Any]:
+def install(file: str) -> dict[str, Any]:
     """Install a zip and enable it, as dropping it onto Blender's window does."""
     if not addon_utils.check("bl_pkg")[1]:
         addon_utils.enable("bl_pkg", default_set=True)
-    began = time.perf_counter()
-    said = attempt(
-        bpy.ops.extensions.package_install_files, filepath=file, repo=repository, enable_on_install=True
-    )
-    seconds = round(time.perf_counter() - began, 1)
-    return {"said": said, "seconds": seconds, "bytes": occupied(), "enabled": enabled()}
+    install_files = bpy.ops.extensions.package_install_files
+    said = attempt(install_files, filepath=file, repo=REPOSITORY, enable_on_install=True)
+    return {"said": said, "enabled": enabled()}
 
 
-def occupied() -> int:
-    """Bytes on the disk of Blender's folder of extensions."""
-    files = Path(bpy.utils.user_resource("EXTENSIONS")).rglob("*")
-    return sum(512 * file.lstat().st_blocks for file in files)
-
-
-def uninstall(repository: str = REPOSITORY) -> str:
+def uninstall() -> str:
     """Uninstall; what Blender says."""
     repositories = [repo.module for repo in bpy.context.preferences.extensions.repos]
-    index = repositories.index(repository)
+    index = repositories.index(REPOSITORY)
     return attempt(bpy.ops.extensions.package_uninstall, repo_index=index, pkg_id=ID)
 
 
@@ -111,30 +100,14 @@ def check_report() -> str:
     return ""
 
 
-def command(*arguments: str) -> dict[str, Any]:
-    """`blender --command manient ARGUMENTS`, as Blender calls it: exit code, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = module("command").main(arguments)
-    return {"code": code, "out": out.getvalue(), "err": err.getvalue()}
-
-
-def press_capture(source: str) -> str:
-    """What the button Capture says to a source."""
-    bpy.context.scene.manient.source = source
-    return attempt(bpy.ops.manient.capture)
-
-
 def capture(source: str, **settings: Any) -> dict[str, Any]:
     """Capture as the panel does; what came of it."""
     panel = bpy.context.scene.manient
     panel.source = source
     for name, value in settings.items():
         setattr(panel, name, value)
-    began = time.perf_counter()
     said = attempt(bpy.ops.manient.capture)
-    seconds = round(time.perf_counter() - began, 1)
-    return {"said": said, "seconds": seconds, "hands": [hand(armature) for armature in hands()]}
+    return {"said": said, "hands": [hand(armature) for armature in hands()]}
 
 
 def hands() -> list[bpy.types.Object]:
