@@ -27,6 +27,17 @@ def samples() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def landmark_model() -> Path:
+    from handfit_core.detect.landmark_model import landmark_model_path
+    from handfit_core.errors import LandmarkModelError
+
+    try:
+        return landmark_model_path()
+    except LandmarkModelError as error:
+        pytest.skip(str(error))
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for reason in _unexpected_skips(terminalreporter):

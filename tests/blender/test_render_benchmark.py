@@ -13,6 +13,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
+from handfit_core.evaluate.datasets import plain  # noqa: E402
 from handfit_core.hand_model import axes, load_model  # noqa: E402
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS  # noqa: E402
 from scripts.benchmark import drawing  # noqa: E402
@@ -23,20 +24,8 @@ from scripts.benchmark.stills import still_shot  # noqa: E402
 from scripts.render_benchmark import main  # noqa: E402
 
 SIZE = 96
-TINY = [
-    "--stills",
-    "1",
-    "--clips",
-    "1",
-    "--frames",
-    "2",
-    "--seed",
-    "3",
-    "--size",
-    str(SIZE),
-    "--samples",
-    "1",
-]
+TINY = f"--stills 1 --clips 1 --frames 2 --seed 3 --size {SIZE} --samples 1".split()
+CLIP = clip_shot(0, 3, 4, SIZE)
 ALL = ["clips/00/0000.jpg", "clips/00/0001.jpg", "stills/00000.jpg"]
 
 
@@ -59,12 +48,7 @@ def to_camera(points: np.ndarray) -> np.ndarray:
 def drawn_vertices(rig) -> np.ndarray:
     """(V, 3) of the mesh as Blender evaluates it now, camera frame."""
     made = rig.mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    found = np.empty(len(made.data.vertices) * 3, dtype=np.float32)
-    made.data.vertices.foreach_get("co", found)
-    return to_camera(
-        found.reshape(-1, 3) @ np.array(made.matrix_world.to_3x3()).T
-        + np.array(made.matrix_world.translation)
-    )
+    return to_camera(np.array([made.matrix_world @ vertex.co for vertex in made.data.vertices]))
 
 
 def two_handed() -> Shot:
@@ -78,6 +62,9 @@ def test_index_lists_every_picture_with_its_labels(rendered: Path) -> None:
     assert sorted(p["file"] for p in index["pictures"]) == ALL == sorted(jpegs(rendered))
     assert [p.get("clip") for p in index["pictures"]] == [None, "00", "00"]
     assert [p["time"] for p in index["pictures"]] == [0.0, 0.0, 0.04]
+    found = plain.read(rendered)
+    assert (len(found.entries), found.problems) == (3, ())
+    assert all(hand.mesh for entry in found.entries for hand in entry.read_labels().hands)
     for picture in index["pictures"]:
         k = np.array(picture["K"])
         for hand in picture["hands"]:
@@ -92,18 +79,7 @@ def test_index_lists_every_picture_with_its_labels(rendered: Path) -> None:
             np.testing.assert_allclose(model.keypoints(*parameters) * 1000, joints, atol=1e-4)
 
 
-def test_the_reader_of_the_plain_form_takes_it(rendered: Path) -> None:
-    from handfit_core.evaluate.datasets import plain
-
-    found = plain.read(rendered)
-    assert len(found.entries) == 3
-    assert found.problems == ()
-    for entry in found.entries:
-        for hand in entry.read_labels().hands:
-            assert hand.mesh is not None
-
-
-@pytest.mark.parametrize("shot", [two_handed(), clip_shot(0, 3, 4, SIZE)], ids=["two hands", "clip"])
+@pytest.mark.parametrize("shot", [two_handed(), CLIP], ids=["two hands", "clip"])
 def test_blender_holds_the_hands_where_the_labels_say(shot: Shot) -> None:
     built = build_scene(shot, 1)
     for picture in range(len(shot.files)):
@@ -140,16 +116,11 @@ def test_the_camera_projects_as_the_labels_do() -> None:
     image = bpy.data.images.load(str(path))
     alpha = np.array(image.pixels[:]).reshape(SIZE, SIZE, 4)[::-1, :, 3]
     rows, columns = np.nonzero(alpha > 0.4)
-    pixels = np.concatenate(
-        [
-            shot.camera.project(
-                load_model(None, h.side)
-                .posed(h.betas, h.global_orient[0], h.hand_pose[0], h.transl[0])
-                .vertices
-            )
-            for h in shot.hands
-        ]
-    )
+    posed = [
+        load_model(None, h.side).posed(h.betas, h.global_orient[0], h.hand_pose[0], h.transl[0])
+        for h in shot.hands
+    ]
+    pixels = shot.camera.project(np.concatenate([hand.vertices for hand in posed]))
     low, high = np.maximum(pixels.min(axis=0), 0), np.minimum(pixels.max(axis=0), SIZE)
     assert np.ptp(rows) > SIZE // 5
     # The last row and column end one pixel further.
@@ -158,7 +129,7 @@ def test_the_camera_projects_as_the_labels_do() -> None:
 
 
 def test_clips_blur_about_the_labelled_moment() -> None:
-    build_scene(clip_shot(0, 3, 4, SIZE), 1)
+    build_scene(CLIP, 1)
     render = bpy.context.scene.render
     assert render.use_motion_blur
     assert render.motion_blur_shutter == 0.5

@@ -8,9 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from handfit_core.evaluate.summary import compare
 from handfit_core.evaluate.scores import Evaluation, ProtocolName
-from handfit_core.evaluate.summary import summarise
+from handfit_core.evaluate.summary import compare, summarise
 from tests.core.evaluate.factory import CENTRE, make_hands, make_scores
 
 COUNT = 6

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.detect.landmark_model import landmark_model_path
-from handfit_core.errors import LandmarkModelError
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.labels import Entry, Labels, Unit
 from handfit_core.media.pictures import read_picture
@@ -17,12 +15,7 @@ from handfit_core.options import CaptureOptions
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _landmark_model() -> None:
-    try:
-        landmark_model_path()
-    except LandmarkModelError as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("landmark_model")
 
 
 def entries(*pictures: Path) -> tuple[Entry, ...]:

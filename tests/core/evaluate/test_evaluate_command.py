@@ -15,19 +15,12 @@ import pytest
 
 from handfit_core import Take
 from handfit_core.__main__ import main
-from handfit_core.detect.landmark_model import landmark_model_path
-from handfit_core.errors import LandmarkModelError
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _landmark_model() -> None:
-    try:
-        landmark_model_path()
-    except LandmarkModelError as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("landmark_model")
 
 
 @pytest.fixture

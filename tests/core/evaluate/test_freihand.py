@@ -95,15 +95,6 @@ def test_one_damaged_label_harms_no_other(tmp_path: Path) -> None:
     assert np.isfinite(last.hands[0].joints_3d).all()
 
 
-def test_missing_points_stay_missing(tmp_path: Path) -> None:
-    xyz: list[Any] = hand(0).tolist()
-    xyz[4] = [0.1, float("nan"), 0.5]
-    xyz[8][2] = None
-    label = open_dataset(write_split(tmp_path, "evaluation", 1, [0], xyz=[xyz])).entries[0].read_labels()
-    assert np.flatnonzero(np.isnan(label.hands[0].joints_3d).all(axis=1)).tolist() == [4, 8]
-    assert np.flatnonzero(np.isnan(label.hands[0].keypoints_2d).any(axis=1)).tolist() == [4, 8]
-
-
 def test_labels_are_read_once_and_only_when_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,8 +5,13 @@ import pytest
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import OptionError
-from handfit_core.evaluate.methods import get_method, method_names
-from handfit_core.evaluate.methods import fused_landmarks, in_metres, world_landmarks
+from handfit_core.evaluate.methods import (
+    fused_landmarks,
+    get_method,
+    in_metres,
+    method_names,
+    world_landmarks,
+)
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
 from handfit_core.paper.fitter import EXPERIMENTS, PaperFitter

