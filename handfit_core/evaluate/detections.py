@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -130,42 +131,41 @@ def _detected(unit: Unit, finder: Detector, on_picture: Callable[[], None]) -> U
     return UnitDetections(tuple(frames), np.array(sizes), np.array(spent))
 
 
+_ARRAYS = {
+    "scores": ("score", ()),
+    "right_side": ("right_side", ()),
+    "keypoints": ("keypoints", (NUM_KEYPOINTS, 3)),
+    "world": ("world", (NUM_KEYPOINTS, 3)),
+    "spread": ("spread", (NUM_KEYPOINTS, 3)),
+}
+"""In the file -> field of `HandDetection` and its shape; NaN in the file is None"""
+
+
 def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
     hands = [hand for frame in found.frames for hand in frame]
+
+    def column(field: str, shape: tuple[int, ...]) -> np.ndarray:
+        values = [getattr(hand, field) for hand in hands]
+        nothing = np.full(shape, np.nan)
+        return np.array([nothing if v is None else v for v in values], dtype=float).reshape(-1, *shape)
+
     return {
         "sizes": found.sizes,
         "milliseconds": found.milliseconds,
         "counts": np.array([len(frame) for frame in found.frames]),
         "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
-        "scores": np.array([hand.score for hand in hands]),
-        "keypoints": np.array([hand.keypoints for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
-        "world": np.array([hand.world for hand in hands]).reshape(-1, NUM_KEYPOINTS, 3),
-        "right_side": np.array([np.nan if hand.right_side is None else hand.right_side for hand in hands]),
-        "spread": np.array([_no_spread() if hand.spread is None else hand.spread for hand in hands]).reshape(
-            -1, NUM_KEYPOINTS, 3
-        ),
+        **{name: column(*what) for name, what in _ARRAYS.items()},
     }
 
 
-def _no_spread() -> np.ndarray:
-    return np.full((NUM_KEYPOINTS, 3), np.nan)
-
-
 def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
-    hands = [
-        HandDetection(
-            SIDES[side],
-            float(score),
-            keypoints,
-            world,
-            spread if np.isfinite(spread).all() else None,
-            float(right_side) if np.isfinite(right_side) else None,
-        )
-        for side, score, keypoints, world, spread, right_side in zip(
-            *(arrays[n] for n in ("sides", "scores", "keypoints", "world", "spread", "right_side")),
-            strict=True,
-        )
-    ]
+    hands = []
+    for i, side in enumerate(arrays["sides"]):
+        known: dict[str, Any] = {}
+        for name, (field, shape) in _ARRAYS.items():
+            if np.isfinite(value := arrays[name][i]).all():
+                known[field] = value if shape else float(value)
+        hands.append(HandDetection(SIDES[side], **known))
     ends = np.cumsum(arrays["counts"])
     frames = tuple(tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True))
     return UnitDetections(frames, arrays["sizes"], arrays["milliseconds"])

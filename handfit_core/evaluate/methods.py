@@ -1,8 +1,7 @@
 """What can be evaluated: the raw detector, and every solver. Each turns a detected track into 3D hands.
 
-The detector gives two sets of landmarks: those of the image are pixels with a depth on the scale of x, those of
-the world are metres. Their errors differ, so that both together (`fused`) beat either; without any hand model
-they are what a fit must beat.
+The detector gives two sets of landmarks: image landmarks are pixels with a depth on the scale of x, world
+landmarks are metres. Their errors differ, so that both together (`fused`) beat either. A fit must beat them.
 """
 
 from __future__ import annotations

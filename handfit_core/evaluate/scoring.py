@@ -176,18 +176,15 @@ def baselines(
     sides: set[Side] = {_side(row, protocol) for row in rows}
     models = {side: load_model(model, side) for side in sides}
 
-    def known(row: Row) -> bool:
-        return protocol == "strict" or row.track is not None
+    def of_truth(make: Callable[[Row, np.ndarray], np.ndarray | None]) -> Callable[[Row], RowResult | None]:
+        def result_of(row: Row) -> RowResult | None:
+            points = make(row, _tips_only(row, protocol)) if protocol == "strict" or row.track else None
+            return None if points is None else RowResult(points, in_picture(points, row.intrinsics))
 
-    def centroid(row: Row) -> RowResult | None:
-        if not known(row):
-            return None
-        return _from_truth(collapsed_to_centroid(_tips_only(row, protocol)), row)
+        return result_of
 
-    def mean_pose(row: Row) -> RowResult | None:
-        posed = mean_pose_at_truth(models[_side(row, protocol)], _tips_only(row, protocol))
-        return None if posed is None or not known(row) else _from_truth(posed, row)
-
+    centroid = of_truth(lambda _, labels: collapsed_to_centroid(labels))
+    mean_pose = of_truth(lambda row, labels: mean_pose_at_truth(models[_side(row, protocol)], labels))
     return [
         ("null-centroid", "null: all points at their centroid", centroid),
         ("null-mean-pose", "null: relaxed hand at the true orientation", mean_pose),
@@ -230,10 +227,6 @@ def _tips_only(row: Row, protocol: ProtocolName) -> np.ndarray:
     tips = np.full_like(row.label.joints_3d, np.nan)
     tips[list(TIP_KEYPOINTS)] = row.label.joints_3d[list(TIP_KEYPOINTS)]
     return tips
-
-
-def _from_truth(points: np.ndarray, row: Row) -> RowResult:
-    return RowResult(points, in_picture(points, row.intrinsics))
 
 
 def in_picture(points: np.ndarray, intrinsics: Intrinsics | None) -> np.ndarray:

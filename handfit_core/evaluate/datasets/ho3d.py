@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +28,8 @@ OPENGL_TO_CAMERA = np.array([1.0, -1.0, -1.0])
 
 def recognises(root: Path) -> bool:
     """Whether the folder has any part of this layout."""
-    return any(
-        (root / f"{split}.txt").is_file()
-        or any((root / split).glob("*/meta"))
-        or any((root / split).glob("*/rgb"))
-        for split in SPLITS
-    )
+    parts = ("{0}.txt", "{0}/*/meta", "{0}/*/rgb")
+    return any(any(root.glob(part.format(split))) for split in SPLITS for part in parts)
 
 
 def read(root: Path, split: str | None = None) -> Dataset:
@@ -63,32 +60,25 @@ def read(root: Path, split: str | None = None) -> Dataset:
     found = {seq.name: _sequence(seq) for seq in sorted(folder.iterdir()) if seq.is_dir()}
     if not any(sequence.metas for sequence in found.values()):
         raise reading.lacks(root, f"{split}/{next(iter(found), 'ABF10')}/meta/*.pkl", LAYOUT)
+    listed = {name: sequence.frames() for name, sequence in found.items()}
+    rows: dict[str, int] = {}
     problems: list[Problem] = []
-    if lines is None:
-        listed = {name: sequence.frames() for name, sequence in found.items()}
-        rows: dict[str, int] = {}
-    else:
+    if lines is not None:
         listed, rows, problems = _listed(path, lines)
     entries: list[Entry] = []
     for name, frames in listed.items():
         sequence = found.get(name, _Sequence(folder / name, {}, set()))
-        start = _number(frames[0]) if frames else 0
         for frame in frames:
-            meta, row = sequence.folder / "meta" / f"{frame}.pkl", rows.get(f"{name}/{frame}")
-            if frame not in sequence.pictures:
+            picture = sequence.pictures.get(frame)
+            if picture is None:
                 problems.append(Problem(reading.NO_PICTURE, f"{sequence.folder / 'rgb' / frame}.*"))
             elif frame not in sequence.metas:
-                problems.append(Problem(reading.NO_LABEL, str(sequence.pictures[frame])))
+                problems.append(Problem(reading.NO_LABEL, str(picture)))
             else:
-                entries.append(
-                    Entry(
-                        f"{name}/{frame}",
-                        sequence.pictures[frame],
-                        lambda meta=meta, row=row: _labels(meta, row, hidden),
-                        clip=name,
-                        time=(_number(frame) - start) / FPS,
-                    )
-                )
+                meta = sequence.folder / "meta" / f"{frame}.pkl"
+                read = partial(_labels, meta, rows.get(f"{name}/{frame}"), hidden)
+                time = (_number(frame) - _number(frames[0])) / FPS
+                entries.append(Entry(f"{name}/{frame}", picture, read, clip=name, time=time))
     return Dataset(
         name=f"HO-3D ({split})",
         kind=KIND,

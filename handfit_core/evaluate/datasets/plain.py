@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -148,12 +149,10 @@ def _problem_of(root: Path, file: str, item: dict[str, Any], seen: set[str]) -> 
         return "file outside the folder"
     if file in seen:
         return "listed twice"
-    try:
-        if not (root / file).is_file():
-            return reading.NO_PICTURE
-    except OSError:  # a name that no file system takes
-        return reading.NO_PICTURE
-    return reading.NO_LABEL if not any(key in item for key in ("hands", *_HAND_KEYS)) else None
+    with suppress(OSError):  # a name that no file system takes
+        if (root / file).is_file():
+            return None if any(key in item for key in ("hands", *_HAND_KEYS)) else reading.NO_LABEL
+    return reading.NO_PICTURE
 
 
 def _tags(item: dict[str, Any]) -> dict[str, str]:
@@ -203,12 +202,9 @@ def _points(hand: dict[str, Any], key: str, dimensions: int, file: str) -> np.nd
 
 def _mesh_problems(item: dict[str, Any], file: str) -> list[Problem]:
     """Meshes that cannot be had: only the bundled hand's parameters become one, and only this version's."""
-    problems: list[Problem] = []
-    for hand in _hands_of(item):
-        mano = hand.get("mano") if isinstance(hand, dict) else None
-        if isinstance(mano, dict) and not _is_ours(mano, hand.get("hand")):
-            problems.append(Problem("mesh of another hand model: not scored", file))
-    return problems
+    hands = [hand for hand in _hands_of(item) if isinstance(hand, dict)]
+    meshes = [(hand["mano"], hand.get("hand")) for hand in hands if isinstance(hand.get("mano"), dict)]
+    return [Problem("mesh of another hand model: not scored", file) for m in meshes if not _is_ours(*m)]
 
 
 def _is_ours(mano: dict[str, Any], side: Any) -> bool:

@@ -7,8 +7,9 @@ are the colour camera's, so labels are taken over to its frame with the sets' ow
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -77,24 +78,27 @@ class TipSet:
         present = [sequence for sequence in self.sequences if (folder / sequence / "color").is_dir()]
         if not present:
             raise reading.lacks(root, f"data/{self.sequences[0]}/color", self.layout)
-        available = {
-            name: files for name in LABELS if (files := self._label_files(folder, present, name)) is not None
+        files = {
+            name: {
+                sequence: next(filter(_holds_points, self.candidates(folder, sequence, name)), None)
+                for sequence in present
+            }
+            for name in LABELS
         }
+        available = [name for name in LABELS if None not in files[name].values()]
         if labels not in available and (labels in LABELS or not available):
             wanted = labels or "original"
-            lost = next(s for s in present if self._label_file(folder, s, wanted) is None)
+            lost = next(sequence for sequence, path in files[wanted].items() if path is None)
             expected = self.candidates(folder, lost, wanted)[0]
             raise reading.lacks(root, f"{expected.relative_to(root)} ({wanted} labels)", self.layout)
         labels = reading.choice(root, "labels", labels, available, LABELS)
 
         entries: list[Entry] = []
-        problems = [
-            Problem("sequence missing", str(folder / sequence))
-            for sequence in self.sequences
-            if sequence not in present
-        ]
-        for sequence in present:
-            self._list(folder / sequence, available[labels][sequence], published_frame, entries, problems)
+        missing = (sequence for sequence in self.sequences if sequence not in present)
+        problems = [Problem("sequence missing", str(folder / sequence)) for sequence in missing]
+        for sequence, path in files[labels].items():
+            assert path is not None, "only complete labels are available"
+            self._list(folder / sequence, path, published_frame, entries, problems)
         return Dataset(
             name=f"{self.title} ({labels} labels)",
             kind=self.kind,
@@ -110,14 +114,6 @@ class TipSet:
             ),
         )
 
-    def _label_file(self, folder: Path, sequence: str, labels: str) -> Path | None:
-        return next((path for path in self.candidates(folder, sequence, labels) if _holds_points(path)), None)
-
-    def _label_files(self, folder: Path, present: list[str], labels: str) -> Mapping[str, Path] | None:
-        files = {sequence: self._label_file(folder, sequence, labels) for sequence in present}
-        whole = {sequence: path for sequence, path in files.items() if path is not None}
-        return whole if len(whole) == len(files) else None
-
     def _list(
         self,
         sequence: Path,
@@ -131,26 +127,15 @@ class TipSet:
         rows = _rows_of(pictures, len(lines))
         if rows is None:
             rows = list(range(len(pictures)))
-            problems.append(
-                Problem(
-                    "pictures and labels differ in number, paired in order",
-                    f"{path}: {len(lines)} lines for {len(pictures)} pictures",
-                )
-            )
+            counts = f"{path}: {len(lines)} lines for {len(pictures)} pictures"
+            problems.append(Problem("pictures and labels differ in number, paired in order", counts))
         for picture, row in zip(pictures, rows, strict=True):
             if row >= len(lines):
                 problems.append(Problem(reading.NO_LABEL, str(picture)))
                 continue
-            line, where = lines[row], f"{path}: line {row + 1}"
-            entries.append(
-                Entry(
-                    f"{sequence.name}/{picture.stem}",
-                    picture,
-                    lambda line=line, where=where: self._labels(line, where, published_frame),
-                    clip=sequence.name,
-                    time=row / FPS,
-                )
-            )
+            read = partial(self._labels, lines[row], f"{path}: line {row + 1}", published_frame)
+            name = f"{sequence.name}/{picture.stem}"
+            entries.append(Entry(name, picture, read, clip=sequence.name, time=row / FPS))
         lonely = sorted(set(range(len(lines))) - set(rows))
         problems += [Problem(reading.UNPAIRED_LABEL, f"{path}: line {row + 1}") for row in lonely]
 

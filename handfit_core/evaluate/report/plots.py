@@ -14,13 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from handfit_core.evaluate.metrics import (
-    PCK_THRESHOLDS_MM,
-    auc,
-    labelled_points,
-    mean_of_labelled,
-    pck_curve,
-)
+from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
 from handfit_core.evaluate.report.tables import (
     beside_published,
     error_metric,
@@ -113,13 +107,12 @@ def published_pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | Non
 def pa_pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
     """PCK of the similarity-aligned error at 0-50 mm; None where there is none."""
     curves = []
-    for s in evaluation.scores:
+    for s in (s for s in evaluation.scores if np.isfinite(s.pa_error).any()):
         labelled = labelled_points(s.labels_3d).sum(axis=1)
         # A similarity needs four points; a hand with fewer could not have been scored either.
         misses = int(labelled[~s.detected & (labelled >= 4)].sum())
-        if np.isfinite(s.pa_error).any():
-            curve = pck_curve(s.pa_error, PA_THRESHOLDS_MM, misses=misses)
-            curves.append((s, curve, auc(curve, PA_THRESHOLDS_MM)))
+        curve = pck_curve(s.pa_error, PA_THRESHOLDS_MM, misses=misses)
+        curves.append((s, curve, auc(curve, PA_THRESHOLDS_MM)))
     figure = _curves(evaluation, focus, PA_THRESHOLDS_MM, curves, "PA error, similarity-aligned (mm)")
     caption = (
         "Share of labelled points with an error below a threshold, after the best similarity transform of "

@@ -80,14 +80,14 @@ def write_sheets(folder: Path, evaluation: Evaluation, focus: str | None = None)
         return []
     metric = error_metric(evaluation)
     errors = hand_means(scores, metric.key)
-    worst_first = [int(row) for row in np.argsort(-errors, kind="stable") if not np.isnan(errors[row])]
+    worst_first = np.argsort(-errors, kind="stable")[: np.isfinite(errors).sum()].tolist()
     worst = _spread(scores, worst_first, min(CELLS, math.ceil(len(worst_first) / 2)))
     rest = [row for row in reversed(worst_first) if row not in worst]
     best = _spread(scores, rest, min(CELLS, len(worst_first) // 2))
     all_missed = np.flatnonzero(~scores.detected)
     from_all_over = np.linspace(0, len(all_missed) - 1, min(CELLS, len(all_missed)))
     missed = all_missed[from_all_over.round().astype(int)].tolist()
-    text = {row: f"{metric.title} {text_of(errors[row], metric, with_unit=True)}" for row in worst_first}
+    text = {row: f"{metric.title} {text_of(float(errors[row]), metric, with_unit=True)}" for row in worst_first}
     text |= dict.fromkeys(missed, "not detected")
     by = f"by {metric.title} of {scores.method}"
     few = f"of {len(all_missed)}" if len(missed) < len(all_missed) else "all"
@@ -109,20 +109,17 @@ def write_sheets(folder: Path, evaluation: Evaluation, focus: str | None = None)
 
 def _spread(scores: Scores, ranked: Sequence[int], wanted: int) -> list[int]:
     """The first rows of a ranking, frames of one clip half a second apart as long as others remain."""
+
+    def are_twins(a: int, b: int) -> bool:
+        same = (scores.clips[a], scores.hands[a]) == (scores.clips[b], scores.hands[b])
+        apart = abs(scores.times[a] - scores.times[b]) >= _APART_SECONDS
+        return same and scores.clips[a] is not None and not apart
+
     chosen: list[int] = []
-    skipped: list[int] = []
     for row in ranked:
-        if len(chosen) == wanted:
-            break
-        twins = (
-            scores.clips[row] is not None
-            and scores.clips[row] == scores.clips[other]
-            and scores.hands[row] == scores.hands[other]
-            and abs(scores.times[row] - scores.times[other]) < _APART_SECONDS
-            for other in chosen
-        )
-        (skipped if any(twins) else chosen).append(row)
-    chosen += skipped[: wanted - len(chosen)]
+        if len(chosen) < wanted and not any(are_twins(row, other) for other in chosen):
+            chosen.append(row)
+    chosen += [row for row in ranked if row not in chosen][: wanted - len(chosen)]
     return sorted(chosen, key=ranked.index)
 
 

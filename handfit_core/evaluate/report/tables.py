@@ -279,8 +279,8 @@ def comparison_tables(evaluation: Evaluation) -> list[tuple[Metric, Table]]:
 
 
 SOURCE: Final = "arXiv 2506.11133"
-"""Of the published numbers: its table of experiments A-H, and the results of others that it lists, in "Monocular
-3D Hand Pose Estimation with Implicit Camera Alignment". Nobody ran them again here."""
+"""Whence the published numbers are, "Monocular 3D Hand Pose Estimation with Implicit Camera Alignment": its
+experiments A-H, and the results of others that it lists. Nobody ran them again here."""
 
 
 EXPERIMENTS: Final = pd.DataFrame(
