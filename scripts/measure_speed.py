@@ -25,14 +25,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.solvers import solver_names
 from scripts.speed.memory import LONG, SHORT, measure_memory
-from scripts.speed.report import (
-    Part,
-    machine_facts,
-    machine_text,
-    memory_part,
-    pipeline_part,
-    solvers_part,
-)
+from scripts.speed.report import Part, machine_facts, machine_text, memory_part, pipeline_part, solvers_part
 from scripts.speed.timings import find_hand, time_pipeline, time_solvers
 
 SAMPLE = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")

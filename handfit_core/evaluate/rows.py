@@ -72,12 +72,7 @@ ReadUnit = Callable[[Unit], UnitDetections]
 
 
 def rows_of(
-    units: Sequence[Unit],
-    detect: ReadUnit,
-    *,
-    protocol: ProtocolName,
-    max_hands: int,
-    camera: str,
+    units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, max_hands: int, camera: str
 ) -> Rows:
     """Detect and pair with labels. `camera` is `assumed` or `labelled`: what solvers are told."""
     found = Rows()

@@ -17,13 +17,7 @@ from handfit_core.evaluate.fits import Fits, FitTask
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
 from handfit_core.evaluate.methods import TrackResult, method_names, method_title
 from handfit_core.evaluate.rows import Row, Rows, TrackInView, rows_of
-from handfit_core.evaluate.scores import (
-    CAMERA_CHOICES,
-    CameraChoice,
-    Evaluation,
-    ProtocolName,
-    Scores,
-)
+from handfit_core.evaluate.scores import CAMERA_CHOICES, CameraChoice, Evaluation, ProtocolName, Scores
 from handfit_core.evaluate.scoring import RowResult, baselines, score
 from handfit_core.evaluate.summary import compare, summarise
 from handfit_core.hand_model import OPEN_HAND

@@ -62,9 +62,7 @@ def _pinch_gap(hand: RightHand, angles: np.ndarray) -> float:
 
 
 def _angles(
-    bends: dict[str, tuple[float, float, float]],
-    spreads: dict[str, float],
-    rng: np.random.Generator,
+    bends: dict[str, tuple[float, float, float]], spreads: dict[str, float], rng: np.random.Generator
 ) -> np.ndarray:
     """Degrees per finger -> (15, 3) radians, with the play that no two hands share."""
     angles = np.zeros((15, 3))

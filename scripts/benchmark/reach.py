@@ -28,10 +28,7 @@ def fingers_mask(*fingers: str) -> np.ndarray:
 
 
 def reach(
-    hand: RightHand,
-    angles: np.ndarray,
-    free: np.ndarray,
-    miss: Callable[[np.ndarray], np.ndarray],
+    hand: RightHand, angles: np.ndarray, free: np.ndarray, miss: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """Change the `free` (15, 3) angles so that `miss` vanishes: damped Gauss-Newton with differences.
 

@@ -115,12 +115,7 @@ class TipSet:
         )
 
     def _list(
-        self,
-        sequence: Path,
-        path: Path,
-        published_frame: bool,
-        entries: list[Entry],
-        problems: list[Problem],
+        self, sequence: Path, path: Path, published_frame: bool, entries: list[Entry], problems: list[Problem]
     ) -> None:
         lines = reading.read_text(path, self.layout).rstrip().split("\n")
         pictures = pictures_in(sequence / "color")

@@ -87,7 +87,9 @@ def write_sheets(folder: Path, evaluation: Evaluation, focus: str | None = None)
     all_missed = np.flatnonzero(~scores.detected)
     from_all_over = np.linspace(0, len(all_missed) - 1, min(CELLS, len(all_missed)))
     missed = all_missed[from_all_over.round().astype(int)].tolist()
-    text = {row: f"{metric.title} {text_of(float(errors[row]), metric, with_unit=True)}" for row in worst_first}
+    text = {
+        row: f"{metric.title} {text_of(float(errors[row]), metric, with_unit=True)}" for row in worst_first
+    }
     text |= dict.fromkeys(missed, "not detected")
     by = f"by {metric.title} of {scores.method}"
     few = f"of {len(all_missed)}" if len(missed) < len(all_missed) else "all"

@@ -17,14 +17,7 @@ from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import POSES, random_pose
 from scripts.benchmark.shots import Shot, entries
 from scripts.benchmark.stills import still_shot
-from scripts.benchmark.views import (
-    COVERAGE,
-    covered_by,
-    facing,
-    hidden_by,
-    outside,
-    random_view,
-)
+from scripts.benchmark.views import COVERAGE, covered_by, facing, hidden_by, outside, random_view
 
 SIZE = 256
 SLACK = 1e-6

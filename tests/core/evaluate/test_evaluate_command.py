@@ -67,7 +67,7 @@ def test_a_report_with_numbers_that_follow_from_the_truth(labelled: Path, tmp_pa
     assert str(report / "index.html") in result.stderr
     rows = table(report)
     assert list(rows) == [
-        *("null-centroid", "null-mean-pose", "raw-image", "raw-world", "fused", "paper-a-plus"),
+        *("null-centroid", "null-mean-pose", "raw-image", "raw-world", "fused", "paper-a-plus")
     ]
     for method in ("raw-image", "raw-world", "fused", "paper-a-plus"):
         assert float(rows[method]["detection_rate"]) == 100.0
