@@ -13,6 +13,7 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -157,13 +158,14 @@ class Sealed:
 
     def processes(self) -> list[str]:
         """Command lines of processes that were started in there and still run."""
-        mark, found = f"{MARK}={self._mark}".encode(), []
-        for folder in Path("/proc").iterdir():
-            if not folder.name.isdigit():
-                continue
-            try:
-                if mark in (folder / "environ").read_bytes().split(b"\0"):
-                    found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip())
-            except OSError:
-                continue  # it has ended meanwhile, or belongs to somebody else
-        return found
+        return processes_with(f"{MARK}={self._mark}")
+
+
+def processes_with(variable: str) -> list[str]:
+    """Command lines of processes that have this NAME=VALUE in their environment."""
+    found = []
+    for folder in (f for f in Path("/proc").iterdir() if f.name.isdigit()):
+        with suppress(OSError):  # it has ended meanwhile, or belongs to somebody else
+            if variable.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip())
+    return found

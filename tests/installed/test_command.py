@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.installed.sealed import without_network
+from tests.installed.sealed import ROOT, processes_with, without_network
 
-ROOT = Path(__file__).resolve().parents[2]
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
 MARK = "MANIENT_COMMAND_TEST"
 TIMEOUT = 400.0
@@ -79,17 +78,6 @@ class Commands:
     def report(self, folder: str) -> list[dict]:
         return json.loads((self.folder / folder / "report.json").read_text(encoding="utf-8"))["inputs"]
 
-    def processes(self) -> list[str]:
-        """Names of processes that were started for the commands and still run."""
-        found = []
-        for process in (p for p in Path("/proc").iterdir() if p.name.isdigit()):
-            try:
-                if f"{MARK}={self.mark}".encode() in (process / "environ").read_bytes():
-                    found.append((process / "comm").read_text().strip())
-            except OSError:
-                continue  # it has ended meanwhile
-        return found
-
 
 @pytest.fixture(scope="module")
 def commands(zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFactory) -> Commands:
@@ -105,11 +93,7 @@ def commands(zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFacto
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
-        env={
-            **os.environ,
-            "CHROOT_SEALED": "1",
-            "CHROOT_BIND": f"{folder}:{zipped.parent}",
-        },
+        env={**os.environ, "CHROOT_SEALED": "1", "CHROOT_BIND": f"{folder}:{zipped.parent}"},
         check=False,
         timeout=TIMEOUT,
     )  # fmt: skip
@@ -147,12 +131,8 @@ def test_a_photo_and_a_video_become_files(commands):
         assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
         sizes = [(commands.folder / "results" / file).stat().st_size for file in entry["files"]]
         assert min(sizes) > 1000, sizes
-    lines = commands["capture"].out.splitlines()
-    assert [line.partition(":")[0] for line in lines if line.startswith("[")] == [
-        "[1/3] ok",
-        "[2/3] ok",
-        "[3/3] failed",
-    ]
+    told = [line.partition(":")[0] for line in commands["capture"].out.splitlines() if line.startswith("[")]
+    assert told == ["[1/3] ok", "[2/3] ok", "[3/3] failed"]
     assert "Traceback" not in commands["capture"].err
 
 
@@ -166,7 +146,7 @@ def test_ctrl_c_keeps_what_was_finished_and_ends_the_worker(commands):
     assert commands["stopped"].code == 130
     assert "what was finished is kept" in commands["stopped"].err
     assert [entry["status"] for entry in commands.report("stopped")] == ["interrupted", "pending"]
-    assert commands.processes() == []
+    assert processes_with(f"{MARK}={commands.mark}") == []
 
 
 @pytest.mark.parametrize("step", ["damaged", "damaged_capture"])

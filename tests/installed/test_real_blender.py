@@ -40,26 +40,18 @@ pytestmark = pytest.mark.skipif(
 
 
 @dataclass(frozen=True)
-class Said:
-    """A command's exit code and output."""
-
-    code: int
-    text: str
-
-
-@dataclass(frozen=True)
 class Life:
-    """What was found from installing to removing, step by step."""
+    """What was found from installing to removing; of commands their exit code and output."""
 
     base: Path
-    validated: Said
-    installed: Said
+    validated: tuple[int, str]
+    installed: tuple[int, str]
     unpacked: list[str]
     played: dict
     left_behind: list[str]
     log: str
-    removed: Said
-    asked_again: Said
+    removed: tuple[int, str]
+    asked_again: tuple[int, str]
     left: list[str]
     processes: list[str]
 
@@ -96,8 +88,8 @@ def life(new_sealed, zipped: Path, samples: Path, tmp_path_factory) -> Life:
     zip_file = sealed.give(zipped)
     photo = sealed.give(samples / "photos" / "thumb_up.jpg")
 
-    def blender(*arguments: str) -> Said:
-        return Said(*sealed.call(["blender", *arguments], wrapper))
+    def blender(*arguments: str) -> tuple[int, str]:
+        return sealed.call(["blender", *arguments], wrapper)
 
     validated = blender("--command", "extension", "validate", zip_file)
     installed = blender("--command", "extension", "install-file", "-r", "user_default", "--enable", zip_file)
@@ -129,8 +121,8 @@ def life(new_sealed, zipped: Path, samples: Path, tmp_path_factory) -> Life:
 
 
 def test_blender_validates_and_installs_it(life):
-    assert life.validated.code == 0, life.validated.text
-    assert life.installed.code == 0, life.installed.text
+    assert life.validated[0] == 0, life.validated[1]
+    assert life.installed[0] == 0, life.installed[1]
     assert any("/site-packages/handfit_core/" in name for name in life.unpacked)
     assert any("/site-packages/cv2/" in name for name in life.unpacked)
 
@@ -161,11 +153,11 @@ def test_quitting_leaves_no_process(life):
 
 
 def test_removing_leaves_no_file(life):
-    assert life.removed.code == 0, life.removed.text
+    assert life.removed[0] == 0, life.removed[1]
     foreign = [name for name in life.left if not any(fnmatch(name, own) for own in BLENDERS_OWN)]
     assert foreign == []
 
 
 def test_its_command_is_gone(life):
-    assert life.asked_again.code != 0
-    assert "manient" in life.asked_again.text
+    assert life.asked_again[0] != 0
+    assert "manient" in life.asked_again[1]

@@ -68,12 +68,8 @@ def test_nothing_but_the_zip_is_in_reach(life):
     assert not [p for p in paths if p.is_relative_to(ROOT)]
 
 
-def test_it_installs_and_is_enabled(life):
-    assert life["installed"]["said"] == "FINISHED"
-    assert life["installed"]["enabled"] == ["bl_ext.user_default.manient"]
-
-
-def test_the_panels_are_there(life):
+def test_it_installs_and_its_panels_are_there(life):
+    assert life["installed"] == {"said": "FINISHED", "enabled": ["bl_ext.user_default.manient"]}
     assert any(text.startswith("[Source] Choose a photo") for text in life["panels"]["said"])
     (capture,) = (text for text in life["panels"]["said"] if text.startswith("[Capture] "))
     assert capture.startswith("[Capture] Scene becomes")
@@ -188,11 +184,8 @@ def test_uninstalling_leaves_no_file(life):
     assert left <= {name.format(python=python) for name in BLENDERS_OWN}
 
 
-def test_no_process_is_left(life):
+def test_no_process_is_left_and_no_traceback_was_printed(life):
     assert life["uninstalled"]
     assert life.processes == []
-
-
-def test_blender_printed_no_traceback(life):
     assert life.finished.code == 0, life.finished.said[-4000:]
     assert "Traceback" not in life.finished.said

@@ -136,12 +136,7 @@ def test_joints_mix_in_the_paper_where_a_tip_has_no_label() -> None:
     scores = scored([only(truth, TIPS), without_thumb], moved, "paper")
     errors = [row[~np.isnan(row)] for row in scores.epe]
     # The index finger's error is filed under the thumb wherever the thumb has no label.
-    by_position = [np.mean([errors[0][0], errors[1][0]]), np.mean([errors[0][1], errors[1][1]])]
-    by_position += [
-        np.mean([errors[0][2], errors[1][2]]),
-        np.mean([errors[0][3], errors[1][3]]),
-        errors[0][4],
-    ]
+    by_position = [*np.mean([errors[0][:4], errors[1]], axis=0), errors[0][4]]
     assert summarise(scores, "paper")["epe"] == pytest.approx(np.mean(by_position))
     strict = scored([only(truth, TIPS), without_thumb], moved, "strict")
     assert summarise(strict, "strict")["epe"] == pytest.approx(np.nanmean(strict.epe))

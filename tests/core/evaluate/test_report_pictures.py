@@ -158,11 +158,8 @@ def test_labels_and_predictions_are_drawn_where_they_are(tmp_path: Path) -> None
     x, y, side = crop_box(label[0], prediction[0], 640, 480)
     # The middle of each bone, in pixels of the cell, and of the picture between them.
     middle = round((150 - x) * SIDE / side - 0.5)
-    for row, colour in (
-        (100, to_rgb(sheets.LABEL)),
-        (200, to_rgb(sheets.PREDICTION)),
-        (150, [200 / 255] * 3),
-    ):
+    drawn = (100, to_rgb(sheets.LABEL)), (200, to_rgb(sheets.PREDICTION)), (150, [200 / 255] * 3)
+    for row, colour in drawn:
         at = cell[round((row - y) * SIDE / side - 0.5), middle]
         assert np.abs(at - 255 * np.array(colour)).max() < 80, (row, at)
 
@@ -195,9 +192,8 @@ def test_crops_hold_the_hand_and_stay_in_the_picture_where_they_can(seed: int) -
     x, y, side = crop_box(label, label + rng.normal(scale=3.0, size=(21, 2)), 640, 480)
     assert (label >= [x, y]).all()
     assert (label <= [x + side, y + side]).all()
-    assert min(x, y) >= 0
-    assert x + side <= 640
-    assert y + side <= 480
+    assert 0 <= x <= 640 - side
+    assert 0 <= y <= 480 - side
 
 
 def test_a_lost_prediction_does_not_shrink_the_hand() -> None:

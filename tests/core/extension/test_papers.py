@@ -59,12 +59,8 @@ def test_licence_files_beside_the_code_are_taken_and_code_is_not(make_wheel):
 
 def test_others_licences_and_texts_stand_in_the_file(wheels):
     text = third_party_licences(wheels)
-    for heading in (
-        "torch 2.13.0+cpu",
-        "mediapipe 0.10.31",
-        "MediaPipe hand landmark model 0.10.21",
-        "Open hand 1",
-    ):
+    bundled = "MediaPipe hand landmark model 0.10.21", "Open hand 1"
+    for heading in ("torch 2.13.0+cpu", "mediapipe 0.10.31", *bundled):
         assert text.count(f"\n{heading}\n{'=' * 100}\n") == 1
     assert "The licence of torch." in text
     assert "Licence: Apache-2.0\n\n--- mediapipe" in text
