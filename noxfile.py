@@ -116,7 +116,7 @@ def tests(session: nox.Session, part: str) -> None:
 
 
 def blender_sessions(version: str, python: str) -> None:
-    """The sessions `blender-VERSION`, and `checkout-VERSION` of the Blenders that `tests` leaves out."""
+    """The sessions `blender-VERSION` and `checkout-VERSION`; the latter are for the Blenders that `tests` lacks."""
 
     def installed(session: nox.Session) -> None:
         # Here is nothing but Blender: no SciPy, no OpenCV and no MediaPipe.
@@ -131,9 +131,8 @@ def blender_sessions(version: str, python: str) -> None:
 
     installed.__doc__ = f"The zip in Blender {version}: installed offline into an empty profile, and used."
     nox.session(python=python, name=f"blender-{version}")(installed)
-    if version in ("4.2", "5.2"):
-        checkout.__doc__ = f"Blender's side of the checkout, as in `tests`, in Blender {version}."
-        nox.session(python=python, name=f"checkout-{version}")(checkout)
+    checkout.__doc__ = f"Blender's side of the checkout, as in `tests`, in Blender {version}."
+    nox.session(python=python, name=f"checkout-{version}")(checkout)
 
 
 for blender in BPY:

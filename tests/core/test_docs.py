@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from pathlib import Path
 
@@ -29,19 +28,12 @@ def anchors(page: Path) -> set[str]:
 
 
 def sessions() -> set[str]:
-    """Names of the noxfile's sessions."""
-    found: set[str] = set()
-    for node in ast.parse(text_of(ROOT / "noxfile.py")).body:
-        if isinstance(node, ast.FunctionDef):
-            given = [
-                str(ast.literal_eval(keyword.value))
-                for decorator in node.decorator_list
-                if isinstance(decorator, ast.Call)
-                for keyword in decorator.keywords
-                if keyword.arg == "name"
-            ]
-            found.update(given or [node.name])
-    return found
+    """Names of noxfile.py's sessions: a function's, or the one given; `{version}` is any of the Blenders."""
+    text = text_of(ROOT / "noxfile.py")
+    plain = re.findall(r"^@nox\.session\((?!.*name=).*\n(?:@.*\n)*def (\w+)", text, re.MULTILINE)
+    given = re.findall(r'^ *@?nox\.session\(.*name=f?"([^"]+)"', text, re.MULTILINE)
+    blenders = re.findall(r'"([\d.]+)": "bpy==', text)
+    return {*plain, *(name.replace("{version}", version) for name in given for version in blenders)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
