@@ -116,7 +116,7 @@ def tests(session: nox.Session, part: str) -> None:
 
 
 def blender_sessions(version: str, python: str) -> None:
-    """The sessions `blender-VERSION` and `checkout-VERSION`; the latter are for the Blenders that `tests` lacks."""
+    """The sessions `blender-VERSION`, with the zip, and `checkout-VERSION`, with the checkout."""
 
     def installed(session: nox.Session) -> None:
         # Here is nothing but Blender: no SciPy, no OpenCV and no MediaPipe.
