@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import spread
 from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
@@ -266,9 +267,9 @@ def _shape_of_clip(
     fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
 ) -> np.ndarray:
     """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
-    spread = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
+    chosen = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
     shapes: list[np.ndarray] = []
-    for i in spread:
+    for i in chosen:
         shapes.append(fitter.fit(keypoints[i]).betas)
         if should_stop():
             break
@@ -293,26 +294,25 @@ def fit_track(
     found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
     shape = _shape_of_clip(fitter, list(found.values()), should_stop) if len(found) > 1 else None
     fit_shape = shape is None
-    count = len(track.detections)
-    global_orient, hand_pose = np.full((count, 3), np.nan), np.full((count, 45), np.nan)
-    transl, converged = np.full((count, 3), np.nan), np.zeros(count, dtype=bool)
+    placed: list[PlacedHand] = []
+    converged: list[bool] = []
     previous: FrameFit | None = None
-    for index, keypoints in found.items():
+    for keypoints in found.values():
         start = previous if options.warm_start else None
         fit = previous = fitter.fit(keypoints, betas=shape, start=start)
-        placed = fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape)
+        placed.append(fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape))
+        converged.append(fit.converged)
         if fit_shape:
-            shape = placed.betas
-        global_orient[index], hand_pose[index] = placed.global_orient, placed.hand_pose
-        transl[index], converged[index] = placed.transl, fit.converged
+            shape = placed[-1].betas
         on_frame()
         if should_stop():
             break
     assert shape is not None, "a track has at least one detection"
+    frames, count = list(found)[: len(placed)], len(track.detections)
     return TrackFit(
         betas=shape,
-        global_orient=global_orient,
-        hand_pose=hand_pose,
-        transl=transl,
-        converged=converged,
+        global_orient=spread([hand.global_orient for hand in placed], frames, count),
+        hand_pose=spread([hand.hand_pose for hand in placed], frames, count),
+        transl=spread([hand.transl for hand in placed], frames, count),
+        converged=spread(converged, frames, count, False),
     )
