@@ -20,16 +20,7 @@ from handfit_core.version import __version__
 if TYPE_CHECKING:
     from handfit_core.pipeline import Progress, capture
 
-__all__ = [
-    "HandTrack",
-    "HandfitError",
-    "Intrinsics",
-    "Progress",
-    "Source",
-    "Take",
-    "__version__",
-    "capture",
-]
+__all__ = ["HandTrack", "HandfitError", "Intrinsics", "Progress", "Source", "Take", "__version__", "capture"]
 
 _LAZY = {"capture", "Progress"}
 

@@ -62,8 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m handfit_core",
-        description="Fit a rigged hand to photos, image sequences and videos.",
+        prog="python -m handfit_core", description="Fit a rigged hand to photos, image sequences and videos."
     )
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

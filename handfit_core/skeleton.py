@@ -73,10 +73,7 @@ KEYPOINT_SOURCE: Final = (
 )
 """keypoints[k] = concatenate(joints (16), fingertips (5))[KEYPOINT_SOURCE[k]]."""
 
-KEYPOINT_PARENTS: Final = (
-    -1,
-    *(0 if i == 0 else 1 + 4 * f + i - 1 for f in range(5) for i in range(4)),
-)
+KEYPOINT_PARENTS: Final = (-1, *(0 if i == 0 else 1 + 4 * f + i - 1 for f in range(5) for i in range(4)))
 """Parent of each of the 21 keypoints along its finger; -1 for the wrist. Drawing a hand needs no more."""
 
 MANO_TIP_VERTICES: Final = (745, 317, 444, 556, 673)

@@ -12,11 +12,7 @@ from handfit_core.hand_model.landmarks import detector_landmarks
 
 
 def landmark_points(
-    model: HandModel,
-    betas: np.ndarray,
-    global_orient: np.ndarray,
-    hand_pose: np.ndarray,
-    transl: np.ndarray,
+    model: HandModel, betas: np.ndarray, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
 ) -> np.ndarray:
     """(T, 21, 3) where the detector sees its points on a posed hand, metres, camera frame.
 

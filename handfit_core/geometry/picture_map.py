@@ -37,9 +37,7 @@ def picture_to_region(
     points[3, 2] = 1.0
     clip = np.asarray(perspective, dtype=np.float64) @ points
     half_width, half_height = size[0] / 2.0, size[1] / 2.0
-    return np.stack(
-        [half_width * (clip[0] + clip[3]), half_height * (clip[1] + clip[3]), clip[3]],
-    )
+    return np.stack([half_width * (clip[0] + clip[3]), half_height * (clip[1] + clip[3]), clip[3]])
 
 
 def mapped(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -13,13 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from handfit_core.geometry import rotations
-from handfit_core.skeleton import (
-    NUM_BETAS,
-    NUM_JOINTS,
-    PARENTS,
-    Side,
-    keypoints_from_joints,
-)
+from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, PARENTS, Side, keypoints_from_joints
 
 
 @dataclass(frozen=True)
@@ -113,11 +107,7 @@ class HandModel:
         return ShapedHand(vertices, self.joint_regressor @ vertices, vertices[self.tip_vertices])
 
     def posed(
-        self,
-        betas: np.ndarray | None,
-        global_orient: np.ndarray,
-        hand_pose: np.ndarray,
-        transl: np.ndarray,
+        self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> PosedHand:
         """Linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
 
@@ -131,11 +121,7 @@ class HandModel:
         return PosedHand(vertices, joints, keypoints_from_joints(joints, tips))
 
     def keypoints(
-        self,
-        betas: np.ndarray | None,
-        global_orient: np.ndarray,
-        hand_pose: np.ndarray,
-        transl: np.ndarray,
+        self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> np.ndarray:
         """The (..., 21, 3) keypoints of `posed`, without the cost of the mesh."""
         tips, joints = self._skinned(self.tip_vertices, betas, global_orient, hand_pose, transl)

@@ -65,10 +65,7 @@ class HandLayer(torch.nn.Module):
     """(F, 3) int64"""
 
     def __init__(
-        self,
-        model: HandModel,
-        dtype: torch.dtype = torch.float64,
-        device: torch.device | str | None = None,
+        self, model: HandModel, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
     ) -> None:
         super().__init__()
         self.model = model

@@ -163,11 +163,7 @@ class PaperFitter:
             self._prior = RelaxedPrior(model)
 
     def fit(
-        self,
-        keypoints: np.ndarray,
-        *,
-        betas: np.ndarray | None = None,
-        start: FrameFit | None = None,
+        self, keypoints: np.ndarray, *, betas: np.ndarray | None = None, start: FrameFit | None = None
     ) -> FrameFit:
         """Fit (21, 3) keypoints in pixels with depth. `betas` (10,) fixes the shape; `start` is a fit to
         start from instead of the flat hand of mean shape."""

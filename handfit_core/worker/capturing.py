@@ -19,9 +19,7 @@ def source_of(message: Mapping[str, Any]) -> str | list[str]:
 
 
 def answer(
-    message: Mapping[str, Any],
-    should_stop: Callable[[], bool],
-    on_progress: Callable[[str, int, int], None],
+    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: Callable[[str, int, int], None]
 ) -> dict[str, Any]:
     """Capture as the request says, write the take; the fields of the `done` event.
 

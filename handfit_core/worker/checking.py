@@ -73,11 +73,7 @@ def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
             all_well = False
             lines.append(f"{name}: FAILED: {_reason(error)}")
     lines.append("Everything works." if all_well else "Not everything works; see FAILED above.")
-    return {
-        "report": "\n".join(lines),
-        "ok": all_well,
-        "seconds": round(time.perf_counter() - started, 3),
-    }
+    return {"report": "\n".join(lines), "ok": all_well, "seconds": round(time.perf_counter() - started, 3)}
 
 
 def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[str, Any]:

@@ -25,15 +25,7 @@ from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
-from handfit_core.worker.protocol import (
-    JOBS,
-    LONGEST_REQUEST,
-    PROTOCOL,
-    REQUESTS,
-    check_id,
-    decode,
-    encode,
-)
+from handfit_core.worker.protocol import JOBS, LONGEST_REQUEST, PROTOCOL, REQUESTS, check_id, decode, encode
 from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, warnings_told
 
 PROGRESS_EVERY: Final = 0.05
