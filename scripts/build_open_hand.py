@@ -857,7 +857,7 @@ def fitted_regressor(
 
 def assembled(side: Side, raw: dict[str, Any]) -> HandModel:
     """A checked model of the open hand."""
-    return checked_model(where=f"open hand, {side}", name=OPEN_HAND, side=side, **raw)
+    return checked_model(raw, where=f"open hand, {side}", name=OPEN_HAND, side=side)
 
 
 def mirrored(model: HandModel) -> HandModel:

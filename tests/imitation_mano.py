@@ -135,20 +135,12 @@ def imitation_arrays(
 def imitation_model(side: str = "right", *, seed: int = 0, pose_blendshapes: bool = True) -> HandModel:
     """An imitation as a HandModel, without going through a file."""
     arrays = imitation_arrays(side, seed=seed)
-    return checked_model(
-        where="imitation",
-        name="imitation",
-        side=side,
-        v_template=arrays["v_template"],
-        faces=arrays["f"],
-        shapedirs=arrays["shapedirs"],
-        posedirs=arrays["posedirs"] * pose_blendshapes,
-        joint_regressor=arrays["J_regressor"],
-        weights=arrays["weights"],
-        hands_mean=arrays["hands_mean"],
-        hands_components=arrays["hands_components"],
-        tip_vertices=list(TIPS.values()),
-    )
+    arrays |= {"faces": arrays["f"], "joint_regressor": arrays["J_regressor"]}
+    arrays |= {
+        "posedirs": arrays["posedirs"] * pose_blendshapes,
+        "tip_vertices": np.array(list(TIPS.values())),
+    }
+    return checked_model(arrays, where="imitation", name="imitation", side=side)
 
 
 def write_mano_pickle(path: Path, arrays: dict[str, Any], *, select: bool = False) -> Path:

@@ -6,22 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.skeleton import Side, other_side
 
 
 @dataclass(frozen=True, eq=False)
-class CorrectedLandmarks:
-    """What the landmark network makes of one detection, taken for a hand of that side. Pixels."""
+class Landmarked(Batch):
+    """What is seen of N hands, without a camera: pixels."""
 
-    side: Side
     pixels: np.ndarray
-    """(21, 2)"""
+    """(N, 21, 2)"""
     pixel_sigma: np.ndarray
-    """(21, 2) expected errors"""
+    """(N, 21, 2) expected errors"""
     depth: np.ndarray
-    """(21,) about its mean"""
+    """(N, 21) along the line of sight about its mean"""
     depth_sigma: np.ndarray
-    """(21,)"""
+    """(N, 21)"""
+    pinned: np.ndarray | None = None
+    """(N, 21) bool: pixels that are true, put there by a person: their cost grows with the square, so that no
+    number of other landmarks can outvote them. None: there are none"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +45,9 @@ class HandDetection:
     a single look"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
-    corrected: CorrectedLandmarks | None = None
-    """What the network said of this detection when it was asked for the side. Solvers that want the
-    detector's own word take `keypoints`"""
+    corrected: tuple[Side, Landmarked] | None = None
+    """What the landmark network said of this detection (N = 1), taken for a hand of that side, when it was
+    asked for the side. Solvers that want the detector's own word take `keypoints`"""
 
     @property
     def likely_side(self) -> Side:

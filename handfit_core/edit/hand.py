@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import spread
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -125,11 +126,11 @@ class RefineHand:
     @property
     def keypoints_2d(self) -> np.ndarray:
         """(T, 21, 2) what was detected, with the pins in their place; NaN where there is neither."""
-        points = np.full((len(self), NUM_KEYPOINTS, 2), np.nan)
-        for row, detection in enumerate(self.detections):
-            if detection is not None:
-                points[row] = detection.keypoints_2d
-        return np.where(self.pinned[..., None], self.pins, points)
+        points = np.reshape(
+            [d.keypoints_2d for d in self.detections if d is not None], (-1, NUM_KEYPOINTS, 2)
+        )
+        seen = spread(points, self.detected, len(self))
+        return np.where(self.pinned[..., None], self.pins, seen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.batch import spread
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.values import Unfit, number, path, shortly, whole
 from handfit_core.edit.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
@@ -34,13 +35,9 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
     Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
     (whether the detector named this side), NaN rows where there is none.
     """
-    count = len(hand)
-    points = {name: np.full((count, NUM_KEYPOINTS, 3), np.nan, np.float32) for name in _POINTS}
-    score, agrees = np.full(count, np.nan, np.float32), np.ones(count, dtype=bool)
-    for row, detection in enumerate(hand.detections):
-        if detection is not None:
-            points["keypoints"][row], points["world"][row] = detection.keypoints, detection.world
-            score[row], agrees[row] = detection.score, detection.side == hand.side
+    count, there = len(hand), hand.detected
+    found = [d for d in hand.detections if d is not None]
+    points = {name: np.reshape([getattr(d, name) for d in found], (-1, NUM_KEYPOINTS, 3)) for name in _POINTS}
     camera = hand.intrinsics
     return {
         "side": hand.side,
@@ -53,9 +50,9 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         **{name: pack(np.asarray(getattr(hand, name), dtype=np.float64)) for name in START_ARRAYS},
         "pins": pack(np.asarray(hand.pins, dtype=np.float64)),
         "locked": pack(np.asarray(hand.locked, dtype=bool)),
-        **{name: pack(array) for name, array in points.items()},
-        "score": pack(score),
-        "agrees": pack(agrees),
+        **{name: pack(spread(rows, there, count).astype(np.float32)) for name, rows in points.items()},
+        "score": pack(spread([d.score for d in found], there, count).astype(np.float32)),
+        "agrees": pack(spread([d.side == hand.side for d in found], there, count, True)),
     }
 
 

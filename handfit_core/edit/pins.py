@@ -26,7 +26,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.detect.correction.corrected import Landmarked
+from handfit_core.detect.keypoints import Landmarked
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS
 

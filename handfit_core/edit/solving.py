@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from handfit_core.batch import Batch
-from handfit_core.detect.correction.corrected import Landmarked, landmarked
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.correction.corrected import landmarked
+from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points

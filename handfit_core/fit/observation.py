@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.batch import Batch
-from handfit_core.detect.correction.corrected import Landmarked
+from handfit_core.detect.keypoints import Landmarked
 from handfit_core.geometry.camera import Intrinsics
 
 
@@ -30,27 +30,17 @@ class Kept(Batch):
     keep have it"""
 
 
-@dataclass(frozen=True, eq=False)
-class Observation(Batch):
-    """Landmarks of B pictures of one model's hand, seen through a camera. Pixels, camera frame."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Observation(Landmarked):
+    """Landmarks of B pictures of one model's hand, seen through a camera. Pixels, camera frame; depth is in
+    pixels at the hand's distance."""
 
-    pixels: np.ndarray
-    """(B, 21, 2)"""
-    pixel_sigma: np.ndarray
-    """(B, 21, 2) expected errors, pixels"""
-    depth: np.ndarray
-    """(B, 21) along the line of sight about its mean, in pixels at the hand's distance"""
-    depth_sigma: np.ndarray
-    """(B, 21) pixels"""
     ray: np.ndarray
     """(B, 3) unit line of sight"""
     focal: np.ndarray
     """(B, 2) pixels"""
     centre: np.ndarray
     """(B, 2) pixels"""
-    pinned: np.ndarray | None = None
-    """(B, 21) bool: pixels that are true, put there by a person: their cost grows with the square, so that no
-    number of other landmarks can outvote them. None: there are none"""
     kept: Kept | None = None
     """Poses that the hands are to stay near; None: there are none"""
 
@@ -61,12 +51,8 @@ def observation_of(seen: Landmarked, intrinsics: Intrinsics) -> Observation:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     focal, centre = (intrinsics.fx, intrinsics.fy), (intrinsics.cx, intrinsics.cy)
     return Observation(
-        pixels=seen.pixels,
-        pixel_sigma=seen.pixel_sigma,
-        depth=seen.depth,
-        depth_sigma=seen.depth_sigma,
+        **vars(seen),
         ray=rays,
         focal=np.broadcast_to(focal, (len(rays), 2)),
         centre=np.broadcast_to(centre, (len(rays), 2)),
-        pinned=seen.pinned,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -23,32 +24,29 @@ LARGEST: Final = 1e4
 """of any number of a model: metres, weights and radians"""
 
 
+_PER_VERTEX: Final = -1
+_FLOATS: Final[dict[str, tuple[int | None, ...]]] = {
+    "shapedirs": (_PER_VERTEX, 3, None),
+    "weights": (_PER_VERTEX, NUM_JOINTS),
+    "posedirs": (_PER_VERTEX, 3, 9 * (NUM_JOINTS - 1)),
+    "joint_regressor": (NUM_JOINTS, _PER_VERTEX),
+    "hands_mean": (45,),
+    "hands_components": (45, 45),
+}
+"""A model's arrays of floats besides its vertices, and their shapes; None: as many as there are"""
+
+
 def checked_model(
-    *,
-    where: str,
-    name: str,
-    side: str,
-    v_template: Any,
-    faces: Any,
-    shapedirs: Any,
-    posedirs: Any,
-    joint_regressor: Any,
-    weights: Any,
-    hands_mean: Any,
-    hands_components: Any,
-    tip_vertices: Any,
-    quads: Any = None,
-    uv: Any = None,
-    uv_faces: Any = None,
-    source: str = "",
+    arrays: Mapping[str, Any], *, where: str, name: str, side: str, source: str = ""
 ) -> HandModel:
     """Build a HandModel from raw arrays, or say in one sentence what is wrong with them.
 
-    `where` names the file in messages. Raises HandModelError.
+    `arrays` are named as the fields of HandModel, whose optional ones may be missing or None; others are not
+    looked at. `where` names the file in messages. Raises HandModelError.
     """
     if side not in SIDES:
         raise HandModelError(f"{where}: the side must be left or right, not {shortly(side)}")
-    v_template = _floats(where, "v_template", v_template, (None, 3))
+    v_template = _floats(where, "v_template", arrays["v_template"], (None, 3))
     count = len(v_template)
     if not 0 < count <= MOST_VERTICES:
         raise HandModelError(f"{where}: a hand model has 1 to {MOST_VERTICES} vertices, not {count}")
@@ -58,18 +56,23 @@ def checked_model(
             f"{where}: this hand is {size:.3g} m long; a hand model is in metres, from {SMALLEST_HAND:g} to "
             f"{LARGEST_HAND:g} m"
         )
-    faces = _indices(where, "faces", faces, 3, count)
-    shapedirs = _floats(where, "shapedirs", shapedirs, (count, 3, None))
+    faces = _indices(where, "faces", arrays["faces"], 3, count)
+    found = {}
+    for key, sizes in _FLOATS.items():
+        shape = tuple(count if n == _PER_VERTEX else n for n in sizes)
+        told = "J_regressor" if key == "joint_regressor" else key
+        found[key] = _floats(where, told, arrays[key], shape)
+    shapedirs, weights = found.pop("shapedirs"), found.pop("weights")
     if shapedirs.shape[2] < NUM_BETAS:
         raise HandModelError(
             f"{where}: shapedirs has {shapedirs.shape[2]} shape directions, {NUM_BETAS} are needed"
         )
-    weights = _floats(where, "weights", weights, (count, NUM_JOINTS))
     if np.any(weights < -1e-6) or np.any(np.abs(weights.sum(axis=1) - 1.0) > 1e-3):
         raise HandModelError(f"{where}: the skin weights must be positive and sum to 1 for every vertex")
-    tips = _indices(where, "tip_vertices", np.reshape(tip_vertices, (-1, 1)), 1, count).reshape(-1)
+    tips = _indices(where, "tip_vertices", np.reshape(arrays["tip_vertices"], (-1, 1)), 1, count).reshape(-1)
     if tips.shape != (5,):
         raise HandModelError(f"{where}: tip_vertices must name 5 vertices, not {len(tips)}")
+    quads, uv, uv_faces = (arrays.get(key) for key in ("quads", "uv", "uv_faces"))
     quads = None if quads is None else _indices(where, "quads", quads, 4, count)
     if uv is None or uv_faces is None:
         uv = uv_faces = None
@@ -85,17 +88,14 @@ def checked_model(
         v_template=v_template,
         faces=faces,
         shapedirs=_frozen(shapedirs[:, :, :NUM_BETAS]),
-        posedirs=_floats(where, "posedirs", posedirs, (count, 3, 9 * (NUM_JOINTS - 1))),
-        joint_regressor=_floats(where, "J_regressor", joint_regressor, (NUM_JOINTS, count)),
         # Some released weights sum to 1 within 1e-4 only; skinning wants exactly 1.
         weights=_frozen(weights / weights.sum(axis=1, keepdims=True)),
-        hands_mean=_floats(where, "hands_mean", hands_mean, (45,)),
-        hands_components=_floats(where, "hands_components", hands_components, (45, 45)),
         tip_vertices=tips,
         quads=quads,
         uv=uv,
         uv_faces=uv_faces,
         source=source,
+        **found,
     )
 
 

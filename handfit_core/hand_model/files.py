@@ -152,13 +152,7 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
     missing = [key for key in _REQUIRED if key not in arrays]
     if missing:
         raise HandModelError(f"{path}: the hand model lacks {', '.join(missing)}")
-    return checked_model(
-        where=str(path),
-        name=name,
-        side=side,
-        source="" if bundled else str(path),
-        **{key: arrays.get(key) for key in ARRAY_NAMES},
-    )
+    return checked_model(arrays, where=str(path), name=name, side=side, source="" if bundled else str(path))
 
 
 def save_model_npz(

@@ -101,18 +101,17 @@ def _model_from(path: Path, content: Any) -> HandModel:
     tips = _array_of("tip_vertices", content["tip_vertices"]) if "tip_vertices" in content else _TIPS[side]
     try:
         return checked_model(
+            arrays
+            | {
+                "faces": arrays["f"],
+                "shapedirs": shapedirs,
+                "joint_regressor": regressor,
+                "hands_mean": arrays["hands_mean"].reshape(-1),
+                "tip_vertices": tips,
+            },
             where=shown(path),
             name=path.stem,
             side=side,
-            v_template=v_template,
-            faces=arrays["f"],
-            shapedirs=shapedirs,
-            posedirs=arrays["posedirs"],
-            joint_regressor=regressor,
-            weights=arrays["weights"],
-            hands_mean=arrays["hands_mean"].reshape(-1),
-            hands_components=arrays["hands_components"],
-            tip_vertices=tips,
             source=str(path),
         )
     except HandModelError as error:

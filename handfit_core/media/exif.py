@@ -7,6 +7,7 @@ the tag is read here and undone by `upright`.
 from __future__ import annotations
 
 import math
+import re
 import struct
 from pathlib import Path
 from typing import Final
@@ -72,45 +73,22 @@ def is_tiff(data: bytes) -> bool:
 
 def _tiff_block(data: bytes) -> bytes | None:
     """The TIFF structure that holds the EXIF tags, from the container around it."""
-    if data[:2] == b"\xff\xd8":
-        return _from_jpeg(data)
-    if data[:8] == b"\x89PNG\r\n\x1a\n":
-        return _from_chunks(data, 8, ">I", b"eXIf", type_first=False)
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        block = _from_chunks(data, 12, "<I", b"EXIF", type_first=True)
-        return block[6:] if block and block[:6] == b"Exif\0\0" else block
     if is_tiff(data):
         return data
+    for container, mark in _MARKS.items():
+        if re.match(container, data, re.DOTALL):
+            # That the mark stands there by chance, before such a structure, has one chance in 2^64.
+            found = re.compile(mark + rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)", re.DOTALL).search(data)
+            return data[found.end() : found.end() + _HEAD] if found else None
     return None
 
 
-def _from_jpeg(data: bytes) -> bytes | None:
-    position = 2
-    while data[position] == 0xFF:
-        marker = data[position + 1]
-        if marker == 0xDA:  # the picture itself starts; metadata comes before
-            return None
-        (length,) = struct.unpack_from(">H", data, position + 2)
-        segment = data[position + 4 : position + 2 + length]
-        if marker == 0xE1 and segment[:6] == b"Exif\0\0":
-            return segment[6:]
-        position += 2 + length
-    return None
-
-
-def _from_chunks(
-    data: bytes, start: int, size_format: str, wanted: bytes, *, type_first: bool
-) -> bytes | None:
-    """Walk PNG chunks (size, type, data, checksum) or RIFF chunks (type, size, data, padding)."""
-    position = start
-    while position + 8 <= len(data):
-        kind_at, size_at = (0, 4) if type_first else (4, 0)
-        kind = data[position + kind_at : position + kind_at + 4]
-        (size,) = struct.unpack_from(size_format, data, position + size_at)
-        if kind == wanted:
-            return data[position + 8 : position + 8 + size]
-        position += 8 + size + (size % 2 if type_first else 4)
-    return None
+_MARKS = {
+    rb"\xff\xd8": rb"\xff\xe1..Exif\0\0",
+    rb"\x89PNG\r\n\x1a\n": rb"eXIf",
+    rb"RIFF.{4}WEBP": rb"EXIF.{4}",
+}
+"""What stands before the tags, by what a picture begins with"""
 
 
 def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:

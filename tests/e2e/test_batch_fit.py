@@ -17,11 +17,10 @@ import pytest
 pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
-from handfit_core.take import HandTrack, Take
 from handfit_core.version import __version__
 from tests.capturing import can_capture
+from tests.takes import take_of, track_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "scripts" / "batch_fit.py"
@@ -73,37 +72,12 @@ def take_file(tmp_path):
     """take_file(name, frames) -> path of a saved take of a right hand."""
 
     def make(name: str = "wave", frames: int = 5) -> Path:
-        hand = load_model("open-hand", "right")
         t = np.linspace(0, 1, frames)
         orient = np.stack([0.3 + t, t * 0, t], -1)
         pose = np.tile(np.tile([0.0, 0.0, 0.4], 15), (frames, 1)) * t[:, None]
-        transl = np.tile([0.0, 0.0, 0.6], (frames, 1))
         camera = Intrinsics.assumed(320, 240)
-        posed = hand.posed(None, orient, pose, transl)
-        track = HandTrack(
-            side="right",
-            betas=np.zeros(10),
-            global_orient=orient,
-            hand_pose=pose,
-            transl=transl,
-            joints_3d=posed.keypoints,
-            keypoints_2d=camera.project(posed.keypoints),
-            reprojection_error=np.zeros(frames),
-            detected=np.ones(frames, dtype=bool),
-            score=np.ones(frames),
-        )
-        take = Take(
-            source=Source("photo", (str(tmp_path / "gone.png"),)),
-            fps=25.0,
-            frame_numbers=np.arange(1, frames + 1),
-            width=320,
-            height=240,
-            intrinsics=camera,
-            solver="test",
-            model="open-hand",
-            model_digests={"right": hand.digest},
-            hands=(track,),
-        )
+        hand = track_of("right", orient, pose, np.tile([0.0, 0.0, 0.6], (frames, 1)), camera)
+        take = take_of([hand], camera, 320, 240, source=Source("photo", (str(tmp_path / "gone.png"),)))
         return take.save(tmp_path / f"{name}.take.npz")
 
     return make

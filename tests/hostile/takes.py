@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model import load_model
-from handfit_core.media.source import Source
 from handfit_core.skeleton import SIDES
-from handfit_core.take import HandTrack, Take
+from handfit_core.take import Take
 from tests.hostile.engine import Case
 from tests.hostile.mutations import mutants
 from tests.hostile.npz import header_lies, lies
+from tests.takes import take_of, track_of
 
 FRAMES = 6
 _FIELDS = (
@@ -29,42 +29,14 @@ HEADER = [tuple(field.split(".")) for field in _FIELDS.split(" ")]
 def good_take(**fields: Any) -> Take:
     """Two hands that a camera sees, in a picture that is not there."""
     camera = Intrinsics(200.0, 200.0, 80.0, 60.0)
+    transl = np.linspace([0.0, 0.0, 0.5], [0.1, 0.0, 0.6], FRAMES)
+    pose, turned = np.zeros((FRAMES, 45)), np.linspace([0.1, 0, 0], [0.9, 0.2, 0], FRAMES)
     hands = []
     for side in SIDES:
-        found = load_model("open-hand", side)
-        transl = np.linspace([0.0, 0.0, 0.5], [0.1, 0.0, 0.6], FRAMES)
-        pose, turned = np.zeros((FRAMES, 45)), np.linspace([0.1, 0, 0], [0.9, 0.2, 0], FRAMES)
-        points = found.posed(np.zeros(10), turned, pose, transl).keypoints
-        hands.append(
-            HandTrack(
-                side=side,
-                betas=np.zeros(10),
-                global_orient=turned,
-                hand_pose=pose,
-                transl=transl,
-                joints_3d=points,
-                keypoints_2d=camera.project(points),
-                reprojection_error=np.full(FRAMES, 0.5),
-                detected=np.ones(FRAMES, bool),
-                score=np.full(FRAMES, 0.9),
-                keypoints_depth=np.zeros((FRAMES, 21)),
-                world_landmarks=points - points[:, :1],
-                doubtful=np.arange(FRAMES) == 2,
-            )
-        )
-    values: dict[str, Any] = {
-        "source": Source("photo", ("/nowhere/picture.png",)),
-        "fps": 25.0,
-        "frame_numbers": np.arange(1, FRAMES + 1),
-        "width": 160,
-        "height": 120,
-        "intrinsics": camera,
-        "solver": "fast",
-        "model": "open-hand",
-        "model_digests": {side: load_model("open-hand", side).digest for side in SIDES},
-        "hands": tuple(hands),
-    }
-    return Take(**{**values, **fields})
+        hand = track_of(side, turned, pose, transl, camera, doubtful=np.arange(FRAMES) == 2)
+        world = hand.joints_3d - hand.joints_3d[:, :1]
+        hands.append(replace(hand, keypoints_depth=np.zeros((FRAMES, 21)), world_landmarks=world))
+    return replace(take_of(hands, camera, 160, 120), **fields)
 
 
 @cache

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
 from handfit_core.skeleton import SIDES
-from handfit_core.take import HandTrack, Take
+from tests.takes import take_of, track_of
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
@@ -28,44 +27,18 @@ def write_long_take(path: Path, frames: int) -> Path:
     """Two hands, as a take file: again and again the same hundred frames. `frames`: hundreds."""
     t = np.linspace(0.0, 2 * np.pi, 100)
     camera = Intrinsics.assumed(1280, 720)
-    tracks, digests = [], {}
+    tracks = []
 
     def again(values: np.ndarray) -> np.ndarray:
         return np.concatenate([values] * (frames // len(t)))
 
     for side in SIDES:
-        hand = load_model("open-hand", side)
         orient = np.stack([0.3 * np.sin(t), 0.2 * np.cos(t), t * 0], axis=-1)
         bend = 0.4 + 0.4 * np.sin(t)
         pose = np.tile([0.0, 0.0, 1.0 if side == "right" else -1.0], 15) * bend[:, None]
         transl = np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0.6 + 0 * t], axis=-1)
-        posed = hand.posed(None, orient, pose, transl)
-        digests[side] = hand.digest
-        track = HandTrack(
-            side=side,
-            betas=np.zeros(10),
-            global_orient=again(orient),
-            hand_pose=again(pose),
-            transl=again(transl),
-            joints_3d=again(posed.keypoints),
-            keypoints_2d=again(camera.project(posed.keypoints)),
-            reprojection_error=np.full(frames, 2.0),
-            detected=np.ones(frames, dtype=bool),
-            score=np.ones(frames),
-        )
-        tracks.append(track)
-    take = Take(
-        source=Source("video", ("gone.mp4",)),
-        fps=25.0,
-        frame_numbers=np.arange(1, frames + 1),
-        width=1280,
-        height=720,
-        intrinsics=camera,
-        solver="test",
-        model="open-hand",
-        model_digests=digests,
-        hands=tuple(tracks),
-    )
+        tracks.append(track_of(side, again(orient), again(pose), again(transl), camera))
+    take = take_of(tracks, camera, 1280, 720, source=Source("video", ("gone.mp4",)))
     return take.save(path)
 
 

@@ -8,10 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import Batch
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
-from handfit_core.detect.keypoints import CorrectedLandmarks, HandDetection
+from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.skeleton import Side
 
 LEAST_SIGMA: Final = 0.1
@@ -41,36 +40,18 @@ class Trust:
 TRUST: Final = Trust()
 
 
-@dataclass(frozen=True, eq=False)
-class Landmarked(Batch):
-    """What is seen of N detections, without a camera: pixels."""
-
-    pixels: np.ndarray
-    """(N, 21, 2)"""
-    pixel_sigma: np.ndarray
-    """(N, 21, 2)"""
-    depth: np.ndarray
-    """(N, 21) about its mean"""
-    depth_sigma: np.ndarray
-    """(N, 21)"""
-    pinned: np.ndarray | None = None
-    """(N, 21) bool: pixels that a person has put there; None: there are none"""
-
-
-_ARRAYS: Final = ("pixels", "pixel_sigma", "depth", "depth_sigma")
-
-
 def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = TRUST) -> Landmarked:
     """Corrected detections, all taken for hands of that side. Those that carry what the network said of that
     side are not shown to it again."""
-    kept = [d.corrected for d in detections]
-    unknown = [i for i, k in enumerate(kept) if k is None or k.side != side or trust != TRUST]
+    said = [d.corrected for d in detections]
+    kept = [None if s is None or s[0] != side or trust != TRUST else s[1] for s in said]
+    unknown = [i for i, k in enumerate(kept) if k is None]
     if unknown:
         sides: list[Side] = [side for _ in unknown]
         found, _ = corrected([detections[i] for i in unknown], sides, trust)
         for row, i in enumerate(unknown):
-            kept[i] = CorrectedLandmarks(side, *(getattr(found, name)[row] for name in _ARRAYS))
-    return Landmarked(*(np.array([getattr(k, name) for k in kept]) for name in _ARRAYS))
+            kept[i] = found.select(slice(row, row + 1))
+    return Landmarked.joined([k for k in kept if k is not None])
 
 
 def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]:
@@ -80,7 +61,7 @@ def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]
     judged = []
     for row, (detection, probability) in enumerate(zip(detections, probabilities, strict=True)):
         odds = DETECTOR_ODDS * probability / max(1.0 - probability, 1e-9)
-        said = CorrectedLandmarks(detection.side, *(getattr(found, name)[row] for name in _ARRAYS))
+        said = detection.side, found.select(slice(row, row + 1))
         judged.append(replace(detection, right_side=float(odds / (1.0 + odds)), corrected=said))
     return judged
 

@@ -1,0 +1,47 @@
+"""Takes of the open hand, made of poses that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model import load_model
+from handfit_core.media.source import Source
+from handfit_core.skeleton import Side
+from handfit_core.take import HandTrack, Take
+
+
+def track_of(
+    side: Side, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray, camera: Intrinsics, **fields: Any
+) -> HandTrack:
+    """A hand of mean shape that was detected just where it is, in every one of T frames."""
+    count, model = len(orient), load_model("open-hand", side)
+    points = model.keypoints(None, orient, pose, transl)
+    values: dict[str, Any] = {
+        "betas": np.zeros(10),
+        "global_orient": orient,
+        "hand_pose": pose,
+        "transl": transl,
+        "joints_3d": points,
+        "keypoints_2d": camera.project(points),
+        "reprojection_error": np.full(count, 0.5),
+        "detected": np.ones(count, dtype=bool),
+        "score": np.full(count, 0.9),
+    }
+    return HandTrack(side=side, **values | fields)
+
+
+def take_of(hands: Sequence[HandTrack], camera: Intrinsics, width: int, height: int, **fields: Any) -> Take:
+    """A take of those hands, from a picture that is not there."""
+    values: dict[str, Any] = {
+        "source": Source("photo", ("/nowhere/picture.png",)),
+        "fps": 25.0,
+        "frame_numbers": np.arange(1, len(hands[0].detected) + 1),
+        "solver": "fast",
+        "model": "open-hand",
+        "model_digests": {hand.side: load_model("open-hand", hand.side).digest for hand in hands},
+    }
+    return Take(hands=tuple(hands), intrinsics=camera, width=width, height=height, **values | fields)
