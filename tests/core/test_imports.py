@@ -122,13 +122,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
 
 
 ASSEMBLIES = ("parts", "batch.order", "batch.run", "exporters", "exporters.take")
-PURE = (
-    "wording",
-    "installation",
-    "batch.arguments",
-    "batch.console",
-    "batch.inputs",
-)
+PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.inputs")
 """Modules of the add-on that work without Blender"""
 
 

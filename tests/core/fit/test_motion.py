@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.fit.terms.motion import (
-    inverse_right_jacobian,
-    place_acceleration,
-    rotation_acceleration,
-)
+from handfit_core.fit.terms.motion import inverse_right_jacobian, place_acceleration, rotation_acceleration
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 
 STEP = 1e-6

@@ -172,9 +172,7 @@ def test_a_sequence_goes_by_its_first_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "block",
-    [None, lens_block(0), lens_block(26)[:20], b"no tiff"],
-    ids=["none", "zero", "cut", "junk"],
+    "block", [None, lens_block(0), lens_block(26)[:20], b"no tiff"], ids=["none", "zero", "cut", "junk"]
 )
 def test_pictures_that_do_not_tell(tmp_path: Path, block: bytes | None) -> None:
     assert known_intrinsics(open_media(photo(tmp_path / "a.jpg", block))) is None

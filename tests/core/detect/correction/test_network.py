@@ -9,13 +9,7 @@ import torch
 
 from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
 from handfit_core.detect.correction.corrected import corrected
-from handfit_core.detect.correction.network import (
-    FILE,
-    LOG_SIGMA,
-    MOST,
-    LandmarkNetwork,
-    landmark_network,
-)
+from handfit_core.detect.correction.network import FILE, LOG_SIGMA, MOST, LandmarkNetwork, landmark_network
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.skeleton import Side
 from tests.core.fit.detections import landmarks_of, mirror_image, poses, seen
