@@ -74,7 +74,9 @@ class Scores:
     detect_ms: np.ndarray
     """(N,) milliseconds of detection for the picture; NaN where not measured"""
     fit_ms: np.ndarray
-    """(N,) milliseconds of fitting this hand"""
+    """(N,) milliseconds of fitting this hand. Fresh detections can carry what the landmark network said of
+    them, kept ones do not, and a fit asks it again: compare runs that both detected or both read
+    kept detections"""
 
 
 @dataclass(frozen=True)

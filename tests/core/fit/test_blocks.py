@@ -69,43 +69,11 @@ def test_shared_step_equals_one_dense_solve() -> None:
         close(of_hand[i, common], expected[batch * size :], rtol=1e-7, atol=1e-9)
 
 
-def test_batch_equals_loop() -> None:
-    blocks, _, _ = make_blocks(5, 17)
-    damping = np.logspace(-6, 2, 5)
-    of_hand, of_fingers = blocks.step(damping)
-    for i in range(5):
-        index = np.array([i])
-        one_hand, one_fingers = blocks.select(index).step(damping[index])
-        close(of_hand[i], one_hand[0])
-        close(of_fingers[i], one_fingers[0])
-
-
-def test_a_problem_of_nan_harms_no_other() -> None:
-    blocks, _, _ = make_blocks(3, 17)
-    damping = np.full((3,), 1e-3)
-    expected, _ = blocks.step(damping)
-    for name in ("hand", "finger"):
-        getattr(blocks, name)[1] = np.nan
-    found, fingers = blocks.step(damping)
-    close(found[[0, 2]], expected[[0, 2]])
-    assert np.isfinite(fingers[[0, 2]]).all()
-
-
 def test_huge_damping_is_a_short_step_down_the_gradient() -> None:
     blocks, whole, gradient = make_blocks(1, 7)
     of_hand, _ = blocks.step(np.array([1e9]))
     diagonal = whole[0].diagonal()
     close(of_hand[0], -(gradient[0] / diagonal / 1e9)[:7], rtol=1e-6, atol=0)
-
-
-def test_put_replaces_problem_by_problem() -> None:
-    first, _, _ = make_blocks(2, 7, seed=0)
-    second, _, _ = make_blocks(2, 7, seed=9)
-    kept = first.select(np.array([1]))
-    first.put(np.array([True, False]), second)
-    for name in Blocks.__dataclass_fields__:
-        assert np.array_equal(getattr(first, name)[0], getattr(second, name)[0])
-        assert np.array_equal(getattr(first, name)[1], getattr(kept, name)[0])
 
 
 def test_held_variables_stay_and_the_others_are_solved_without_them() -> None:

@@ -80,15 +80,6 @@ def test_quat_to_rotmat_normalises_and_ignores_the_sign() -> None:
     np.testing.assert_allclose(quat_to_rotmat(-4 * quat), quat_to_rotmat(quat), atol=1e-15)
 
 
-def test_batch_shapes() -> None:
-    rotvec = np.random.default_rng(1).normal(size=(4, 5, 3))
-    rotmat = rotvec_to_rotmat(rotvec)
-    assert rotmat.shape == (4, 5, 3, 3)
-    assert rotmat_to_quat(rotmat).shape == (4, 5, 4)
-    np.testing.assert_array_equal(rotmat[2, 3], rotvec_to_rotmat(rotvec[2, 3]))
-    np.testing.assert_array_equal(rotmat_to_rotvec(rotmat)[2, 3], rotmat_to_rotvec(rotmat[2, 3]))
-
-
 def test_skew_is_the_cross_product() -> None:
     a, b = np.random.default_rng(2).normal(size=(2, 6, 3))
     np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b), atol=1e-15)

@@ -274,12 +274,6 @@ def test_a_dead_peer_does_not_take_blender_with_it(peer):
 
 
 @needs_scripts
-def test_a_large_answer_arrives_whole(peer, start):
-    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'], text='x' * 3_000_000)"))
-    assert len(worker.wait(worker.submit("check"), timeout=20)["text"]) == 3_000_000
-
-
-@needs_scripts
 def test_cancel_reaches_the_peer(peer, start):
     worker = start(
         peer(
@@ -406,21 +400,6 @@ def test_an_endless_line_is_cut_off(peer, start, monkeypatch, hello):
     with pytest.raises(WorkerError, match=expected):
         worker.wait(worker.submit("capture"), timeout=60)
     assert not worker.alive
-
-
-@needs_scripts
-def test_what_is_kept_of_an_endless_line_is_bounded(peer, start, monkeypatch):
-    monkeypatch.setattr(process, "LONGEST_EVENT", 1 << 20)
-    worker = start(peer("ready()\nwhile True: sys.stdout.write('x' * 100_000)"))
-    worker.start()
-    child = worker._child
-    assert child is not None
-    deadline = time.monotonic() + 20
-    while not child.endless and time.monotonic() < deadline:
-        child.exchange()
-        assert sum(map(len, child._line)) <= 1 << 20
-    assert child.endless
-    assert not child._line
 
 
 @needs_scripts

@@ -333,21 +333,6 @@ def test_cancel_of_what_runs_and_what_waits(warm: Worker, tmp_path: Path) -> Non
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
 
-def test_cancel_before_anything_was_found(warm: Worker, tmp_path: Path) -> None:
-    import cv2
-
-    for i in range(40):
-        cv2.imwrite(str(tmp_path / f"wall.{i:02d}.png"), np.full((480, 640, 3), 90, np.uint8))
-    output = tmp_path / "out" / "a.npz"
-    warm.send(id=90, request="capture", input=[str(tmp_path / "wall.%02d.png")], output=str(output))
-    while warm.next().get("done") != 1:
-        pass
-    warm.send(request="cancel", job=90)
-    error, _ = warm.last(90)
-    assert (error["event"], error["type"]) == ("error", "Cancelled")
-    assert not output.exists()
-
-
 @pytest.mark.parametrize("how", ["end", "closed"])
 def test_ends_in_the_middle_of_a_capture(how: str, tmp_path: Path) -> None:
     with Worker() as worker:
