@@ -50,13 +50,14 @@ def open_dataset(
         evaluation does.
 
     Raises DatasetError where the folder or a file in it is missing or damaged, or fits no layout;
-    OptionError for a kind, split or labels that does not exist.
+    OptionError for a kind, split or labels that does not exist; PlugInError, which names a reader of another
+    package that failed.
     """
     root = Path(root).expanduser()
     readers = READERS.all() if kind is None else {kind: READERS.get(kind)}
     if not root.is_dir():
         raise DatasetError(f"{root}: there is no such folder; give the folder of a labelled data set")
-    kind = kind or next((kind for kind, reader in readers.items() if reader.recognises(root)), None)
+    kind = kind or next((kind for kind, reader in readers.items() if _recognises(kind, reader, root)), None)
     if kind is None:
         layouts = ", or ".join(reader.layout for reader in readers.values())
         raise DatasetError(f"{root}: this folder fits no layout that is known. Expected {layouts}")
@@ -67,4 +68,10 @@ def open_dataset(
         raise OptionError(f"a {kind} data set has one set of labels; leave the labels {labels!r} out")
     chosen = {"split": split} if reader.has_splits else {}
     variant = {"labels": labels, "published_frame": published_frame} if reader.has_label_variants else {}
-    return reader.read(root, **chosen, **variant)
+    with READERS.blamed(kind):
+        return reader.read(root, **chosen, **variant)
+
+
+def _recognises(kind: str, reader: Reader, root: Path) -> bool:
+    with READERS.blamed(kind):
+        return reader.recognises(root)

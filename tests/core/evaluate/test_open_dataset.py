@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
-from handfit_core.errors import DatasetError, OptionError
+from handfit_core.errors import DatasetError, OptionError, PlugInError
 from handfit_core.evaluate.datasets import READERS, open_dataset
+from handfit_core.evaluate.labels import Reader
 from tests.core.evaluate.dataset_files import touch, write_json
 
 
@@ -67,6 +69,17 @@ def test_options_that_do_not_exist(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="a plain data set has one set of labels"):
         open_dataset(tmp_path, labels="cleaned")
     assert open_dataset(str(tmp_path)).entries == []
+
+
+@pytest.mark.parametrize("kind", [None, "toy"])
+def test_what_fails_in_a_reader_of_others_names_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str | None
+) -> None:
+    reader = Reader("", lambda _: 1 / 0, lambda _: 1 / 0)  # recognises, read
+    monkeypatch.setitem(READERS._offered, "toy", EntryPoint("toy", "toys:TOY", READERS._group))
+    monkeypatch.setitem(READERS._parts, "toy", reader)
+    with pytest.raises(PlugInError, match=r"^the data set kind toy of toys failed \(ZeroDivisionError"):
+        open_dataset(tmp_path, kind)
 
 
 def test_no_folder(tmp_path: Path) -> None:
