@@ -61,19 +61,6 @@ def assign_action(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
     return channels(action, data.action_slot, make=True)
 
 
-def action_curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
-    """All curves of an action; in Blender 4.4 and 4.5 those of its first slot."""
-    if hasattr(action, "fcurves"):
-        return list(action.fcurves)
-    return [
-        c
-        for layer in action.layers
-        for strip in layer.strips
-        for bag in strip.channelbags
-        for c in bag.fcurves
-    ]
-
-
 def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:
     """Have a material or world made of nodes. Returns its node tree.
 

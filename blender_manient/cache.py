@@ -15,9 +15,8 @@ import bpy
 
 from handfit_core.errors import OutputError
 from handfit_core.files import cache_dir
-from handfit_core.slices import slice_clock
 
-from . import preferences, screen
+from . import preferences
 
 _NEEDED = 20_000_000
 """bytes that must be free for a take"""
@@ -27,15 +26,10 @@ _ABANDONED = 24 * 3600.0
 """seconds without a change after which such a folder belongs to a Blender that has crashed"""
 _STALE = 10.0
 """seconds for which a measured size is shown without measuring again"""
-_SLICE = 0.004
-"""seconds that one step of measuring takes"""
 
 _takes_folder: Path | None = None
 _numbers = itertools.count(1)
-_measured: int | None = None
-_measured_at = 0.0
-_measuring: Iterator[int] | None = None
-_measured_so_far = 0
+_measured, _measured_at = 0, -_STALE
 
 
 def folder_path() -> Path:
@@ -95,6 +89,7 @@ def remove_temporary_takes() -> None:
 
 def clear() -> tuple[int, int]:
     """Remove everything but pictures that the open file shows; returns (bytes freed, files left)."""
+    global _measured_at
     kept = {Path(bpy.path.abspath(image.filepath)) for image in bpy.data.images if image.filepath}
     freed = left = 0
     for path in _files(folder_path()):
@@ -110,60 +105,29 @@ def clear() -> tuple[int, int]:
     for parent, _, _ in os.walk(folder_path(), topdown=False):
         with contextlib.suppress(OSError):  # not empty
             Path(parent).rmdir()
-    _forget_size()
+    _measured_at = -_STALE
     return freed, left
 
 
-def shown_size() -> int | None:
-    """The folder's size in bytes as last measured, None while nobody knows; measures anew, in slices.
-
-    For drawing: costs nothing, and the preferences are drawn again when there is a new number.
-    """
-    global _measuring, _measured_so_far
-    if _measuring is None and time.monotonic() - _measured_at > _STALE:
-        _measuring, _measured_so_far = _sizes(folder_path()), 0
-        bpy.app.timers.register(measure_on, first_interval=0.05, persistent=True)
+def shown_size() -> int:
+    """The folder's size in bytes, measured anew every few seconds; for drawing: it holds few files."""
+    global _measured, _measured_at
+    if time.monotonic() - _measured_at > _STALE:
+        _measured, _measured_at = measure(folder_path()), time.monotonic()
     return _measured
-
-
-def measure_on() -> float | None:
-    """Go on measuring for a few milliseconds; returns seconds until the next time, None when it is done."""
-    global _measured, _measured_at, _measuring, _measured_so_far
-    if _measuring is None:
-        return None
-    is_over = slice_clock(_SLICE)
-    for size in _measuring:
-        _measured_so_far += size
-        if is_over():
-            return 0.02
-    _measured, _measured_at, _measuring = _measured_so_far, time.monotonic(), None
-    screen.redraw_preferences()
-    return None
 
 
 def measure(folder: Path) -> int:
     """Bytes in all files of a folder; 0 where there is none."""
-    return sum(_sizes(folder))
-
-
-def _sizes(folder: Path) -> Iterator[int]:
-    """The bytes of each file."""
+    size = 0
     for path in _files(folder):
-        size = 0
         with contextlib.suppress(OSError):
-            size = path.stat().st_size
-        yield size
+            size += path.stat().st_size
+    return size
 
 
 def _files(folder: Path) -> Iterator[Path]:
     return (Path(parent, name) for parent, _, names in os.walk(folder) for name in names)
-
-
-def _forget_size() -> None:
-    global _measured, _measured_at, _measuring
-    if bpy.app.timers.is_registered(measure_on):
-        bpy.app.timers.unregister(measure_on)
-    _measured, _measured_at, _measuring = None, 0.0, None
 
 
 def _remove_abandoned(folder: Path) -> None:
@@ -181,8 +145,7 @@ def _unusable(path: Path, error: OSError) -> OutputError:
 
 
 def unregister() -> None:
-    """Remove this Blender's takes, and the folder if nothing else is in it, and forget the size."""
-    _forget_size()
+    """Remove this Blender's takes, and the folder if nothing else is in it."""
     remove_temporary_takes()
     with contextlib.suppress(OSError):
         folder_path().rmdir()

@@ -99,9 +99,6 @@ def _check(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             print("stopped", file=sys.stderr)
             return EXIT_INTERRUPTED
-        except Exception as error:  # a defect of ours: still one line
-            print_error(f"unexpected {type(error).__name__}: {error}", args.debug)
-            return EXIT_SOME_FAILED
 
 
 def _refused() -> bool:

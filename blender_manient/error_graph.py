@@ -7,16 +7,17 @@ one make *View All* useless for either.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import blf
 import bpy
 import gpu
 import numpy as np
-from gpu_extras.batch import batch_for_shader
 
 from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
 
+from . import screen
 from .scene.confidence import colors_of
 from .scene.store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
 
@@ -28,24 +29,16 @@ _ABOVE: Final = 26.0
 """pixels over the graph at scale 1, for the frame numbers"""
 LEVELS: Final = (GOOD_BELOW, FAIR_BELOW, 2.0 * FAIR_BELOW)
 """Green, yellow, red: a hand that is called poor is yellow at best"""
-_KEPT: Final = 32
-"""hands whose errors are remembered"""
 _SPACES: Final = {"GRAPH_EDITOR": "SpaceGraphEditor", "DOPESHEET_EDITOR": "SpaceDopeSheetEditor"}
 """Area type -> class; the Timeline is a Dope Sheet"""
 
 _handles: dict[str, object] = {}
-_errors: dict[tuple[str, int], np.ndarray] = {}
-"""(digest of the take, hand's index) -> `relative_errors`, which every redraw asks for"""
+_errors = lru_cache(maxsize=8)(relative_errors)  # takes are kept as they are read, and every redraw asks
 
 
 def errors_of(hand: CapturedHand) -> np.ndarray:
     """(T,) parts of the hand, as the panel says them; NaN where it was not detected."""
-    key = (hand.collection.manient.digest, hand.index)
-    if key not in _errors:
-        if len(_errors) >= _KEPT:
-            _errors.clear()
-        _errors[key] = relative_errors(hand.track, hand.take.intrinsics)
-    return _errors[key]
+    return _errors(hand.track, hand.take.intrinsics)
 
 
 def segments(
@@ -79,14 +72,10 @@ def shown_hands(scene: bpy.types.Scene) -> list[CapturedHand]:
     return [hand for hand in found if hand is not None and hand.track.detected.any()]
 
 
-def shown_changed(context: bpy.types.Context) -> None:
+def shown_changed(*_: object) -> None:
     """Draw the time editors again, with graphs or without."""
     _follow()
-    manager = context.window_manager
-    for window in manager.windows if manager else ():
-        for area in window.screen.areas:
-            if area.type in _SPACES:
-                area.tag_redraw()
+    screen.redraw(*_SPACES)
 
 
 def _draw() -> None:
@@ -97,7 +86,7 @@ def _draw() -> None:
     hands = shown_hands(scene)
     if not hands:
         return
-    scale = context.preferences.system.ui_scale if context.preferences else 1.0
+    scale = screen.ui_scale()
     span = region.view2d.region_to_view(0, 0)[0], region.view2d.region_to_view(region.width, 0)[0]
     room = (region.height - (_BELOW + _ABOVE) * scale) / len(hands)
     height = min(max(room, _HEIGHT[0] * scale), _HEIGHT[1] * scale)
@@ -126,16 +115,8 @@ def _draw_one(
     _rectangle((0.0, fair, width, fair + scale), (1.0, 1.0, 1.0, 0.15))
     ends, values = segments(frames, errors, span, size)
     if len(ends):
-        points = np.zeros((2 * len(ends), 3), dtype=np.float32)
-        points[:, :2] = ends.reshape(-1, 2)
-        points[:, 1] += low
-        colors = np.ones((2 * len(ends), 4), dtype=np.float32)
-        colors[:, :3] = colors_of(values.reshape(-1), LEVELS)
-        shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
-        shader.bind()
-        shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
-        shader.uniform_float("lineWidth", 2.0 * scale)
-        batch_for_shader(shader, "LINES", {"pos": points, "color": colors}).draw(shader)
+        colors = np.pad(colors_of(values.reshape(-1), LEVELS), ((0, 0), (0, 1)), constant_values=1.0)
+        screen.draw_shape("LINES", ends.reshape(-1, 2) + np.array((0.0, low)), colors, 2.0 * scale)
     blf.size(0, 11.0 * scale)
     blf.color(0, 0.92, 0.92, 0.92, 1.0)
     blf.position(0, 8.0 * scale, low + height - 13.0 * scale, 0.0)
@@ -144,11 +125,8 @@ def _draw_one(
 
 def _rectangle(corners: tuple[float, float, float, float], color: tuple[float, ...]) -> None:
     left, bottom, right, top = corners
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-    shader.bind()
-    shader.uniform_float("color", color)
-    points = [(left, bottom, 0.0), (right, bottom, 0.0), (left, top, 0.0), (right, top, 0.0)]
-    batch_for_shader(shader, "TRI_STRIP", {"pos": points}).draw(shader)
+    points = np.array([(left, bottom), (right, bottom), (left, top), (right, top)])
+    screen.draw_shape("TRI_STRIP", points, np.tile(color, (4, 1)))
 
 
 def _draw_in_editors(wanted: bool) -> None:
@@ -168,23 +146,11 @@ def _follow(*_args) -> None:
     _draw_in_editors(any(o.manient.is_hand and o.manient.show_error for o in bpy.data.objects))
 
 
-_EVENTS: Final = ("load_post", "undo_post", "redo_post", "blend_import_post")
-"""What may bring a hand that shows its graph; Blender 4.2 does not tell of imports"""
-
-
-def register() -> None:
-    """Watch for hands that show their graph."""
-    for name in _EVENTS:
-        getattr(bpy.app.handlers, name, []).append(_follow)
-    # The add-on may be switched on again in a file that shows some; at start-up there is no file yet.
-    if hasattr(bpy.data, "objects"):
-        _follow()
+HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post", "blend_import_post"), _follow)
+"""What may bring a hand that shows its graph"""
+FOLLOWS: Final = {"error": shown_changed}
 
 
 def unregister() -> None:
-    """Watch and draw no more."""
-    for name in _EVENTS:
-        handlers = getattr(bpy.app.handlers, name, [])
-        if _follow in handlers:
-            handlers.remove(_follow)
+    """Draw no more."""
     _draw_in_editors(False)

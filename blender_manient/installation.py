@@ -15,7 +15,6 @@ import json
 import os
 import platform
 import re
-import shutil
 import sys
 import tomllib
 from collections.abc import Sequence
@@ -29,10 +28,8 @@ MANIFEST = "blender_manifest.toml"
 CORE = "handfit-core"
 _SCHEMA = 1
 
-_SYSTEMS = {"linux": "Linux", "windows": "Windows", "macos": "macOS"}
-_MACHINES = {"x64": "", "arm64": " on ARM"}
-_PLATFORMS = ("linux-x64", "windows-x64", "macos-arm64")
-"""For which there are zips"""
+_PLATFORMS = {"linux-x64": "Linux", "windows-x64": "Windows", "macos-arm64": "macOS on ARM"}
+"""For which there are zips, and how they are called"""
 IN_PREFERENCES = "in the add-on's preferences"
 """Ends sentences; on the command line other words take its place"""
 
@@ -42,8 +39,7 @@ Kind = Literal[
     "mixed",  # the files of two versions of the add-on in one folder
     "platform",  # a zip for another system
     "python",  # a zip without wheels for this Python
-    "wheel-missing",
-    "wheel-size",
+    "wheel",  # missing, damaged
     "not-unpacked",
     "module",  # what the add-on's own half needs cannot be imported
     "core-version",  # handfit_core of another version of the add-on
@@ -167,35 +163,27 @@ def examine(place: Place) -> list[Problem]:
     try:
         contents = read_contents(place.folder)
         version = str(_read_manifest(place.folder / MANIFEST)["version"])
-    except OSError as error:
-        name = Path(error.filename).name if error.filename else "a file"
-        return [_unreadable(f"{name} cannot be read: {_short(error)}")]
-    except KeyError:
-        return [_unreadable(f"{MANIFEST} is damaged")]
-    except ValueError as error:
-        return [_unreadable(str(error))]
+    except (OSError, ValueError) as error:
+        what = str(error)
+        if isinstance(error, OSError):
+            what = f"{Path(error.filename).name} cannot be read: {_short(error)}"
+        sentence = f"the add-on's files are damaged ({what}): {_AGAIN}"
+        return [Problem("unreadable", sentence, stops="add-on")]
     if version != contents.version:
-        return [
-            Problem(
-                "mixed",
-                f"the add-on's folder mixes the versions {version} and {contents.version}: {_AGAIN}",
-                stops="add-on",
-            )
-        ]
+        mixed = f"the add-on's folder mixes the versions {version} and {contents.version}: {_AGAIN}"
+        return [Problem("mixed", mixed, stops="add-on")]
     unfit = _unfit(place, contents)
     unpacked = unpacked_versions(place.site_packages)
     wheels = _wheels_for(place, contents)
     if unfit is not None and unfit.kind == "platform":
         # Blender leaves the wheels of another system packed; what is for all systems is there.
         wheels = [wheel for wheel in wheels if wheel.name == CORE]
-    problems = [unfit] if unfit is not None else []
-    for wheel in wheels:
-        problem = _wheel_file_problem(place, contents, wheel)
-        if problem is None:
-            problem = _unpacked_problem(place, contents, wheel, unpacked)
-        if problem is not None:
-            problems.append(problem)
-    return in_order(problems)
+    of_wheels = [
+        _wheel_file_problem(place, contents, wheel)
+        or _unpacked_problem(place, contents, wheel, unpacked.get(wheel.name))
+        for wheel in wheels
+    ]
+    return in_order([problem for problem in (unfit, *of_wheels) if problem is not None])
 
 
 def in_order(problems: Sequence[Problem]) -> list[Problem]:
@@ -237,11 +225,6 @@ def report(place: Place, problems: Sequence[Problem]) -> str:
         wrong = [p.sentence for p in problems if p.wheel == wheel.name]
         where = f"unpacked {unpacked[wheel.name]}" if wheel.name in unpacked else "not unpacked"
         lines.append(f"  {wheel.file} ({wheel.size / 1e6:.1f} MB), {where}: {'; '.join(wrong) or 'ok'}")
-    lines += [
-        f"  {wheel.file}: for Python {' and '.join(wheel.pythons)} only"
-        for wheel in contents.wheels
-        if wheel not in used
-    ]
     named = {wheel.name for wheel in used}
     lines += [f"  {p.sentence}" for p in problems if p.wheel not in named]
     return "\n".join(lines)
@@ -250,21 +233,17 @@ def report(place: Place, problems: Sequence[Problem]) -> str:
 _AGAIN = "remove the add-on, restart Blender, get the zip once more and install it"
 
 
-def _again(contents: Contents) -> str:
-    """What mends a damaged copy."""
-    return f"remove the add-on, restart Blender, get {zip_name(contents)} once more and install it"
-
-
 def _unfit(place: Place, contents: Contents) -> Problem | None:
     """Whether the zip is for another system or other Pythons."""
     if contents.platform != place.platform:
+        of = _PLATFORMS.get(contents.platform, contents.platform)
         if place.platform in _PLATFORMS:
             remedy = f"this machine needs {zip_name(contents, place.platform)}: remove the add-on and "
             remedy += "install that one"
         else:
-            remedy = f"there is none for this machine, {_spoken(place.platform)}: choose a Python of your "
+            remedy = f"there is none for this machine, {place.platform}: choose a Python of your "
             remedy += f"own that has SciPy, OpenCV and MediaPipe {IN_PREFERENCES}"
-        return Problem("platform", f"this is the zip for {_spoken(contents.platform)}, and {remedy}")
+        return Problem("platform", f"this is the zip for {of}, and {remedy}")
     if place.python not in contents.pythons:
         return Problem(
             "python",
@@ -279,35 +258,33 @@ def _wheels_for(place: Place, contents: Contents) -> list[Wheel]:
     return [wheel for wheel in contents.wheels if place.python in wheel.pythons]
 
 
-def _wheel_path(place: Place, wheel: Wheel) -> Path:
-    return place.folder / "wheels" / wheel.file
-
-
 def _wheel_file_problem(place: Place, contents: Contents, wheel: Wheel) -> Problem | None:
     """What is wrong with the wheel itself, as far as its size tells."""
     try:
-        size = _wheel_path(place, wheel).stat().st_size
+        size = (place.folder / "wheels" / wheel.file).stat().st_size
     except FileNotFoundError:
-        sentence = f"the wheel of {wheel.label} is missing in the add-on's folder: {_again(contents)}"
-        return Problem("wheel-missing", sentence, wheel.name, _stopped_by(wheel))
+        what = "is missing in the add-on's folder"
     except OSError as error:
-        size = -1
-        sentence = f"the wheel of {wheel.label} cannot be read ({_short(error)}): {_again(contents)}"
+        what = f"cannot be read ({_short(error)})"
     else:
-        sentence = f"the wheel of {wheel.label} is damaged ({size} bytes instead of {wheel.size}): "
-        sentence += _again(contents)
-    if size == wheel.size:
-        return None
-    return Problem("wheel-size", sentence, wheel.name, _stopped_by(wheel))
+        if size == wheel.size:
+            return None
+        what = f"is damaged ({size} bytes instead of {wheel.size})"
+    again = f"remove the add-on, restart Blender, get {zip_name(contents)} once more and install it"
+    return Problem("wheel", f"the wheel of {wheel.label} {what}: {again}", wheel.name, _stopped_by(wheel))
 
 
-def _unpacked_problem(
-    place: Place, contents: Contents, wheel: Wheel, unpacked: dict[str, str]
-) -> Problem | None:
-    """What is wrong with the package in the folder that Blender unpacks to."""
-    found = unpacked.get(wheel.name)
+def _unpacked_problem(place: Place, contents: Contents, wheel: Wheel, found: str | None) -> Problem | None:
+    """What is wrong with the package in the folder that Blender unpacks to; `found`: its version there."""
     if found is None:
-        return _why_not_unpacked(place, contents, wheel)
+        return Problem(
+            "not-unpacked",
+            f"Blender has not unpacked {wheel.label}: see that there is room, and that you may write, in "
+            f"{place.site_packages}, disable the add-on, restart Blender and enable it again; if that does "
+            f"not help, install {zip_name(contents)} again",
+            wheel.name,
+            _stopped_by(wheel),
+        )
     if _canonical(found) == _canonical(wheel.version):
         return None
     if wheel.name == CORE:
@@ -343,11 +320,6 @@ def second_copy_problem(other: str) -> Problem:
     )
 
 
-def _unreadable(what: str) -> Problem:
-    """For the files that tell what the add-on consists of."""
-    return Problem("unreadable", f"the add-on's files are damaged ({what}): {_AGAIN}", stops="add-on")
-
-
 def import_problem(error: Exception) -> Problem:
     """For files that are there and cannot be imported."""
     return Problem(
@@ -355,27 +327,6 @@ def import_problem(error: Exception) -> Problem:
         f"the add-on's files are damaged, or mixed with those of another version ({type(error).__name__}: "
         f"{_short(error)}): {_AGAIN}",
         stops="add-on",
-    )
-
-
-def _why_not_unpacked(place: Place, contents: Contents, wheel: Wheel) -> Problem:
-    """A wheel is there and Blender has not unpacked it: the disk, the right to write there, or the wheel."""
-    target = next((p for p in (place.site_packages, *place.site_packages.parents) if p.exists()), None)
-    why, remedy = "", "disable the add-on, restart Blender and enable it again"
-    if target is not None:
-        with contextlib.suppress(OSError):
-            free = shutil.disk_usage(target).free
-            if free < 4 * wheel.size:
-                why = f", perhaps because its disk is full ({free / 1e6:.0f} MB free)"
-                remedy = f"free some space, {remedy}"
-        if not os.access(target, os.W_OK):
-            why, remedy = ", where you may not write", f"get the right to write there, {remedy}"
-    return Problem(
-        "not-unpacked",
-        f"Blender has not unpacked {wheel.label}{why}: {remedy}; if that does not help, install "
-        f"{zip_name(contents)} again",
-        wheel.name,
-        _stopped_by(wheel),
     )
 
 
@@ -387,14 +338,6 @@ def _stopped_by(wheel: Wheel) -> Stops:
 def _canonical(name: str) -> str:
     """Wheels write the same name and version in several ways."""
     return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def _spoken(platform_name: str) -> str:
-    """windows-x64 -> Windows, macos-arm64 -> macOS on ARM."""
-    system, _, machine = platform_name.partition("-")
-    if (system, machine) == ("macos", "x64"):
-        machine = "Intel"
-    return f"{_SYSTEMS.get(system, system)}{_MACHINES.get(machine, f' on {machine}')}"
 
 
 def _short(error: Exception) -> str:
@@ -422,11 +365,13 @@ def _as_contents(data: Any) -> Contents:
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """Raises OSError, and ValueError where it is damaged."""
+    """A manifest, which has a version. Raises OSError, and ValueError where it is damaged."""
     text = path.read_bytes()
     try:
-        return tomllib.loads(text.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
+        data = tomllib.loads(text.decode("utf-8"))
+        data["version"]
+        return data
+    except (ValueError, KeyError, RecursionError) as error:
         raise ValueError(f"{path.name} is damaged") from error
 
 

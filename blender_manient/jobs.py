@@ -33,7 +33,7 @@ from .scene.build import BuildOptions, building
 from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
-from .wording import capitalised, without_name
+from .wording import capitalised, counted, without_name
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
@@ -344,11 +344,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if job.matched and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
-    return (
-        tuple(hand.armature.name for hand in built.hands),
-        warnings,
-        _summary(job, take),
-    )
+    return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))
 
 
 def _captured(scene: bpy.types.Scene) -> list[str]:
@@ -358,7 +354,6 @@ def _captured(scene: bpy.types.Scene) -> list[str]:
 def _note(job: Job) -> None:
     """Have the open scene say that this capture is in it, so that undo and redo change that as well."""
     scene = bpy.context.scene
-    assert scene is not None
     listed = {other.key for other in _queue}
     scene.manient.captured = " ".join([*(key for key in _captured(scene) if key in listed), job.key])
 
@@ -396,9 +391,8 @@ def _fail(job: Job, sentence: str, more: str) -> None:
 
 def _summary(job: Job, take: Take) -> str:
     seen, count = int(np.any([track.present for track in take.hands], axis=0).sum()), len(take.frame_numbers)
-    hands = "1 hand" if len(take.hands) == 1 else f"{len(take.hands)} hands"
-    frames = "1 frame" if count == 1 else f"{count} frames" if seen == count else f"{seen} of {count} frames"
-    text = f"{hands} in {frames}"
+    frames = counted(count, "frame") if seen == count else f"{seen} of {count} frames"
+    text = f"{counted(len(take.hands), 'hand')} in {frames}"
     return f"{text}, stopped early" if job.stopped else text
 
 
@@ -413,13 +407,9 @@ def _on_load(*_args) -> None:
     abandon()
 
 
-def register() -> None:
-    """Forget all jobs when another file is opened."""
-    bpy.app.handlers.load_pre.append(_on_load)
+HANDLERS = {"load_pre": _on_load}
 
 
 def unregister() -> None:
     """Stop everything."""
     abandon()
-    if _on_load in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.remove(_on_load)

@@ -8,17 +8,7 @@ from types import ModuleType
 
 import bpy
 
-from . import (
-    cache,
-    error_graph,
-    jobs,
-    operators,
-    panels,
-    preferences,
-    properties,
-    shared_worker,
-    source_info,
-)
+from . import cache, error_graph, jobs, operators, panels, preferences, properties, shared_worker, source_info
 from .panels import preferences as preferences_panel
 from .scene import confidence, render_setup, reshape, see_through
 
@@ -33,7 +23,8 @@ _KINDS = (
 
 
 class Part:
-    """A module's own classes, in the order of their definition, and then what its `register` adds beside."""
+    """A module's own classes, in the order of their definition, its HANDLERS (Blender's name for an event ->
+    what is called then), what of it FOLLOWS changed properties, and what its `register` adds beside."""
 
     def __init__(self, module: ModuleType) -> None:
         self.classes = [
@@ -42,18 +33,32 @@ class Part:
             if isinstance(value, type) and issubclass(value, _KINDS) and value.__module__ == module.__name__
         ]
         self._module = module
+        # Blender 4.2 does not tell of imports.
+        events = {name: getattr(bpy.app.handlers, name, []) for name in getattr(module, "HANDLERS", {})}
+        self._handlers = [(events[name], module.HANDLERS[name]) for name in events]
         self._add, self._remove = bpy.utils.register_classes_factory(self.classes)
 
     def register(self) -> None:
         """Add it."""
         self._add()
+        for event, handler in self._handlers:
+            event.append(handler)
+        properties.listeners |= getattr(self._module, "FOLLOWS", {})
         getattr(self._module, "register", _nothing)()
+        # The add-on may be switched on in a file that is open; at start-up there is none yet.
+        if hasattr(bpy.data, "objects") and "load_post" in getattr(self._module, "HANDLERS", {}):
+            self._module.HANDLERS["load_post"]()
 
     def unregister(self) -> None:
         """Take it away again."""
         try:
             getattr(self._module, "unregister", _nothing)()
         finally:
+            for event, handler in self._handlers:
+                if handler in event:
+                    event.remove(handler)
+            for name in getattr(self._module, "FOLLOWS", ()):
+                properties.listeners.pop(name, None)
             self._remove()
 
 

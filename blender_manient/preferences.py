@@ -1,7 +1,6 @@
 """What the add-on's preferences hold: where MANO, the capturing Python and the cache are, and habits."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,16 +11,12 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from handfit_core.options import OPTIONS
 from handfit_core.worker.interpreter import unquoted
 
-from .properties import PRESETS
+from .properties import PRESETS, told
 
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
 """The name of the add-on in Blender's preferences; of an extension it is bl_ext.REPOSITORY.ID"""
 
 # The annotations are read below, so this file does without `from __future__ import annotations`.
-
-
-listeners: dict[str, Callable[[], None]] = {}
-"""Name of a value -> what follows its changes; a part adds itself when it is registered"""
 
 
 class Values:
@@ -81,7 +76,7 @@ class Values:
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=lambda _self, _context: _tell("hand_opacity"),
+        update=told("hand_opacity"),
     )
 
 
@@ -96,11 +91,6 @@ def full_path(text: str) -> str:
     """A path as typed into the preferences, made absolute; empty stays empty."""
     text = unquoted(text)
     return str(Path(os.path.expanduser(bpy.path.abspath(text)))) if text else ""  # noqa: PTH111
-
-
-def _tell(name: str) -> None:
-    if listener := listeners.get(name):
-        listener()
 
 
 def _defaults() -> SimpleNamespace:
@@ -130,13 +120,10 @@ def _apply_default_preset(*_: object) -> None:
             settings.preset = preset
 
 
-def register() -> None:
-    """Give the preferred quality to every file that is opened."""
-    bpy.app.handlers.load_post.append(_apply_default_preset)
+HANDLERS = {"load_post": _apply_default_preset}
 
 
 def unregister() -> None:
-    """Follow no file any more; Blender keeps what was chosen until the add-on is removed."""
+    """Forget what was chosen without an entry; an entry Blender keeps until the add-on is removed."""
     global _without_entry
-    bpy.app.handlers.load_post.remove(_apply_default_preset)
     _without_entry = _defaults()

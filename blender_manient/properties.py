@@ -36,13 +36,17 @@ PRESETS = (
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
 
 
-listeners: dict[str, Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]] = {}
-"""Name of a value -> what follows its changes; a part adds itself when it is registered"""
+listeners: dict[str, Callable[[Any], None]] = {}
+"""Name of what is followed -> what is called with the group that has changed; the parts' FOLLOWS"""
 
 
-def _source_changed(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
-    if listener := listeners.get("source"):
-        listener(settings, context)
+def told(name: str) -> Callable[[Any, bpy.types.Context], None]:
+    """The `update` of a property that somebody follows under that name."""
+    return lambda group, _context: listeners.get(name, _nobody)(group)
+
+
+def _nobody(_group: Any) -> None:
+    pass
 
 
 offered: dict[str, Callable[[], list[str]]] = {}
@@ -81,13 +85,13 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Source",
         description="Photo, video, or one picture or the folder of an image sequence",
         subtype="FILE_PATH",
-        update=_source_changed,
+        update=told("source"),
     )
     as_sequence: BoolProperty(  # type: ignore
         name="Image Sequence",
         description="The numbered pictures beside this one are the frames of one clip",
         default=False,
-        update=_source_changed,
+        update=told("source"),
     )
     use_frames: BoolProperty(  # type: ignore
         name="Frame Range", description="Capture only some of the source's frames", default=False
@@ -132,10 +136,7 @@ class ManientSettings(bpy.types.PropertyGroup):
 
     # Capture
     preset: EnumProperty(  # type: ignore
-        name="Quality",
-        description="How hands are found and fitted",
-        items=PRESETS,
-        default="BEST",
+        name="Quality", description="How hands are found and fitted", items=PRESETS, default="BEST"
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
     # Texts, which stay what they are in a file that is opened where there is no such plug-in.
@@ -145,11 +146,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Smoothing", soft_max=4.0, **of_option("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
-        name="Detection Threshold",
-        subtype="FACTOR",
-        soft_min=0.05,
-        soft_max=0.95,
-        **of_option("threshold"),
+        name="Detection Threshold", subtype="FACTOR", soft_min=0.05, soft_max=0.95, **of_option("threshold")
     )
     camera: EnumProperty(  # type: ignore
         name="Camera",
@@ -226,33 +223,11 @@ class ManientSettings(bpy.types.PropertyGroup):
 
     # Export
     export_format: EnumProperty(  # type: ignore
-        name="Format",
-        items=EXPORT_FORMATS,
-        default="fbx",
+        name="Format", items=EXPORT_FORMATS, default="fbx"
     )
     export_preset: EnumProperty(  # type: ignore
-        name="For",
-        items=PROGRAMS,
-        default="PLAIN",
+        name="For", items=PROGRAMS, default="PLAIN"
     )
-
-
-def _shape_changed(hand: bpy.types.PropertyGroup, _context) -> None:
-    from .scene import reshape
-
-    reshape.shape_changed(hand.id_data)
-
-
-def _confidence_changed(hand: bpy.types.PropertyGroup, _context) -> None:
-    from .scene import confidence
-
-    confidence.shown_changed(hand.id_data)
-
-
-def _error_shown_changed(_hand: bpy.types.PropertyGroup, context) -> None:
-    from . import error_graph
-
-    error_graph.shown_changed(context)
 
 
 class ManientHand(bpy.types.PropertyGroup):
@@ -275,14 +250,14 @@ class ManientHand(bpy.types.PropertyGroup):
         soft_max=3.0,
         min=-10.0,
         max=10.0,
-        update=_shape_changed,
+        update=told("shape"),
     )
     forearm: BoolProperty(  # type: ignore
         name="Forearm",
         description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
         "Exports have what is shown",
         default=False,
-        update=_shape_changed,
+        update=told("shape"),
     )
     wrist: StringProperty(  # type: ignore
         default="open", description="How the mesh ends now: open, cap or forearm"
@@ -302,14 +277,14 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Confidence Colors",
         description="Color bones by how well they meet the picture in this frame",
         default=False,
-        update=_confidence_changed,
+        update=told("confidence"),
     )
     show_error: BoolProperty(  # type: ignore
         name="Error over Time",
         description="Draw how far the hand is from the picture, frame by frame, along the bottom of the "
         "Timeline, the Dope Sheet and the Graph Editor",
         default=False,
-        update=_error_shown_changed,
+        update=told("error"),
     )
     own_colors: StringProperty(  # type: ignore
         description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"

@@ -93,13 +93,9 @@ class Refiner:
         """The hand's armature. Raises OptionError where it is gone."""
         return self.hand.armature
 
-    def betas(self) -> np.ndarray:
-        """(10,) the shape that the rig has."""
-        return self.hand.betas
-
     def shaped(self) -> ShapedHand:
         """The model in that shape; computed when it changes."""
-        betas = self.betas()
+        betas = self.hand.betas
         if self._shaped is None or self._shaped[0] != tuple(betas):
             self._shaped = tuple(betas), self.model.shaped(betas)
         return self._shaped[1]
@@ -137,8 +133,7 @@ class Refiner:
         So a hand depends on where its pins are and not on the way there. What corrections of neighbouring
         frames did here stays in.
         """
-        rows = list(rows)
-        quats, locations = pose_at(self.hand.rig, self.scene_frames()[rows])
+        quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])
         field = corrections.corrections_of(self.armature)
         for at, row in enumerate(rows):
             own = field.corrections.get(self.source_frame(row))
@@ -151,7 +146,7 @@ class Refiner:
         """(N, 21, 2) pixels: where the points of bones (N, 16, 4), (N, 3) lie; NaN behind the camera."""
         pose = self.hand.rig.from_bones(self.shaped(), quats, locations)
         # Wherever armature and camera have been moved: the take's own frame is the picture's.
-        points = landmark_points(self.model, self.betas(), *pose)
+        points = landmark_points(self.model, self.hand.betas, *pose)
         behind = points[..., 2] < _NEAREST
         points[behind] = [0.0, 0.0, 1.0]
         return np.where(behind[..., None], np.nan, self.take.intrinsics.project(points))
@@ -174,7 +169,7 @@ class Refiner:
 
         The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
         """
-        shaped, rest, betas = self.shaped(), self.hand.rig.rest, self.betas()
+        shaped, rest, betas = self.shaped(), self.hand.rig.rest, self.hand.betas
         locked = np.array(self.armature.manient.locked, dtype=bool)
         rows = list(rows)
 

@@ -1,41 +1,75 @@
-"""What is on the screen: redrawing the sidebar, finding views."""
+"""What is on the screen: redrawing it, and a camera view with the whole picture beside what lies over it.
+
+Blender's own *Frame Camera Bounds* needs the viewport's context and takes the region's whole size, of which
+the sidebar and the headers cover a part.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
 
-from .camera_view import frame_whole_picture
+_MARGIN = 6
+"""pixels at scale 1 between the picture and what is around it"""
+_LEAST = 80
+"""pixels at scale 1. Where less is left free, the picture may lie below what covers it"""
+_LOWEST_ZOOM, _HIGHEST_ZOOM = -30.0, 600.0
+"""of RegionView3D.view_camera_zoom"""
+_OVER_THE_VIEW = {"HEADER", "TOOL_HEADER", "TOOLS", "UI", "ASSET_SHELF", "ASSET_SHELF_HEADER"}
+
+Box = tuple[float, float, float, float]
+"""left, bottom, right, top in pixels"""
 
 
-def redraw_sidebars(context: bpy.types.Context) -> None:
+def ui_scale() -> float:
+    """How large Blender draws its interface."""
+    preferences = bpy.context.preferences
+    return preferences.system.ui_scale if preferences is not None else 1.0
+
+
+def areas(*kinds: str) -> Iterator[bpy.types.Area]:
+    """The editors of these kinds in all windows."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager else ():
+        yield from (area for area in window.screen.areas if area.type in kinds)
+
+
+def redraw(*kinds: str) -> None:
+    """Draw all editors of these kinds again."""
+    for area in areas(*kinds):
+        area.tag_redraw()
+
+
+def redraw_sidebars() -> None:
     """Draw the sidebars of all 3D viewports again."""
-    for area in _viewports(context):
+    for area in areas("VIEW_3D"):
         for region in area.regions:
             if region.type == "UI":
                 region.tag_redraw()
 
 
-def redraw_viewports(context: bpy.types.Context) -> None:
-    """Draw all 3D viewports again, with their sidebars."""
-    for area in _viewports(context):
-        area.tag_redraw()
-
-
-def redraw_preferences() -> None:
-    """Draw all Preferences editors again."""
-    manager = bpy.context.window_manager
-    for window in manager.windows if manager else ():
-        for area in window.screen.areas:
-            if area.type == "PREFERENCES":
-                area.tag_redraw()
+def draw_shape(kind: str, points: np.ndarray, colors: np.ndarray, line_width: float = 0.0) -> None:
+    """Draw (N, 2) pixels of the current region with (N, 4) colours: triangles, or lines of a width."""
+    shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR" if line_width else "FLAT_COLOR")
+    shader.bind()
+    if line_width:
+        shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+        shader.uniform_float("lineWidth", line_width)
+    flat = np.pad(np.asarray(points, np.float32), ((0, 0), (0, 1)))
+    batch_for_shader(shader, kind, {"pos": flat, "color": np.ascontiguousarray(colors, np.float32)}).draw(
+        shader
+    )
 
 
 def look_through_camera(context: bpy.types.Context) -> None:
     """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the
     whole picture in it."""
-    views = list(_viewports(context))
+    views = list(areas("VIEW_3D"))
     if not views:
         return
     area = context.area if context.area in views else max(views, key=lambda a: a.width * a.height)
@@ -48,9 +82,83 @@ def look_through_camera(context: bpy.types.Context) -> None:
     frame_whole_picture(area, camera, context.scene)
 
 
-def _viewports(context: bpy.types.Context) -> Iterator[bpy.types.Area]:
-    manager = context.window_manager
-    for window in manager.windows if manager else ():
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                yield area
+def frame_whole_picture(area: bpy.types.Area, camera: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    """Zoom and move the camera view of a 3D viewport so that the whole frame of `camera` is in sight."""
+    space, region = area.spaces.active, camera_region(area)
+    if region is None or not isinstance(space, bpy.types.SpaceView3D):
+        return
+    render = scene.render
+    size = (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y)
+    fit = camera.data.sensor_fit if isinstance(camera.data, bpy.types.Camera) else "AUTO"
+    free = free_box(area, region)
+    if min(free[2] - free[0], free[3] - free[1]) < 1.0:
+        return
+    zoom, offset = zoom_and_offset((region.width, region.height), free, size, fit)
+    space.region_3d.view_camera_zoom = zoom
+    space.region_3d.view_camera_offset = offset
+    area.tag_redraw()
+
+
+def camera_region(area: bpy.types.Area) -> bpy.types.Region | None:
+    """The region of a 3D viewport that `space.region_3d` belongs to: in a quad view the last one."""
+    windows = [region for region in area.regions if region.type == "WINDOW"]
+    return windows[-1] if windows and area.spaces.active.region_quadviews else next(iter(windows), None)
+
+
+def zoom_and_offset(
+    region: tuple[float, float], free: Box, frame: tuple[float, float], sensor_fit: str
+) -> tuple[float, tuple[float, float]]:
+    """`view_camera_zoom` and `view_camera_offset` with which a camera's frame fills the box `free` of a
+    region.
+
+    `region`: width and height in pixels; `frame`: those of the rendered picture, in square pixels;
+    `sensor_fit`: the camera's. Blender's zoom has limits: a frame that is very much higher than the region is
+    wide cannot be made small enough.
+    """
+    # Blender lays the sensor's fitted side over the same side of the frame and, at a factor of 1, of the
+    # region.
+    if sensor_fit == "AUTO":
+        scale = max(region) / max(frame)
+    else:
+        side = 0 if sensor_fit == "HORIZONTAL" else 1
+        scale = region[side] / frame[side]
+    width, height = frame[0] * scale, frame[1] * scale
+    factor = min((free[2] - free[0]) / width, (free[3] - free[1]) / height)
+    zoom = min(max((math.sqrt(4.0 * factor) - math.sqrt(2.0)) * 50.0, _LOWEST_ZOOM), _HIGHEST_ZOOM)
+    factor = (math.sqrt(2.0) + zoom / 50.0) ** 2 / 4.0
+    middle = (free[0] + free[2]) / 2.0, (free[1] + free[3]) / 2.0
+    # The offset is in twice the region's size, and grows with the zoom.
+    x, y = ((size / 2.0 - at) / (2.0 * factor * size) for size, at in zip(region, middle, strict=True))
+    return zoom, (x, y)
+
+
+def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
+    """What the sidebar, the toolbar and the headers leave of a region, in its own pixels, less a margin."""
+    scale = ui_scale()
+    whole = (0.0, 0.0, float(region.width), float(region.height))
+    free = whole
+    for other in area.regions:
+        if other.type in _OVER_THE_VIEW and min(other.width, other.height) > 1:
+            left, bottom = other.x - region.x, other.y - region.y
+            free = _beside(free, (left, bottom, left + other.width, bottom + other.height))
+    if min(free[2] - free[0], free[3] - free[1]) < _LEAST * scale:
+        free = whole
+    return _shrunk(free, _MARGIN * scale)
+
+
+def _beside(free: Box, cover: Box) -> Box:
+    """The largest part of `free` on one side of `cover`; all of it where they do not meet."""
+    left, bottom, right, top = free
+    if cover[0] >= right or cover[2] <= left or cover[1] >= top or cover[3] <= bottom:
+        return free
+    rests = (
+        (left, bottom, min(right, cover[0]), top),
+        (max(left, cover[2]), bottom, right, top),
+        (left, bottom, right, min(top, cover[1])),
+        (left, max(bottom, cover[3]), right, top),
+    )
+    return max(rests, key=lambda box: max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1]))
+
+
+def _shrunk(box: Box, margin: float) -> Box:
+    return box[0] + margin, box[1] + margin, box[2] - margin, box[3] - margin

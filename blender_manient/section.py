@@ -40,6 +40,13 @@ def sentence(
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
 
 
+def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """A layout in which properties have their names on the left, and no dots for keys."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    return layout
+
+
 def fitted(context: bpy.types.Context, text: str, beside: str = "", buttons: int = 0) -> str:
     """A name shortened in its middle so that it fits into one line, with the text `beside` it and so many
     square buttons at the line's end."""

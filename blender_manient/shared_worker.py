@@ -13,7 +13,7 @@ from handfit_core.solvers import SOLVERS
 from handfit_core.worker.client import Advice, Worker
 from handfit_core.worker.interpreter import find_python, runs_here
 from handfit_core.worker.process import wait_for_killed
-from handfit_core.worker.runner import WorkerError
+from handfit_core.worker.runner import Event, WorkerError, as_error
 
 from . import installation, preferences, properties, verification
 from .cache import remove_temporary_takes
@@ -21,6 +21,9 @@ from .wording import capitalised
 
 _LAST_WAIT = 3.0
 """seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
+
+_EVERY = 0.2
+"""seconds between two looks for answers that nobody waits for"""
 
 ADVICE = Advice(
     where=installation.IN_PREFERENCES,
@@ -51,6 +54,8 @@ class _Settings:
 
 _worker: Worker | None = None
 _made_for: _Settings | None = None
+_abandoned: set[int] = set()
+"""Requests whose answers nobody waits for any more"""
 
 
 def worker() -> Worker:
@@ -120,6 +125,34 @@ def stop() -> None:
     remove_temporary_takes()
 
 
+def answer(request: int, asked: Worker | None = None) -> Event | None:
+    """The `done` event of a request to the shared worker, or to another; None while there is none. Raises
+    HandfitError where it failed."""
+    for event in (asked or worker()).events(request):
+        if event["event"] == "error":
+            raise as_error(event)
+        if event["event"] == "done":
+            return event
+    return None
+
+
+def abandon(request: int) -> None:
+    """Throw the answer to a request away when it comes, so that the worker is not kept busy."""
+    _abandoned.add(request)
+    if not bpy.app.timers.is_registered(_collect):
+        bpy.app.timers.register(_collect, first_interval=_EVERY, persistent=True)
+
+
+def _collect() -> float | None:
+    if _worker is None:
+        return _abandoned.clear()
+    for event in _worker.events(*_abandoned) if _abandoned else ():
+        if event["event"] in ("done", "error"):
+            _abandoned.discard(event["id"])
+    # Another worker's numbers mean nothing to this one.
+    return _EVERY if _abandoned and _worker.busy else _abandoned.clear()
+
+
 def _problem_of(python: str) -> installation.Problem | None:
     return verification.capture_problem() if runs_here(python) else None
 
@@ -153,5 +186,7 @@ def register() -> None:
 
 def unregister() -> None:
     """End the worker now, and wait until it is gone: Blender may be about to remove the files it runs."""
+    if bpy.app.timers.is_registered(_collect):
+        bpy.app.timers.unregister(_collect)
     stop()
     wait_for_killed(_LAST_WAIT)

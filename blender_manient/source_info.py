@@ -1,4 +1,4 @@
-"""What the panel shows of the chosen source: kind, size, frames and a thumbnail.
+"""The files behind a path that the panel names, and what it shows of them: kind, size, frames, a thumbnail.
 
 Looked up when the path changes, not when the panel is drawn. Size and frames come from the worker, which is
 started by that and is warm when the artist presses the button.
@@ -15,15 +15,81 @@ import bpy
 import bpy.utils.previews
 
 from handfit_core.errors import HandfitError, InputError
-from handfit_core.media.opening import VIDEO_SUFFIXES
+from handfit_core.files import shown, why
+from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender
 
-from . import jobs, preferences, properties, screen, shared_worker, sources
+from . import jobs, preferences, screen, shared_worker
 from .scene.matching import Footage
 from .wording import capitalised, without_name
 
 _LOOK_AGAIN = 0.1
 """seconds"""
+
+
+@dataclass(frozen=True)
+class SourceFiles:
+    """What a capture reads."""
+
+    kind: str
+    """photo, sequence or video"""
+    files: tuple[str, ...]
+    """absolute: the photo, the video, or every picture of a sequence in order"""
+
+    @property
+    def numbers(self) -> list[int] | None:
+        """The frame numbers of a numbered sequence; None for anything else."""
+        return sequence_numbers([Path(f) for f in self.files]) if self.kind == "sequence" else None
+
+
+def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
+    """The files behind a path of the panel. Blender's `//` and `~` are understood.
+
+    Raises InputError with a sentence for the panel.
+    """
+    try:
+        return _resolved(path_text, as_sequence)
+    except (OSError, RuntimeError, ValueError) as error:  # names that no file can have, ~nobody
+        why_not = why(error) if isinstance(error, (OSError, ValueError)) else str(error)
+        raise InputError(f"{shown(path_text)} cannot be opened ({why_not}): choose another file") from error
+
+
+def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
+    if not path_text:
+        raise InputError("Choose a photo, an image sequence or a video")
+    # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.
+    path = Path(bpy.path.abspath(path_text)).expanduser().absolute()
+    if path.is_dir():
+        pictures = pictures_in(path)
+        if not pictures:
+            raise InputError(f"No pictures in the folder {path.name}: choose a file or another folder")
+        kind = "sequence" if len(pictures) > 1 else "photo"
+        return SourceFiles(kind, tuple(map(str, pictures)))
+    if not path.is_file():
+        raise InputError(f"{path.name} is not there any more: choose the file again")
+    suffix = path.suffix.lower()
+    if suffix in VIDEO_SUFFIXES:
+        return SourceFiles("video", (str(path),))
+    if suffix in PHOTO_SUFFIXES:
+        numbered = numbered_siblings(path) if as_sequence else []
+        if len(numbered) > 1:
+            return SourceFiles("sequence", tuple(map(str, numbered)))
+        return SourceFiles("photo", (str(path),))
+    raise InputError(f"{path.name} is neither a picture nor a video: choose another file")
+
+
+def numbered_siblings(path: Path) -> list[Path]:
+    """The pictures beside `path` whose names differ from its own in the last number only, in order;
+    without the numbers of a camera's counter (see `sequence_numbers`)."""
+    stem = path.stem.rstrip("0123456789")
+    if stem == path.stem:
+        return []
+    beside = [
+        p
+        for p in pictures_in(path.parent)
+        if p.suffix == path.suffix and p.stem.startswith(stem) and p.stem[len(stem) :].isdigit()
+    ]
+    return beside if len(beside) > 1 and sequence_numbers(beside) is not None else []
 
 
 @dataclass
@@ -32,7 +98,7 @@ class SourceInfo:
 
     path: str
     as_sequence: bool
-    files: sources.SourceFiles | None = None
+    files: SourceFiles | None = None
     problem: str = ""
     siblings: int = 0
     """Numbered pictures that lie beside a photo, with it"""
@@ -101,7 +167,7 @@ def of_dropped(settings, path: Path) -> Footage | None:
         bpy.data.movieclips.remove(clip)
 
 
-def source_changed(settings, _context) -> None:
+def source_changed(settings) -> None:
     """Forget the former source, and ask the worker about the new one."""
     global _known
     _known = None
@@ -136,7 +202,7 @@ def thumbnail(info: SourceInfo) -> int:
 def _look(path: str, as_sequence: bool) -> SourceInfo:
     info = SourceInfo(path, as_sequence)
     try:
-        info.files = sources.resolve(path, as_sequence=as_sequence)
+        info.files = resolve(path, as_sequence=as_sequence)
     except HandfitError as error:
         info.problem = str(error)
         return info
@@ -145,7 +211,7 @@ def _look(path: str, as_sequence: bool) -> SourceInfo:
         check_for_blender(first, preferences.get().max_megapixels or None)
         info.can_be_shown = True
     if info.files.kind == "photo" or as_sequence:
-        info.siblings = len(sources.numbered_siblings(first))
+        info.siblings = len(numbered_siblings(first))
     if info.files.kind == "sequence":
         numbers = info.files.numbers or list(range(1, len(info.files.files) + 1))
         info.frames, info.first, info.last = len(numbers), min(numbers), max(numbers)
@@ -162,7 +228,7 @@ def _await_answer() -> float | None:
         if event.get("event") in ("done", "error"):
             _take_in(info, event)
             info.request = 0
-            screen.redraw_sidebars(bpy.context)
+            screen.redraw_sidebars()
             return None
     return _LOOK_AGAIN if shared_worker.worker().alive else None
 
@@ -183,23 +249,16 @@ def _on_undo(*_args) -> None:
     """Undo and redo change the source without telling."""
     scene = bpy.context.scene
     if scene is not None and _known is not None and not _is_known(scene.manient):
-        source_changed(scene.manient, bpy.context)
+        source_changed(scene.manient)
 
 
-def register() -> None:
-    """Follow the chosen source, also through undo and redo."""
-    properties.listeners["source"] = source_changed
-    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
-        handlers.append(_on_undo)
+HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
+FOLLOWS = {"source": source_changed}
 
 
 def unregister() -> None:
     """Free the thumbnails, and stop waiting."""
     global _previews, _known
-    properties.listeners.pop("source", None)
-    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
-        if _on_undo in handlers:
-            handlers.remove(_on_undo)
     if bpy.app.timers.is_registered(_await_answer):
         bpy.app.timers.unregister(_await_answer)
     if _previews is not None:

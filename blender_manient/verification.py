@@ -74,31 +74,23 @@ def forget_core() -> None:
         del sys.modules[name]
 
 
+_NEEDED = {
+    "numpy": "this Blender's Python lacks NumPy, which Blender brings along: use Blender from blender.org, "
+    "or install your system's package for it (python3-numpy)",
+    CORE_MODULE: "the add-on's other half, handfit_core, is not there: remove the add-on, restart Blender "
+    "and install the zip again",
+}
+"""What the add-on's own half imports -> what is said where Python does not find it"""
+
+
 def _module_problems(already: list[Problem]) -> list[Problem]:
-    """What the add-on's own half needs and Python does not find, unless the reason is known already."""
-    found: list[Problem] = []
-    if not _is_there("numpy"):
-        found.append(
-            Problem(
-                "module",
-                "this Blender's Python lacks NumPy, which Blender brings along: use Blender from "
-                "blender.org, or install your system's package for it (python3-numpy)",
-                "numpy",
-                "add-on",
-            )
-        )
+    """What of that is not there, unless the reason is known already."""
     told = any(problem.wheel == CORE and problem.stops == "add-on" for problem in already)
-    if not told and not _is_there(CORE_MODULE):
-        found.append(
-            Problem(
-                "module",
-                "the add-on's other half, handfit_core, is not there: remove the add-on, restart Blender and "
-                "install the zip again",
-                CORE,
-                "add-on",
-            )
-        )
-    return found
+    return [
+        Problem("module", sentence, CORE if name == CORE_MODULE else name, "add-on")
+        for name, sentence in _NEEDED.items()
+        if not _is_there(name) and not (told and name == CORE_MODULE)
+    ]
 
 
 def _is_there(name: str) -> bool:

@@ -11,7 +11,7 @@ import bpy
 
 from handfit_core.files import check_room
 
-from .exporter import Exporter, HandObjects, Preset, blank, open_scene
+from .exporter import Exporter, HandObjects, Preset, blank
 
 
 class AlembicExporter(Exporter):
@@ -25,7 +25,7 @@ class AlembicExporter(Exporter):
 
     def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
         """Write it where there is room for it."""
-        scene = open_scene()
+        scene = bpy.context.scene
         # Where the disk is full, Alembic ends Blender.
         check_room(path, _alembic_size([hand.mesh for hand in hands if hand.mesh is not None]))
         bpy.ops.wm.alembic_export(
@@ -51,7 +51,7 @@ class AlembicExporter(Exporter):
 
 def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
     """Bytes that the open scene with these meshes takes at most as Alembic, rather too many than too few."""
-    scene = open_scene()
+    scene = bpy.context.scene
     frames = scene.frame_end - scene.frame_start + 1
     graph = bpy.context.evaluated_depsgraph_get()
     size = 1 << 16

@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import bpy
 
-from .exporter import Exporter, HandObjects, Preset, open_scene
+from .exporter import Exporter, HandObjects, Preset
 
 
 class BlendExporter(Exporter):
@@ -27,7 +27,7 @@ class BlendExporter(Exporter):
         try:
             # Picture paths become relative to the file wherever both lie on one drive.
             bpy.data.libraries.write(
-                str(path), {open_scene()}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
+                str(path), {bpy.context.scene}, path_remap="RELATIVE_ALL", fake_user=False, compress=True
             )
         except OSError as error:  # with words only, as operators' errors have
             raise RuntimeError(str(error)) from error

@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 import bpy
 
-from .exporter import Exporter, HandObjects, Preset, open_scene
+from .exporter import Exporter, HandObjects, Preset
 
 
 class BvhExporter(Exporter):
@@ -24,7 +24,7 @@ class BvhExporter(Exporter):
     def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
         """Write the one hand's bones."""
         armature = hands[0].armature
-        scene = open_scene()
+        scene = bpy.context.scene
         layer = bpy.context.view_layer
         layer.objects.active = armature
         armature.select_set(True, view_layer=layer)

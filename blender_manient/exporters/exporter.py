@@ -95,13 +95,6 @@ class Exporter(ABC):
         return "switched off with its add-on; enable that in Blender's preferences"
 
 
-def open_scene() -> bpy.types.Scene:
-    """The scene that is open."""
-    scene = bpy.context.scene
-    assert scene is not None
-    return scene
-
-
 def blank(path: Path, folder: Path) -> None:
     """Put ./././ in place of a folder's name in a file, which stays as long as it is."""
     name = os.fsencode(f"{folder}{os.sep}")

@@ -11,7 +11,7 @@ from typing import BinaryIO
 import bpy
 
 from ..blender_versions import gltf_left_out
-from .exporter import Exporter, HandObjects, Preset, open_scene
+from .exporter import Exporter, HandObjects, Preset
 
 _PRESETS = {
     # glTF itself says: metres, Y up.
@@ -36,7 +36,7 @@ class GltfExporter(Exporter):
         for obj in (o for hand in hands for o in (hand.armature, hand.mesh) if o is not None):
             obj.select_set(True, view_layer=bpy.context.view_layer)
         # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
-        render = open_scene().render
+        render = bpy.context.scene.render
         render.fps_base = 1.0 / render.fps_base
         keywords = {
             "filepath": str(path),

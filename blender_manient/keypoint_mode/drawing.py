@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import blf
-import bpy
 import gpu
 import numpy as np
-from gpu_extras.batch import batch_for_shader
 
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, NUM_KEYPOINTS, PALM_KEYPOINTS
+
+from ..screen import draw_shape, ui_scale
 
 FINGER_COLORS: Final = {
     "thumb": (1.00, 0.42, 0.33),
@@ -66,7 +66,7 @@ class Picture:
 
 def draw(picture: Picture) -> None:
     """Draw in the current region, in pixels."""
-    scale = _scale()
+    scale = ui_scale()
     gpu.state.blend_set("ALPHA")
     try:
         _draw_skeleton(picture, scale)
@@ -84,11 +84,7 @@ def _draw_skeleton(picture: Picture, scale: float) -> None:
     there = np.isfinite(ends).all(axis=(1, 2))
     if not there.any():
         return
-    shader = gpu.shader.from_builtin("POLYLINE_FLAT_COLOR")
-    shader.bind()
-    shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
-    shader.uniform_float("lineWidth", 2.0 * scale)
-    _batch(shader, "LINES", ends[there].reshape(-1, 2), np.repeat(_LINE_COLORS[there], 2, axis=0))
+    draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(_LINE_COLORS[there], 2, axis=0), 2.0 * scale)
 
 
 def _draw_handles(picture: Picture, scale: float) -> None:
@@ -113,20 +109,8 @@ def _draw_handles(picture: Picture, scale: float) -> None:
         else:
             shape(_DISC, place, radius + 1.5 * scale, (*DARK, 0.8))
             shape(_DISC, place, radius, (*(PIN_COLOR if active else color(keypoint)), 1.0))
-    if not corners:
-        return
-    shader = gpu.shader.from_builtin("FLAT_COLOR")
-    shader.bind()
-    _batch(shader, "TRIS", np.concatenate(corners), np.concatenate(colors))
-
-
-def _batch(shader: gpu.types.GPUShader, kind: str, points: np.ndarray, colors: np.ndarray) -> None:
-    """Draw (N, 2) points with (N, 4) colours."""
-    flat = np.zeros((len(points), 3), dtype=np.float32)
-    flat[:, :2] = points
-    batch_for_shader(shader, kind, {"pos": flat, "color": np.ascontiguousarray(colors, np.float32)}).draw(
-        shader
-    )
+    if corners:
+        draw_shape("TRIS", np.concatenate(corners), np.concatenate(colors))
 
 
 def _draw_name(picture: Picture, scale: float) -> None:
@@ -164,8 +148,3 @@ _LINES: Final = np.array([(KEYPOINT_PARENTS[k], k) for k in range(1, NUM_KEYPOIN
 _LINE_COLORS: Final = np.array(
     [(*color(k), 0.45 if k in PALM_KEYPOINTS else 0.85) for k in range(1, NUM_KEYPOINTS)], dtype=np.float32
 )
-
-
-def _scale() -> float:
-    preferences = bpy.context.preferences
-    return preferences.system.ui_scale if preferences is not None else 1.0

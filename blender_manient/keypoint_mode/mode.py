@@ -19,16 +19,14 @@ from handfit_core.edit.corrections import Pins
 from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
-from handfit_core.worker.runner import as_error
 
 from .. import details, jobs, preferences, screen, shared_worker
 from ..refiner import BonePoses, Refiner
 from ..rigs import rig_of
+from ..scene import see_through
 from ..scene.keys import set_pose
-from ..scene.see_through import SeeThrough
 from ..wording import capitalised
 from . import drawing, view
-from .abandoned import abandon
 
 REACH: Final = 14.0
 """pixels from a handle within which the mouse takes it, at a user interface scale of 1"""
@@ -117,11 +115,8 @@ class KeypointMode:
         self.view = view.CaptureView(viewport, camera, context)
         self.solid = False
         """Whether the hand hides the picture, whatever its opacity is otherwise"""
-        self.see_through = SeeThrough(camera.data, self._opacity)
+        see_through.begin(camera.data, self._opacity)
         self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
-        bpy.app.handlers.undo_post.append(self._on_undo)
-        bpy.app.handlers.redo_post.append(self._on_undo)
-        bpy.app.handlers.load_pre.append(self._on_load)
         viewport.area.tag_redraw()
 
     # Beginning and end
@@ -134,16 +129,11 @@ class KeypointMode:
             self.cancel_drag(context)
         bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
         self._handler = None
-        for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
-            if self._on_undo in handlers:
-                handlers.remove(self._on_undo)
-        if self._on_load in bpy.app.handlers.load_pre:
-            bpy.app.handlers.load_pre.remove(self._on_load)
         if self._warming:
-            abandon(self._warming)
-        self.see_through.leave()
+            shared_worker.abandon(self._warming)
+        see_through.end()
         self.view.leave(context)
-        screen.redraw_viewports(context)
+        screen.redraw("VIEW_3D")
 
     def trouble(self, context: bpy.types.Context) -> str | None:
         """Why the mode cannot go on, in a sentence."""
@@ -165,21 +155,13 @@ class KeypointMode:
             return "Keypoints: refining works in Object and Pose mode"
         return None
 
-    def _on_undo(self, *_args) -> None:
-        if not self.own_undo:
-            self.ended = "Keypoints: ended by an undo"
-
-    def _on_load(self, *_args) -> None:
-        self.ended = ""
-        self.end(bpy.context)
-
     # The hand over the picture
 
-    def toggle_solid(self, context: bpy.types.Context) -> None:
+    def toggle_solid(self) -> None:
         """Make the hand solid, or see-through again."""
         self.solid = not self.solid
-        self.see_through.show()
-        screen.redraw_viewports(context)
+        see_through.follow()
+        screen.redraw("VIEW_3D")
 
     def _opacity(self) -> float:
         return 1.0 if self.solid else preferences.get().hand_opacity
@@ -229,7 +211,7 @@ class KeypointMode:
         if np.isnan(away).all():
             return None
         nearest = int(np.nanargmin(away))
-        return nearest if away[nearest] <= REACH * ui_scale() else None
+        return nearest if away[nearest] <= REACH * screen.ui_scale() else None
 
     # Dragging
 
@@ -287,34 +269,32 @@ class KeypointMode:
             return
         if drag.request:
             shared_worker.worker().cancel(drag.request)
-            abandon(drag.request)
+            shared_worker.abandon(drag.request)
         armature = self.refiner.found
         if armature is not None and armature.manient.is_hand:
             set_pose(rig_of(armature), drag.shown.quats[0], drag.shown.locations[0])
             if context.scene.frame_current_final != drag.frame:
                 refresh(context.scene)  # that was another frame's pose
-        screen.redraw_viewports(context)
+        screen.redraw("VIEW_3D")
 
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers, and ask for what has not been asked for."""
-        if self._warming:
-            self._follow_warming()
         drag = self.drag
-        if drag is None:
-            return
         try:
+            if self._warming and shared_worker.answer(self._warming) is not None:
+                self._warming = 0
+                screen.redraw("VIEW_3D")
+            if drag is None:
+                return
             if context.scene.frame_current_final != drag.frame:
                 self.cancel_drag(context)
                 return
             if drag.request:
-                for event in shared_worker.worker().events(drag.request):
-                    if event["event"] == "error":
-                        drag.request = 0
-                        raise as_error(event)
-                    if event["event"] == "done":
-                        drag.request = 0
-                        self._solved_in = float(event.get("seconds", 0.0))
-                        self._show(context, drag, self.refiner.poses(event))
+                done = shared_worker.answer(drag.request)
+                if done is not None:
+                    drag.request = 0
+                    self._solved_in = float(done.get("seconds", 0.0))
+                    self._show(context, drag, self.refiner.poses(done))
             if not drag.request and drag.moved and drag.waiting:
                 if drag.place is None and not drag.pins:
                     self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
@@ -389,21 +369,15 @@ class KeypointMode:
         refresh(context.scene)
         self.done, self.undone = self.done + 1, 0
         bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
-        screen.redraw_viewports(context)
+        screen.redraw("VIEW_3D")
 
     def _failed(self, context: bpy.types.Context, error: HandfitError) -> None:
-        self.message = str(error)
+        self._warming, self.message = 0, str(error)
+        if self.drag is not None:
+            self.drag.request = 0
         details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
         self.cancel_drag(context)
         refresh(context.scene)
-
-    def _follow_warming(self) -> None:
-        for event in shared_worker.worker().events(self._warming):
-            if event["event"] == "error":
-                self.message = str(event.get("message", ""))
-            if event["event"] in ("done", "error"):
-                self._warming = 0
-                screen.redraw_viewports(bpy.context)
 
     def step(self, scene: bpy.types.Scene, direction: int) -> None:
         """Go to the next frame (1) or the one before (-1); the source's where the scene has others."""
@@ -494,12 +468,6 @@ def refresh(scene: bpy.types.Scene) -> None:
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
 
 
-def ui_scale() -> float:
-    """How large Blender draws its interface."""
-    preferences = bpy.context.preferences
-    return preferences.system.ui_scale if preferences is not None else 1.0
-
-
 def _free_corner(viewport: view.Viewport) -> tuple[float, float]:
     """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
     region, others = viewport.region, [r for r in viewport.area.regions if min(r.width, r.height) > 1]
@@ -507,4 +475,5 @@ def _free_corner(viewport: view.Viewport) -> tuple[float, float]:
     if top < region.y + region.height / 2:
         top = region.y + region.height  # headers may be flipped to the lower edge
     tools = [r.x + r.width for r in others if r.type == "TOOLS" and r.x < region.x + region.width / 2]
-    return max([region.x, *tools]) - region.x + 18.0 * ui_scale(), top - region.y - 70.0 * ui_scale()
+    scale = screen.ui_scale()
+    return max([region.x, *tools]) - region.x + 18.0 * scale, top - region.y - 70.0 * scale

@@ -10,7 +10,7 @@ import numpy as np
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.picture_map import picture_to_region
 
-from ..camera_view import camera_region, frame_whole_picture
+from ..screen import camera_region, frame_whole_picture
 
 _OF_REGION = (
     "view_perspective",

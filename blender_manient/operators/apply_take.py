@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import bpy
 
+from handfit_core.errors import OptionError
 from handfit_core.take import Take
 
 from ..scene.apply import apply_hand, apply_track, track_for
 from ..scene.store import captured_hands
-from .needs_hand import errors_reported, hand_in, hand_is_there
+from ..section import split
+from ..wording import counted
+from .needs_hand import OnHand, errors_reported, hand_in
 
 
-class MANIENT_OT_apply_take(bpy.types.Operator):
+class MANIENT_OT_apply_take(OnHand, bpy.types.Operator):
     bl_idname = "manient.apply_take"
     bl_label = "Apply Motion"
     bl_description = (
@@ -19,7 +22,6 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
         "With a second captured hand selected it is the source, else a file is asked for. "
         "The other side's motion is mirrored"
     )
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
     filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
@@ -48,10 +50,6 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
         default=True,
     )
 
-    @classmethod
-    def poll(cls, context):
-        return hand_is_there(cls, context)
-
     def invoke(self, context, event):
         """Take the other selected hand, or ask for a file."""
         target = hand_in(context).armature
@@ -65,8 +63,7 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
 
     def draw(self, _context):
         layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split(layout)
         layout.prop(self, "mode")
         if self.mode == "POSE" and not self.source:
             layout.prop(self, "source_frame")
@@ -80,8 +77,7 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
         if self.source:
             source = context.scene.objects.get(self.source)
             if source is None:
-                self.report({"ERROR"}, f"The hand {self.source} is not in this scene any more")
-                return {"CANCELLED"}
+                raise OptionError(f"The hand {self.source} is not in this scene any more")
             count = apply_hand(hand.armature, source, self.mode, frame, wrist=self.wrist)
         else:
             take = Take.load(bpy.path.abspath(self.filepath))
@@ -94,5 +90,5 @@ class MANIENT_OT_apply_take(bpy.types.Operator):
                 source_frame=self.source_frame or None,
                 wrist=self.wrist,
             )
-        self.report({"INFO"}, f"Keyed {count} frame{'s' if count != 1 else ''} on {hand.armature.name}")
+        self.report({"INFO"}, f"Keyed {counted(count, 'frame')} on {hand.armature.name}")
         return {"FINISHED"}

@@ -12,16 +12,17 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.runner import WorkerError
 
-from .. import jobs, preferences, screen, shared_worker, sources
+from .. import jobs, preferences, screen, shared_worker, source_info
 from ..remembered import Remembered
-from ..scene.lens import lens_of_camera
-from ..selection import active_hand
+from ..scene.camera import lens_of_camera
+from ..scene.store import active_hand
+from .needs_hand import Refuses, Waits
 
 _TICK = 0.02
 """seconds between two looks at the worker"""
 
 
-class MANIENT_OT_capture(bpy.types.Operator):
+class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
     bl_idname = "manient.capture"
     bl_label = "Capture"
     bl_description = (
@@ -54,16 +55,11 @@ class MANIENT_OT_capture(bpy.types.Operator):
         return cls.bl_description
 
     @classmethod
-    def poll(cls, context):
-        """Whether there is a scene to build into, and all that a capture needs."""
-        scene = context.scene
-        if scene is None or not scene.is_editable:
-            cls.poll_message_set("This scene is linked from another file: open or make one of your own")
-            return False
-        sentence = shared_worker.capture_sentence()
-        if sentence:
-            cls.poll_message_set(sentence)
-        return not sentence
+    def lacks(cls, context):
+        """A scene to build into, or something that a capture needs."""
+        if context.scene is None or not context.scene.is_editable:
+            return "This scene is linked from another file: open or make one of your own"
+        return shared_worker.capture_sentence()
 
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
@@ -74,9 +70,7 @@ class MANIENT_OT_capture(bpy.types.Operator):
             return {"FINISHED"}
         MANIENT_OT_capture._ticking = True
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
-        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self._wait(context, _TICK)
 
     def modal(self, context, event):
         """Tick the queue; Esc stops everything."""
@@ -92,7 +86,7 @@ class MANIENT_OT_capture(bpy.types.Operator):
         elif event.type != "TIMER":
             return {"PASS_THROUGH"}
         if jobs.tick():
-            self._tell(context)
+            self._show(context)
         self._report_finished(context)
         if jobs.busy():
             return {"RUNNING_MODAL"} if event.type == "ESC" else {"PASS_THROUGH"}
@@ -121,13 +115,13 @@ class MANIENT_OT_capture(bpy.types.Operator):
             return False
         return True
 
-    def _tell(self, context) -> None:
+    def _show(self, context) -> None:
         job = jobs.current()
         waiting = sum(j.state == "waiting" for j in jobs.jobs())
         if job is not None:
             more = f"   ({waiting} waiting)" if waiting else ""
-            context.workspace.status_text_set(f"{job.name}: {job.status()}{more}   Esc: Stop")
-        screen.redraw_sidebars(context)
+            self._tell(context, f"{job.name}: {job.status()}{more}   Esc: Stop")
+        screen.redraw_sidebars()
 
     def _report_finished(self, context) -> None:
         for job in jobs.jobs():
@@ -148,10 +142,8 @@ class MANIENT_OT_capture(bpy.types.Operator):
 
     def _end(self, context) -> None:
         MANIENT_OT_capture._ticking = False
-        context.window_manager.event_timer_remove(self._timer)
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
-        screen.redraw_sidebars(context)
+        self._wait_no_more(context)
+        screen.redraw_sidebars()
 
 
 class MANIENT_OT_cancel_capture(bpy.types.Operator):
@@ -169,7 +161,7 @@ class MANIENT_OT_cancel_capture(bpy.types.Operator):
             jobs.cancel(queue[self.index])
         else:
             jobs.cancel_all()
-        screen.redraw_sidebars(context)
+        screen.redraw_sidebars()
         return {"FINISHED"}
 
 
@@ -182,7 +174,7 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
     def execute(self, context):
         """Forget what is finished."""
         jobs.forget_finished()
-        screen.redraw_sidebars(context)
+        screen.redraw_sidebars()
         return {"FINISHED"}
 
 
@@ -191,7 +183,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
     settings, scene = context.scene.manient, context.scene
     if sentence := shared_worker.capture_sentence():
         raise WorkerError(sentence)
-    source = sources.resolve(settings.source, as_sequence=settings.as_sequence)
+    source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
     hand = active_hand(context)
     if settings.target != "NEW" and hand is None:
         raise OptionError("select the captured hand that is to be animated, or choose New Hands")
@@ -229,7 +221,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
     )
 
 
-def _frames(settings, source: sources.SourceFiles, only: int | None) -> FrameRange | None:
+def _frames(settings, source: source_info.SourceFiles, only: int | None) -> FrameRange | None:
     if source.kind == "photo":
         return None
     if only is not None:

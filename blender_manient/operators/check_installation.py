@@ -11,11 +11,12 @@ import bpy
 from handfit_core.errors import HandfitError
 from handfit_core.worker.client import Worker
 from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
-from handfit_core.worker.runner import Event, as_error
+from handfit_core.worker.runner import Event
 
 from .. import cache, details, preferences, screen, shared_worker, verification
 from ..wording import capitalised
 from . import check_mano
+from .needs_hand import Refuses, Waits
 
 TEXT_NAME = "Hand Capture Check"
 
@@ -52,7 +53,7 @@ def running() -> bool:
     return _checking is not None
 
 
-class MANIENT_OT_check_installation(bpy.types.Operator):
+class MANIENT_OT_check_installation(Refuses, Waits, bpy.types.Operator):
     bl_idname = "manient.check_installation"
     bl_label = "Check Installation"
     bl_description = (
@@ -62,12 +63,9 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
     bl_options = {"INTERNAL"}  # noqa: RUF012
 
     @classmethod
-    def poll(cls, _context):
-        """One at a time."""
-        if _checking is not None:
-            cls.poll_message_set("The check is running: Esc stops it")
-            return False
-        return True
+    def lacks(cls, _context):
+        """The end of another check."""
+        return "The check is running: Esc stops it" if running() else None
 
     def invoke(self, context, _event):
         """Check beside the window's work."""
@@ -82,11 +80,9 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         except HandfitError as error:
             self._problem = error
         _checking = self._worker
-        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set("Checking the installation of Hand Capture   Esc: Stop")
-        screen.redraw_preferences()
-        return {"RUNNING_MODAL"}
+        self._tell(context, "Checking the installation of Hand Capture   Esc: Stop")
+        screen.redraw("PREFERENCES")
+        return self._wait(context, _TICK)
 
     def modal(self, context, event):
         """Wait for the answer."""
@@ -97,11 +93,10 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         if self._problem is None:
-            for event in self._worker.events(self._request):
-                if event["event"] == "done":
-                    self._answer = event
-                elif event["event"] == "error":
-                    self._problem = as_error(event)
+            try:
+                self._answer = shared_worker.answer(self._request, self._worker)
+            except HandfitError as error:
+                self._problem = error
         if self._answer is None and self._problem is None:
             return {"PASS_THROUGH"}
         self.cancel(context)
@@ -112,10 +107,8 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         global _checking
         _checking = None
         self._worker.stop()
-        context.window_manager.event_timer_remove(self._timer)
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
-        screen.redraw_preferences()
+        self._wait_no_more(context)
+        screen.redraw("PREFERENCES")
 
     def execute(self, context):
         """Check and wait for it: for scripts, and without a window."""
@@ -126,7 +119,7 @@ class MANIENT_OT_check_installation(bpy.types.Operator):
         _last = result
         details.write_text(TEXT_NAME, text)
         self.report({"INFO"} if result.ok else {"WARNING"}, f"{result.sentence} (text {TEXT_NAME})")
-        screen.redraw_preferences()
+        screen.redraw("PREFERENCES")
         return {"FINISHED"}
 
 

@@ -65,7 +65,7 @@ class MANIENT_OT_check_mano(bpy.types.Operator):
             return {"CANCELLED"}
         for result in check(path):
             self.report({"INFO"} if result.ok else {"WARNING"}, result.sentence)
-        screen.redraw_preferences()
+        screen.redraw("PREFERENCES")
         return {"FINISHED"}
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import bpy
 
 from .. import cache, screen, shared_worker
+from .needs_hand import Refuses
 
 
-class MANIENT_OT_clear_cache(bpy.types.Operator):
+class MANIENT_OT_clear_cache(Refuses, bpy.types.Operator):
     bl_idname = "manient.clear_cache"
     bl_label = "Clear"
     bl_description = (
@@ -17,17 +18,15 @@ class MANIENT_OT_clear_cache(bpy.types.Operator):
     bl_options = {"INTERNAL"}  # noqa: RUF012
 
     @classmethod
-    def poll(cls, _context):
-        """Not while the worker may write there."""
+    def lacks(cls, _context):
+        """A worker that writes nothing there."""
         worker = shared_worker.current()
-        if worker is not None and worker.busy:
-            cls.poll_message_set("A capture uses these files: wait for it or cancel it")
-            return False
-        return True
+        busy = worker is not None and worker.busy
+        return "A capture uses these files: wait for it or cancel it" if busy else None
 
     def execute(self, context):
         freed, left = cache.clear()
         kept = f", {left} files in use were kept" if left else ""
         self.report({"INFO"}, f"{freed / 1e6:.1f} MB were freed{kept}")
-        screen.redraw_preferences()
+        screen.redraw("PREFERENCES")
         return {"FINISHED"}

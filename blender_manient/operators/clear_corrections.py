@@ -5,19 +5,20 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, TakeError
+from handfit_core.errors import OptionError, TakeError
 
 from ..scene import corrections
 from ..scene.editable import why_not_editable
 from ..scene.timing import span_of
-from ..selection import active_hand
+from ..wording import counted
+from .needs_hand import OnHand, errors_reported, hand_in
 
 
-class MANIENT_OT_clear_corrections(bpy.types.Operator):
+class MANIENT_OT_clear_corrections(OnHand, bpy.types.Operator):
     bl_idname = "manient.clear_corrections"
     bl_label = "Clear Corrections"
     bl_description = "Remove pins and relaxed poses, and what they did to the animation"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    anywhere = True
 
     scope: bpy.props.EnumProperty(  # type: ignore
         name="Scope",
@@ -35,27 +36,16 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
         item = properties.bl_rna.properties["scope"].enum_items[properties.scope]
         return f"{cls.bl_description}. {item.description}"
 
-    @classmethod
-    def poll(cls, context):
-        """Whether there is anything to clear."""
-        hand = active_hand(context)
-        if hand is None:
-            cls.poll_message_set("Select a captured hand: its armature or its mesh")
-            return False
-        why = why_not_editable(hand.armature)
-        if why is not None:
-            cls.poll_message_set(why)
-            return False
-        if not hand.armature.manient.corrections:
-            cls.poll_message_set("This hand has no corrections")
-            return False
-        return True
+    @staticmethod
+    def why_not(armature):
+        """Why there is nothing to clear."""
+        none = None if armature.manient.corrections else "This hand has no corrections"
+        return why_not_editable(armature) or none
 
+    @errors_reported
     def execute(self, context):
         """Clear them."""
-        hand = active_hand(context)
-        assert hand is not None
-        armature, scene = hand.armature, context.scene
+        armature, scene = hand_in(context).armature, context.scene
         elsewhere = corrections.why_elsewhere(armature)
         if elsewhere is not None and self.scope == "ALL":
             corrections.forget_corrections(armature)
@@ -76,29 +66,21 @@ class MANIENT_OT_clear_corrections(bpy.types.Operator):
             count = corrections.clear_corrections(
                 armature, None if self.scope == "ALL" else frames[chosen].tolist()
             )
-        except TakeError as error:
+        except TakeError:
             if self.scope != "ALL":
-                self.report({"ERROR"}, str(error))
-                return {"CANCELLED"}
+                raise
             # What cannot be read cannot be taken out of the keys: they stay as they are.
             corrections.forget_corrections(armature)
             self.report({"WARNING"}, "The corrections could not be read: they are gone, the keys stay")
             return {"FINISHED"}
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         if count == 0 and self.scope != "ALL":
             where = "in this frame" if self.scope == "FRAME" else "in this range"
-            self.report({"ERROR"}, f"There is no correction {where}")
-            return {"CANCELLED"}
+            raise OptionError(f"There is no correction {where}")
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         if lost:
             which = ", ".join(f"{f:g}" for f in sorted(lost))
-            self.report(
-                {"WARNING"},
-                f"The keys of the corrected source frames {which} were moved or replaced: these keys stay as "
-                "they are",
-            )
+            which = f"The keys of the corrected source frames {which} were moved or replaced"
+            self.report({"WARNING"}, f"{which}: these keys stay as they are")
             return {"FINISHED"}
-        self.report({"INFO"}, "1 correction cleared" if count == 1 else f"{count} corrections cleared")
+        self.report({"INFO"}, f"{counted(count, 'correction')} cleared")
         return {"FINISHED"}

@@ -5,14 +5,15 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from handfit_core.errors import OptionError
 from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
 
 from ..scene.markers import doubtful_ranges, filled_ranges, is_marked, mark_doubtful, next_doubtful
 from ..scene.store import scene_frames
-from .needs_hand import named_hand, scene_is_editable
+from .needs_hand import Refuses, errors_reported, named_hand
 
 
-class _OfNamedHand:
+class _OfNamedHand(Refuses):
     """What works on the hand that a button names, in a scene that may be changed."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
@@ -23,22 +24,15 @@ class _OfNamedHand:
         options={"HIDDEN"},
     )
 
-    @classmethod
-    def poll(cls, context):
-        """Whether the scene may be changed."""
-        return scene_is_editable(cls, context)
-
 
 class MANIENT_OT_mark_doubtful(_OfNamedHand, bpy.types.Operator):
     bl_idname = "manient.mark_doubtful"
     bl_label = "Mark Doubtful Frames"
     bl_description = "Add timeline markers where the hand may be wrong or was filled in, or remove them"
 
+    @errors_reported
     def execute(self, context):
         hand = named_hand(context, self.hand)
-        if hand is None:
-            self.report({"ERROR"}, "No captured hand: select a hand that keeps its take")
-            return {"CANCELLED"}
         if is_marked(context.scene, hand):
             mark_doubtful(context.scene, hand, False)
             return {"FINISHED"}
@@ -63,11 +57,9 @@ class MANIENT_OT_jump_doubtful(_OfNamedHand, bpy.types.Operator):
         default="NEXT",
     )
 
+    @errors_reported
     def execute(self, context):
         hand = named_hand(context, self.hand)
-        if hand is None:
-            self.report({"ERROR"}, "No captured hand: select a hand that keeps its take")
-            return {"CANCELLED"}
         frame = next_doubtful(hand, context.scene.frame_current, self.direction)
         if frame is None:
             where = "after" if self.direction == "NEXT" else "before"
@@ -85,8 +77,11 @@ class MANIENT_OT_jump_worst(_OfNamedHand, bpy.types.Operator):
     @classmethod
     def description(cls, context, properties):
         """The tooltip, with the hand's figures."""
-        hand = named_hand(context, properties.hand)
-        if hand is None or not hand.track.detected.any():
+        try:
+            hand = named_hand(context, properties.hand)
+        except OptionError:
+            return cls.bl_description
+        if not hand.track.detected.any():
             return cls.bl_description
         pixels = float(np.mean(hand.track.reprojection_error[hand.track.detected]))
         return (
@@ -95,11 +90,11 @@ class MANIENT_OT_jump_worst(_OfNamedHand, bpy.types.Operator):
             "poor. Click to go to the worst frame"
         )
 
+    @errors_reported
     def execute(self, context):
         hand = named_hand(context, self.hand)
-        if hand is None or not hand.track.detected.any():
-            self.report({"ERROR"}, "No captured hand with points in a picture: select one")
-            return {"CANCELLED"}
+        if not hand.track.detected.any():
+            raise OptionError("No captured hand with points in a picture: select one")
         errors = relative_errors(hand.track, hand.take.intrinsics)
         frame = float(scene_frames(hand.collection, hand.take)[np.nanargmax(errors)])
         context.scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))

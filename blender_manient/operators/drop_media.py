@@ -9,7 +9,7 @@ import bpy
 from handfit_core.errors import HandfitError
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 
-from .. import jobs, preferences, source_info, sources
+from .. import jobs, preferences, source_info
 from ..scene.matching import Footage, said
 from ..section import sentence
 from . import import_take
@@ -50,7 +50,6 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
     def draw(self, context):
         """What was dropped, and which hands are wanted."""
         layout = self.layout
-        assert layout is not None
         paths = self._paths()
         text = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
         layout.label(text=text, icon="FILE_MOVIE" if _is_video(paths[0]) else "FILE_IMAGE", translate=False)
@@ -89,7 +88,7 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
         settings.source = str(path)
         settings.as_sequence = self.as_sequence
         numbers = sequence_numbers(dropped) if self.as_sequence else None
-        settings.use_frames = numbers is not None and len(sources.numbered_siblings(path)) > len(dropped)
+        settings.use_frames = numbers is not None and len(source_info.numbered_siblings(path)) > len(dropped)
         if numbers is not None and settings.use_frames:
             settings.first_frame, settings.last_frame, settings.frame_step = min(numbers), max(numbers), 1
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import OptionError
 
-from ..keypoint_mode import abandoned, mode, view
+from ..keypoint_mode import mode, view
 from ..refiner import Refiner, why_not
-from ..selection import active_hand
+from ..scene.store import active_hand
+from .needs_hand import Refuses, Waits, errors_reported
 
 _TICK = 0.008
 """seconds between two looks at the worker"""
@@ -27,38 +27,7 @@ def running() -> bool:
     return _mode is not None
 
 
-def latencies() -> list[float]:
-    """Seconds from each movement of the mouse to the hand that followed it, oldest first."""
-    return list(mode.latencies)
-
-
-def handle_places() -> dict[int, tuple[float, float]]:
-    """Keypoint -> (x, y) of its handle in window pixels, as events have them; empty while none are shown."""
-    if _mode is None:
-        return {}
-    viewport = view.viewport_at(bpy.context, _mode.view.address)
-    if viewport is None:
-        return {}
-    places = _mode.region_places(viewport) + np.array([viewport.region.x, viewport.region.y])
-    return {k: (float(x), float(y)) for k, (x, y) in enumerate(places) if np.isfinite([x, y]).all()}
-
-
-def describe() -> dict[str, object]:
-    """The mode's state for tests: what is hovered, dragged, pinned, and what the line says."""
-    if _mode is None:
-        return {}
-    row = _mode.row()
-    return {
-        "hovered": _mode.hovered,
-        "dragged": _mode.drag.keypoint if _mode.drag is not None else None,
-        "pins": {} if row is None else dict(_mode.refiner.pins(row)),
-        "message": _mode.message,
-        "warming": bool(_mode._warming),
-        "done": _mode.done,
-    }
-
-
-class MANIENT_OT_edit_keypoints(bpy.types.Operator):
+class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
     bl_idname = "manient.edit_keypoints"
     bl_label = "Edit Keypoints"
     bl_description = (
@@ -67,37 +36,25 @@ class MANIENT_OT_edit_keypoints(bpy.types.Operator):
     )
     bl_options = {"REGISTER"}  # noqa: RUF012
 
-    _timer = None
-
     @classmethod
-    def poll(cls, context):
-        """Whether there is a hand that can be corrected."""
-        why = "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
-        if why is not None:
-            cls.poll_message_set(why)
-        return why is None
+    def lacks(cls, context):
+        """A hand that can be corrected."""
+        return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
+    @errors_reported
     def invoke(self, context, _event):
         """Begin the mode in the viewport under the mouse, or the largest one."""
         global _mode
         hand, viewport = active_hand(context), view.first_viewport(context)
         if viewport is None:
-            self.report({"ERROR"}, "Keypoints are edited in a 3D viewport: open one in this window")
-            return {"CANCELLED"}
+            raise OptionError("Keypoints are edited in a 3D viewport: open one in this window")
         if hand is None or hand.camera is None:
-            self.report({"ERROR"}, "The hand's capture camera is gone: undo its removal, or import the take")
-            return {"CANCELLED"}
-        try:
-            _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            raise OptionError("The hand's capture camera is gone: undo its removal, or import the take")
+        _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
         # So that undoing the first drag leads back to here.
         bpy.ops.ed.undo_push(message="Edit Keypoints")
-        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        self._show_keys(context)
-        return {"RUNNING_MODAL"}
+        self._tell(context, _KEYS)
+        return self._wait(context, _TICK)
 
     def execute(self, _context):
         """Without a window there is nothing to drag."""
@@ -172,7 +129,7 @@ class MANIENT_OT_edit_keypoints(bpy.types.Operator):
             _mode.unpin(_mode.hovered)
             return {"RUNNING_MODAL"}
         if event.type == "H" and not (event.ctrl or event.shift or event.alt or event.oskey):
-            _mode.toggle_solid(context)
+            _mode.toggle_solid()
             return {"RUNNING_MODAL"}
         if event.type in ("LEFT_ARROW", "RIGHT_ARROW") and not (event.ctrl or event.shift or event.alt):
             _mode.step(context.scene, -1 if event.type == "LEFT_ARROW" else 1)
@@ -181,31 +138,27 @@ class MANIENT_OT_edit_keypoints(bpy.types.Operator):
             return self._end(context)
         return {"PASS_THROUGH"}
 
-    def _show_keys(self, context) -> None:
-        if context.workspace is not None:
-            context.workspace.status_text_set(_KEYS)
-
     def _end(self, context):
         global _mode
         ended, _mode = _mode, None
         if ended is not None:
             ended.end(context)
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
+        self._wait_no_more(context)
         return {"FINISHED"}
 
 
-def _stop() -> None:
-    """End the mode from outside; its operator finds out with its next event."""
+@bpy.app.handlers.persistent
+def _on_undo(*_args) -> None:
+    if _mode is not None and not _mode.own_undo:
+        _mode.ended = "Keypoints: ended by an undo"
+
+
+@bpy.app.handlers.persistent
+def unregister(*_args) -> None:
+    """End the mode; its operator finds out with its next event."""
     if _mode is not None:
         _mode.end(bpy.context)
         _mode.ended = ""
 
 
-def unregister() -> None:
-    """End the mode."""
-    _stop()
-    abandoned.forget()
+HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": unregister}

@@ -12,11 +12,12 @@ from handfit_core.errors import OptionError
 from ..exporters import EXPORTERS, PRESETS
 from ..exporters.exporter import Exporter
 from ..properties import EXPORT_FORMATS
+from ..scene.editable import why_not_readable
 from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
-from ..section import sentence
-from .needs_hand import errors_reported, hand_in, hand_is_there
+from ..section import sentence, split
+from .needs_hand import OnHand, errors_reported, hand_in
 
 
 def format_buttons(
@@ -40,11 +41,13 @@ def format_buttons(
     return not EXPORTERS[getattr(data, name)].why_not()
 
 
-class MANIENT_OT_export_hand(bpy.types.Operator):
+class MANIENT_OT_export_hand(OnHand, bpy.types.Operator):
     bl_idname = "manient.export_hand"
     bl_label = "Export Hands"
     bl_description = "Write the active hand and the others of its capture, as they are now, to a file"
     bl_options = {"REGISTER"}  # noqa: RUF012
+    why_not = staticmethod(why_not_readable)
+    anywhere = True
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
     filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
@@ -62,10 +65,6 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
         ),
         default="SCENE",
     )
-
-    @classmethod
-    def poll(cls, context):
-        return hand_is_there(cls, context, change=False)
 
     def invoke(self, context, event):
         """Ask for the file, with the format of the panel."""
@@ -90,8 +89,7 @@ class MANIENT_OT_export_hand(bpy.types.Operator):
     def draw(self, context):
         layout = self.layout
         format_buttons(layout, context, self, "file_format")
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split(layout)
         if self._exporter.presets:
             layout.prop(self, "preset")
         if self._exporter.writes == "hands":

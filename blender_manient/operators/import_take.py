@@ -12,10 +12,10 @@ from ..scene.build import build_take
 from ..scene.matching import CHOICES, Footage, matches, said
 from ..scene.surroundings import clear_view
 from ..section import sentence
-from .needs_hand import errors_reported, scene_is_editable
+from .needs_hand import Refuses, errors_reported
 
 
-class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
+class MANIENT_OT_import_take(Refuses, bpy.types.Operator, ImportHelper):
     bl_idname = "manient.import_take"
     bl_label = "Import Hand Take"
     bl_description = "Build the rigged, animated hands and the camera of a captured take"
@@ -47,10 +47,6 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context):
-        return scene_is_editable(cls, context)
-
     def invoke(self, context, event):
         """Begin with what the sidebar has."""
         for name in ("matching", "render_setup"):
@@ -61,7 +57,6 @@ class MANIENT_OT_import_take(bpy.types.Operator, ImportHelper):
     def draw(self, context):
         """The choices beside the file browser, and what they mean for this scene."""
         layout, scene = self.layout, context.scene
-        assert layout is not None
         layout.prop(self, "pose_correctives")
         layout.prop(self, "picture")
         layout.prop(self, "render_setup")

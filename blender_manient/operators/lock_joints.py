@@ -6,20 +6,19 @@ import bpy
 
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
-from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand
-from ..selection import active_hand
+from .needs_hand import OnHand, hand_in
 
 _FINGER_ITEMS = tuple(
     (f.upper(), f.capitalize(), f"The joints of the {f} finger") for f in FINGERS if f != "thumb"
 )
 
 
-class MANIENT_OT_lock_joints(bpy.types.Operator):
+class MANIENT_OT_lock_joints(OnHand, bpy.types.Operator):
     bl_idname = "manient.lock_joints"
     bl_label = "Lock Joints"
     bl_description = "Keep joints as they are when the hand is fitted again"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    anywhere = True
 
     lock: bpy.props.BoolProperty(name="Lock", default=True)  # type: ignore
     joints: bpy.props.EnumProperty(  # type: ignore
@@ -41,22 +40,9 @@ class MANIENT_OT_lock_joints(bpy.types.Operator):
             return cls.bl_description + ": the bones selected in Pose mode, else all"
         return "Let refining move joints again: the bones selected in Pose mode, else all"
 
-    @classmethod
-    def poll(cls, context):
-        """Whether there is a hand."""
-        hand = active_hand(context)
-        if hand is None:
-            cls.poll_message_set("Select a captured hand: its armature or its mesh")
-            return False
-        why = why_not_editable(hand.armature)
-        if why is not None:
-            cls.poll_message_set(why)
-        return why is None
-
     def execute(self, context):
         """Lock or unlock."""
-        hand = active_hand(context)
-        assert hand is not None
+        hand = hand_in(context)
         chosen = self._chosen(context, hand)
         if not chosen:
             self.report({"ERROR"}, "No bone of this hand is selected: select some in Pose mode")

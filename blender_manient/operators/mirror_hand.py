@@ -5,29 +5,21 @@ from __future__ import annotations
 import bpy
 
 from ..scene.mirror import mirror_hand
-from .needs_hand import errors_reported, hand_in, hand_is_there
+from .needs_hand import OnHand, errors_reported, hand_in, select_alone
 
 
-class MANIENT_OT_mirror_hand(bpy.types.Operator):
+class MANIENT_OT_mirror_hand(OnHand, bpy.types.Operator):
     bl_idname = "manient.mirror_hand"
     bl_label = "Mirror Hand"
     bl_description = (
         "Add the opposite hand with the same motion, mirrored across the middle of the camera's view, "
         "or beside the hand where the two would overlap"
     )
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
-
-    @classmethod
-    def poll(cls, context):
-        return hand_is_there(cls, context)
 
     @errors_reported
     def execute(self, context):
         """Build it and make it the active object."""
         armature = mirror_hand(hand_in(context))
         if context.mode == "OBJECT" and armature.name in context.view_layer.objects:
-            for other in context.selected_objects:
-                other.select_set(False)
-            armature.select_set(True)
-            context.view_layer.objects.active = armature
+            select_alone(context, armature)
         return {"FINISHED"}

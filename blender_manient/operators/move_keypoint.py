@@ -10,15 +10,14 @@ from handfit_core.skeleton import NUM_KEYPOINTS
 
 from .. import shared_worker
 from ..refiner import Refiner, why_not
-from ..scene.store import hand_of
-from ..selection import active_hand
-from .needs_hand import errors_reported
+from ..scene.store import active_hand, hand_of
+from .needs_hand import Refuses, errors_reported
 
 _PATIENCE = 120.0
 """seconds; the first answer may wait for the worker to start"""
 
 
-class MANIENT_OT_move_keypoint(bpy.types.Operator):
+class MANIENT_OT_move_keypoint(Refuses, bpy.types.Operator):
     bl_idname = "manient.move_keypoint"
     bl_label = "Move Keypoint"
     bl_description = "Pin a point of the hand to a place in the picture and fit the hand to it again"
@@ -40,13 +39,10 @@ class MANIENT_OT_move_keypoint(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
-        """Whether anything can be refined at all; `execute` checks the hand it is given."""
+    def lacks(cls, context):
+        """Anything that can be refined at all; `execute` checks the hand it is given."""
         hand = active_hand(context)
-        why = why_not(context, hand) if hand is not None else None
-        if why is not None:
-            cls.poll_message_set(why)
-        return why is None
+        return why_not(context, hand) if hand is not None else None
 
     @errors_reported
     def execute(self, context):

@@ -1,4 +1,4 @@
-"""What operators share: their polls, which captured hand they work on, and how they fail."""
+"""What operators share: their polls, which captured hand they work on, how they wait and how they fail."""
 
 from __future__ import annotations
 
@@ -8,47 +8,82 @@ from typing import Any
 
 import bpy
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, OptionError
 
-from ..scene.editable import why_not_editable, why_not_keyable, why_not_readable
-from ..scene.store import CapturedHand, hand_of
-from ..selection import active_hand
-
-
-def hand_is_there(
-    cls: type[Any], context: bpy.types.Context, *, change: bool = True, keys: bool = False
-) -> bool:
-    """Whether there is a captured hand to work on, in a mode to do so; the operator says what is missing.
-
-    `change` also asks that the hand may be changed: not linked from another file. `keys` asks that single
-    keys of it may be changed: its motion is in an action, not in the NLA.
-    """
-    hand = active_hand(context)
-    if hand is None:
-        cls.poll_message_set("Select a captured hand first")
-        return False
-    if change and context.mode not in {"OBJECT", "POSE"}:
-        cls.poll_message_set("Go to Object or Pose Mode first")
-        return False
-    why_not = why_not_keyable if keys else why_not_editable if change else why_not_readable
-    why = why_not(hand.armature)
-    if why is not None:
-        cls.poll_message_set(why)
-    return why is None
+from ..scene.editable import why_not_editable
+from ..scene.store import CapturedHand, active_hand, hand_of
 
 
-def scene_is_editable(cls: type[Any], context: bpy.types.Context) -> bool:
-    """Whether the scene may be changed; the operator says why not."""
-    if not context.scene.is_editable:
-        cls.poll_message_set("This scene is linked from another file")
-        return False
-    return True
+class Refuses:
+    """An operator, in its first part, that says in a sentence what it lacks."""
+
+    @classmethod
+    def poll(cls: Any, context):
+        """Whether it can begin."""
+        why = cls.lacks(context)
+        if why:
+            cls.poll_message_set(why)
+        return not why
+
+    @classmethod
+    def lacks(cls, context: bpy.types.Context, /) -> str | None:
+        """What is missing; None where it can begin. By default: a scene that may be changed."""
+        return None if context.scene.is_editable else "This scene is linked from another file"
 
 
-def named_hand(context: bpy.types.Context, name: str) -> CapturedHand | None:
-    """The captured hand of the armature with that name, or with an empty name the active object's."""
+class OnHand(Refuses):
+    """An operator, in its first part, that works on the active captured hand."""
+
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    why_not = staticmethod(why_not_editable)
+    """Tells why the hand cannot be worked on; by default why nothing of it can be changed"""
+    anywhere = False
+    """Whether it works in every mode, and not only where the hand is posed"""
+
+    @classmethod
+    def lacks(cls, context):
+        """A hand to work on, or a mode to do so."""
+        hand = active_hand(context)
+        if hand is None:
+            return "Select a captured hand first: its armature or its mesh"
+        if not cls.anywhere and context.mode not in {"OBJECT", "POSE"}:
+            return "Go to Object or Pose Mode first"
+        return cls.why_not(hand.armature)
+
+
+class Waits:
+    """A modal operator, in its first part, that looks again and again while the window stays free."""
+
+    _timer = None
+
+    def _wait(self, context: bpy.types.Context, seconds: float) -> set[str]:
+        """Get a TIMER event every few `seconds` from now on."""
+        self._timer = context.window_manager.event_timer_add(seconds, window=context.window)
+        context.window_manager.modal_handler_add(self)  # type: ignore[arg-type]
+        return {"RUNNING_MODAL"}
+
+    def _tell(self, context: bpy.types.Context, text: str | None) -> None:
+        """Show a line in the status bar; None: Blender's own again."""
+        if context.workspace is not None:
+            context.workspace.status_text_set(text)
+
+    def _wait_no_more(self, context: bpy.types.Context) -> None:
+        """Undo both. May be called twice."""
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        self._tell(context, None)
+
+
+def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
+    """The captured hand of the armature with that name, or with an empty name the active object's. Raises
+    OptionError."""
     obj = bpy.data.objects.get(name) if name else context.active_object
-    return hand_of(obj) if obj is not None else None
+    hand = hand_of(obj) if obj is not None else None
+    if hand is None:
+        raise OptionError("No captured hand: select a hand that keeps its take")
+    return hand
 
 
 def hand_in(context: bpy.types.Context) -> CapturedHand:
@@ -58,15 +93,25 @@ def hand_in(context: bpy.types.Context) -> CapturedHand:
     return hand
 
 
-def errors_reported(execute: Callable[[Any, bpy.types.Context], set[str]]) -> Any:
-    """An operator's `execute` in which a HandfitError becomes a report, and the operator is cancelled."""
+def select_alone(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """Make an object the active and the only selected one."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    obj.select_set(True)
+    context.view_layer.objects.active = obj
 
-    @functools.wraps(execute)
-    def reported(self, context):
+
+def errors_reported(method: Callable[..., set[str]]) -> Any:
+    """An operator's method in which a HandfitError becomes a report, and the operator is cancelled."""
+
+    def reported(operator, *args):
         try:
-            return execute(self, context)
+            return method(operator, *args)
         except HandfitError as error:
-            self.report({"ERROR"}, str(error))
+            operator.report({"ERROR"}, str(error))
             return {"CANCELLED"}
 
-    return reported
+    # Blender counts the arguments of each function: of `invoke` and of `execute`.
+    with_event: Any = lambda self, context, event: reported(self, context, event)  # noqa: E731
+    without: Any = lambda self, context: reported(self, context)  # noqa: E731
+    return functools.wraps(method)(with_event if method.__code__.co_argcount == 3 else without)

@@ -6,17 +6,19 @@ import bpy
 import numpy as np
 
 from ..blender_versions import channels, new_slot
+from ..scene.editable import why_not_readable
 from ..scene.keys import PoseKeys, displayed_pose, write_pose_keys
-from .needs_hand import hand_in, hand_is_there
+from .needs_hand import OnHand, hand_in
 
 
-class MANIENT_OT_save_pose_asset(bpy.types.Operator):
+class MANIENT_OT_save_pose_asset(OnHand, bpy.types.Operator):
     bl_idname = "manient.save_pose_asset"
     bl_label = "Save Pose Asset"
     bl_description = (
         "Keep the fingers' pose of the current frame in the pose library of this file, for any captured hand"
     )
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    why_not = staticmethod(why_not_readable)  # the hand stays as it is
+    anywhere = True
 
     asset_name: bpy.props.StringProperty(  # type: ignore
         name="Name", description="Name of the asset", default="Hand Pose"
@@ -26,10 +28,6 @@ class MANIENT_OT_save_pose_asset(bpy.types.Operator):
         description="Keep how the wrist is turned too; its place is never kept",
         default=False,
     )
-
-    @classmethod
-    def poll(cls, context):
-        return hand_is_there(cls, context, change=False)  # the hand stays as it is
 
     def invoke(self, context, event):
         """Ask for the name."""
@@ -44,11 +42,7 @@ class MANIENT_OT_save_pose_asset(bpy.types.Operator):
         chosen = np.ones((1, 16), dtype=bool)
         chosen[0, 0] = self.wrist
         keys = PoseKeys(
-            np.array([1.0]),
-            displayed_pose(rig)[None],
-            np.zeros((1, 3)),
-            chosen,
-            np.zeros(1, dtype=bool),
+            np.array([1.0]), displayed_pose(rig)[None], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool)
         )
         write_pose_keys(rig, keys, holder=channels(action, slot, make=True))
         action.asset_mark()

@@ -11,20 +11,19 @@ import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import slice_clock
-from handfit_core.worker.runner import as_error
 
 from .. import details, screen, shared_worker
-from ..keypoint_mode.abandoned import abandon
 from ..refiner import Refiner, why_not
+from ..scene.build import Watch
 from ..scene.corrections import corrections_of
 from ..scene.markers import doubtful_ranges
 from ..scene.own_keys import keyed_by_hand
-from ..scene.store import scene_frames, timing_of
+from ..scene.store import active_hand, scene_frames, timing_of
 from ..scene.timing import frame_rate, span_of
 from ..section import sentence
-from ..selection import active_hand
 from ..wording import counted
 from . import edit_keypoints
+from .needs_hand import Refuses, Waits, errors_reported
 
 _TICK = 0.02
 _SLICE = 0.02
@@ -36,7 +35,7 @@ _MARGIN = 0.5
 written"""
 
 
-class MANIENT_OT_refit_range(bpy.types.Operator):
+class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
     bl_idname = "manient.refit_range"
     bl_label = "Re-fit Range"
     bl_description = (
@@ -66,20 +65,17 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     """The last range and what it would replace, so that drawing again costs nothing"""
     _running = False
     """Whether a range is being fitted already"""
-    _timer = None
 
     @classmethod
-    def poll(cls, context):
-        """Whether there is a hand that can be fitted again."""
-        why = why_not(context, active_hand(context))
+    def lacks(cls, context):
+        """A hand that can be fitted again."""
         if cls._running:
-            why = "A range is being fitted already"
-        elif edit_keypoints.running():
-            why = "Leave Edit Keypoints first"
-        if why is not None:
-            cls.poll_message_set(why)
-        return why is None
+            return "A range is being fitted already"
+        if edit_keypoints.running():
+            return "Leave Edit Keypoints first"
+        return why_not(context, active_hand(context))
 
+    @errors_reported
     def execute(self, context):
         """Fit and wait for it: for scripts, and without a window. After the dialog: fit as `invoke` does."""
         if self._dialog:
@@ -91,44 +87,29 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
             except RuntimeError as error:  # its own report
                 self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
             return {"CANCELLED"}
-        try:
-            work = _Work(context, self._rows)
-            worker = shared_worker.worker()
-            work.received(worker.wait(worker.submit("refit", **work.fields())))
-            for _ in work.writing():
-                pass
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        work = _Work(context, self._rows)
+        worker = shared_worker.worker()
+        work.received(worker.wait(worker.submit("refit", **work.fields())))
+        for _ in work.writing():
+            pass
         return self._finished(context, work)
 
+    @errors_reported
     def invoke(self, context, _event):
         """Ask for the range, then fit while the window stays free."""
         if not self.asked:
-            try:
-                self.first, self.last = suggested_range(context)
-            except HandfitError as error:
-                self.report({"ERROR"}, str(error))
-                return {"CANCELLED"}
+            self.first, self.last = suggested_range(context)
             self.scope, self._dialog = "CUSTOM", True
             return context.window_manager.invoke_props_dialog(
                 self, width=_WIDTH, title="Re-fit Range", confirm_text="Re-fit"
             )
-        try:
-            self._work = _Work(context, self._rows)
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        self._work = _Work(context, self._rows)
         self._request = 0
         self._writing: Iterator[float] | None = None
-        self._undone = False
+        self._watch = Watch()
         self._began = time.monotonic()
         type(self)._running = True
-        bpy.app.handlers.undo_post.append(self._on_undo)
-        bpy.app.handlers.redo_post.append(self._on_undo)
-        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self._wait(context, _TICK)
 
     def check(self, _context):
         """Say anew what would be replaced whenever the range changes."""
@@ -137,7 +118,6 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     def draw(self, context):
         """The range, and what it would replace."""
         layout = self.layout
-        assert layout is not None
         row = layout.row(align=True)
         row.prop(self, "first")
         row.prop(self, "last")
@@ -149,7 +129,7 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     def modal(self, context, event):
         """Look for the answer; Esc stops, as long as nothing is written."""
         try:
-            if self._undone:
+            if self._watch.changed:
                 raise OptionError("re-fitting was stopped by an undo: nothing more was changed")
             if event.type == "ESC" and event.value == "PRESS" and self._writing is None:
                 self.report({"INFO"}, "Re-fitting was stopped; nothing was changed")
@@ -187,15 +167,12 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
             return True
         if not self._request:
             self._request = shared_worker.worker().submit("refit", **self._work.fields())
-        for event in shared_worker.worker().events(self._request):
-            if event["event"] == "error":
-                self._request = 0
-                raise as_error(event)
-            if event["event"] == "done":
-                self._request = 0
-                self._work.received(event)
-                self._writing = self._work.writing()
-                return False
+        done = shared_worker.answer(self._request)
+        if done is not None:
+            self._request = 0
+            self._work.received(done)
+            self._writing = self._work.writing()
+            return False
         spent = time.monotonic() - self._began
         self._tell(context, f"Re-fitting {self._work.count} frames  {spent:.0f} s   Esc: Stop")
         return False
@@ -203,32 +180,18 @@ class MANIENT_OT_refit_range(bpy.types.Operator):
     def _finished(self, context, work: _Work):
         scene = context.scene
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        frames = "1 frame" if work.fitted == 1 else f"{work.fitted} frames"
-        self.report({"INFO"}, f"{frames} fitted again")
+        self.report({"INFO"}, f"{counted(work.fitted, 'frame')} fitted again")
         return {"FINISHED"}
-
-    def _tell(self, context, text: str) -> None:
-        if context.workspace is not None:
-            context.workspace.status_text_set(text)
-
-    def _on_undo(self, *_args) -> None:
-        self._undone = True
 
     def _end(self, context) -> None:
         type(self)._running = False
-        for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
-            if self._on_undo in handlers:
-                handlers.remove(self._on_undo)
+        self._watch.leave()
         if self._request:
             shared_worker.worker().cancel(self._request)
-            abandon(self._request)
+            shared_worker.abandon(self._request)
             self._request = 0
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
-        screen.redraw_viewports(context)
+        self._wait_no_more(context)
+        screen.redraw("VIEW_3D")
 
     def _rows(self, context, refiner: Refiner) -> np.ndarray:
         """The take's rows in the range."""

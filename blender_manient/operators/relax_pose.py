@@ -10,22 +10,19 @@ from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
 from ..scene.corrections import correct_frame, timing_of
+from ..scene.editable import why_not_keyable
 from ..scene.keys import keyed_bones, set_pose
-from .needs_hand import errors_reported, hand_in, hand_is_there
+from .needs_hand import OnHand, errors_reported, hand_in
 
 
-class MANIENT_OT_relax_pose(bpy.types.Operator):
+class MANIENT_OT_relax_pose(OnHand, bpy.types.Operator):
     bl_idname = "manient.relax_pose"
     bl_label = "Relaxed Pose"
     bl_description = (
         "Relax the fingers at the current frame; the wrist stays. Like a dragged point, this fades out over "
         "Spread, and Clear takes it back. Bones that are animated get a key, others only with Auto Keying"
     )
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
-
-    @classmethod
-    def poll(cls, context):
-        return hand_is_there(cls, context, keys=True)
+    why_not = staticmethod(why_not_keyable)
 
     @errors_reported
     def execute(self, context):

@@ -5,18 +5,13 @@ from __future__ import annotations
 import bpy
 
 from ..scene.reshape import reset
-from .needs_hand import errors_reported, hand_in, hand_is_there
+from .needs_hand import OnHand, errors_reported, hand_in
 
 
-class MANIENT_OT_reset_shape(bpy.types.Operator):
+class MANIENT_OT_reset_shape(OnHand, bpy.types.Operator):
     bl_idname = "manient.reset_shape"
     bl_label = "Reset Shape"
     bl_description = "Give the hand the proportions back that it was captured with"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
-
-    @classmethod
-    def poll(cls, context):
-        return hand_is_there(cls, context)
 
     @errors_reported
     def execute(self, context):

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import bpy
 
+from handfit_core.errors import OptionError
+
 from ..scene.store import hand_of
+from .needs_hand import errors_reported, select_alone
 
 
 class MANIENT_OT_select_hand(bpy.types.Operator):
@@ -15,19 +18,15 @@ class MANIENT_OT_select_hand(bpy.types.Operator):
 
     hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
 
+    @errors_reported
     def execute(self, context):
         """Select it alone; another object's mode is left."""
         armature = context.scene.objects.get(self.hand)
         if armature is None or hand_of(armature) is None:
-            self.report({"ERROR"}, f"The hand {self.hand} is not in this scene any more")
-            return {"CANCELLED"}
+            raise OptionError(f"The hand {self.hand} is not in this scene any more")
         if not armature.visible_get():
-            self.report({"ERROR"}, f"The hand {self.hand} is hidden: show it first")
-            return {"CANCELLED"}
+            raise OptionError(f"The hand {self.hand} is hidden: show it first")
         if context.mode != "OBJECT" and context.active_object is not armature:
             bpy.ops.object.mode_set(mode="OBJECT")
-        for other in context.selected_objects:
-            other.select_set(False)
-        armature.select_set(True)
-        context.view_layer.objects.active = armature
+        select_alone(context, armature)
         return {"FINISHED"}

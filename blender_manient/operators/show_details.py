@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from .. import details
+from .needs_hand import Refuses
 
 
 class _OfText:
@@ -28,18 +29,15 @@ class _OfText:
         return {"FINISHED"}
 
 
-class MANIENT_OT_copy_details(_OfText, bpy.types.Operator):
+class MANIENT_OT_copy_details(Refuses, _OfText, bpy.types.Operator):
     bl_idname = "manient.copy_details"
     bl_label = "Copy Details"
     bl_description = "Copy the text with the details to the clipboard, for a bug report"
 
     @classmethod
-    def poll(cls, _context):
-        """Without a window there is no clipboard."""
-        if bpy.app.background:
-            cls.poll_message_set("There is no clipboard without a window")
-            return False
-        return True
+    def lacks(cls, _context):
+        """A clipboard."""
+        return "There is no clipboard without a window" if bpy.app.background else None
 
     def _show(self, context: bpy.types.Context, text: bpy.types.Text) -> None:
         context.window_manager.clipboard = text.as_string()

@@ -9,11 +9,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import InputError, OutputError
-from handfit_core.files import written_whole
+from handfit_core.errors import InputError
 
 from ..cache import cache_folder
-from ..scene.proof import is_whole_png, prove_whole
+from ..scene.plate import rows_of
+from ..scene.preview import write_png
 from .needs_hand import errors_reported
 
 
@@ -94,26 +94,10 @@ def _image_path(name: str) -> tuple[str, bool]:
 
 
 def _write_png(image: bpy.types.Image, path: Path) -> None:
-    """Write what the image shows now, painted or not, and leave it as it is."""
-    # Its pixels go through another image: before Blender 4.3 saving changes an image's own path.
-    width, height = image.size
-    pixels = np.empty(width * height * 4, dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    if image.is_float:  # linear
-        pixels = np.clip(pixels, 0.0, 1.0) ** np.float32(1 / 2.2)
-    twin = bpy.data.images.new(image.name, width, height)
-    try:
-        twin.pixels.foreach_set(pixels)
-        twin.file_format = "PNG"
-        with written_whole(path) as beside:
-            twin.filepath_raw = str(beside)
-            twin.save()
-            prove_whole(path, beside, is_whole_png)
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        raise OutputError(f"{path}: Blender could not write the picture ({reason})") from error
-    finally:
-        bpy.data.images.remove(twin)
+    """Write what the image shows now, painted or not, and leave it as it is: before Blender 4.3 saving
+    changes an image's own path."""
+    rows = rows_of(image)[..., :3]
+    write_png(np.clip(rows, 0.0, 1.0) ** np.float32(1 / 2.2) if image.is_float else rows, path)  # else linear
 
 
 def _clip_path(name: str) -> tuple[str, bool]:
@@ -134,7 +118,6 @@ class MANIENT_MT_sources(bpy.types.Menu):
     def draw(self, context):
         """One entry per picture or clip."""
         layout = self.layout
-        assert layout is not None
         found = offers(context)
         for offer in found:
             entry = layout.operator(

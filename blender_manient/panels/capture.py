@@ -8,8 +8,8 @@ from handfit_core.options import OPTIONS
 
 from .. import jobs, shared_worker, source_info
 from ..scene.matching import said
-from ..section import Section, fitted, sentence
-from ..selection import active_hand
+from ..scene.store import active_hand
+from ..section import Section, fitted, sentence, split
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 
@@ -22,10 +22,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
     def draw(self, context):
         """Settings, buttons, progress."""
         layout, settings = self.layout, context.scene.manient
-        assert layout is not None
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = split(layout.column())
         column.prop(settings, "preset")
         if settings.preset != "PAPER":
             column.prop(settings, "smoothing", slider=True)
@@ -55,7 +52,6 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
 
     def _queue(self, context) -> None:
         layout = self.layout
-        assert layout is not None
         queue = jobs.jobs()
         for index, job in enumerate(queue):
             box = layout.column(align=True)
@@ -102,9 +98,7 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
     def draw(self, context):
         """What few change."""
         layout, settings = self.layout, context.scene.manient
-        assert layout is not None
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split(layout)
         if settings.preset == "PAPER":
             layout.prop(settings, "experiment")
         elif len(shared_worker.solvers()) > 1 or settings.solver != OPTIONS["solver"].default:

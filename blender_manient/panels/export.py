@@ -6,8 +6,8 @@ import bpy
 
 from ..exporters import EXPORTERS
 from ..operators.export_hand import format_buttons
-from ..section import Section, sentence
-from ..selection import active_hand
+from ..scene.store import active_hand
+from ..section import Section, sentence, split
 
 
 class MANIENT_PT_export(Section, bpy.types.Panel):
@@ -19,14 +19,11 @@ class MANIENT_PT_export(Section, bpy.types.Panel):
     def draw(self, context):
         """Format, preset, button."""
         layout, settings = self.layout, context.scene.manient
-        assert layout is not None
         if active_hand(context) is None:
             sentence(layout, context, "Select a captured hand to export it", "INFO")
             return
         can = format_buttons(layout, context, settings, "export_format")
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = split(layout.column())
         if EXPORTERS[settings.export_format].presets:
             column.prop(settings, "export_preset")
         row = layout.row()

@@ -6,7 +6,7 @@ import bpy
 
 from .. import preferences
 from ..operators import check_mano
-from ..section import Section, sentence
+from ..section import Section, sentence, split
 
 
 class MANIENT_PT_hand(Section, bpy.types.Panel):
@@ -18,9 +18,7 @@ class MANIENT_PT_hand(Section, bpy.types.Panel):
     def draw(self, context):
         """Hands, model and size."""
         layout, settings = self.layout, context.scene.manient
-        assert layout is not None
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split(layout)
         layout.prop(settings, "hands")
         layout.prop(settings, "model")
         if settings.model == "MANO":

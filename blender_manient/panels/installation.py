@@ -22,7 +22,6 @@ class MANIENT_PT_installation(Section, bpy.types.Panel):
     def draw(self, context):
         """What is wrong and what to do."""
         layout = self.layout
-        assert layout is not None
         sentence(layout, context, shared_worker.capture_sentence(), "ERROR", alert=True)
         layout.operator("manient.check_installation", icon="CHECKMARK")
         layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES").module = ADDON

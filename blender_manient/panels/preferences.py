@@ -6,7 +6,7 @@ import bpy
 
 from .. import cache, preferences, shared_worker
 from ..operators import check_installation, check_mano
-from ..section import sentence
+from ..section import sentence, split
 
 
 class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
@@ -17,9 +17,7 @@ class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
     def draw(self, context):
         """One block per subject."""
         layout = self.layout
-        assert layout is not None
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        split(layout)
         for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits):
             draw(self, layout.column(), context)
 
@@ -59,9 +57,8 @@ def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> 
 def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
     layout.separator()
     layout.prop(self, "cache_folder")
-    size = cache.shown_size()
     row = layout.row()
-    row.label(text="..." if size is None else f"{size / 1e6:.1f} MB in use", icon="BLANK1", translate=False)
+    row.label(text=f"{cache.shown_size() / 1e6:.1f} MB in use", icon="BLANK1", translate=False)
     row.operator("manient.clear_cache", icon="TRASH")
 
 

@@ -7,8 +7,8 @@ import bpy
 from .. import jobs, preferences
 from ..refiner import why_not_refinable
 from ..scene import corrections
+from ..scene.store import active_hand
 from ..section import Section, sentence
-from ..selection import active_hand
 from ..wording import capitalised, counted
 
 
@@ -21,7 +21,6 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
     def draw(self, context):
         """Editing, range and locks."""
         layout, settings = self.layout, context.scene.manient
-        assert layout is not None
         hand = active_hand(context)
         if hand is None:
             sentence(layout, context, "Select a captured hand to correct it", "INFO")
@@ -46,7 +45,6 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
     def _by_points(self, context) -> None:
         """What needs the points that were detected."""
         layout = self.layout
-        assert layout is not None
         if jobs.busy():
             sentence(layout, context, "Wait for the capture to end", "INFO")
         column = layout.column()
@@ -58,7 +56,6 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         layout.operator("manient.refit_range", icon="FILE_REFRESH")
 
     def _locks(self, armature: bpy.types.Object) -> None:
-        assert self.layout is not None
         locked = sum(armature.manient.locked)
         row = self.layout.row(align=True)
         text = f"{counted(locked, 'joint')} locked" if locked else "No joints locked"

@@ -30,7 +30,6 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
     def draw(self, context):
         """One block per hand."""
         layout = self.layout
-        assert layout is not None
         armatures = captured_hands(context.scene)
         if not armatures:
             sentence(layout, context, "No hands captured in this scene yet", "INFO")
@@ -38,7 +37,6 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             self._hand(context, armature)
 
     def _hand(self, context, armature: bpy.types.Object) -> None:
-        assert self.layout is not None
         hand = hand_of(armature)
         if hand is None:
             return

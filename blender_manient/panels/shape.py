@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..scene import reshape
+from ..scene.store import active_hand
 from ..section import Section, sentence
-from ..selection import active_hand
 
 
 class MANIENT_PT_shape(Section, bpy.types.Panel):
@@ -18,7 +18,6 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
     def draw(self, context):
         """Poses."""
         layout, hand = self.layout, active_hand(context)
-        assert layout is not None
         if hand is None:
             sentence(layout, context, "Select a captured hand to shape or pose it", "INFO")
             return
@@ -45,7 +44,6 @@ class MANIENT_PT_proportions(Section, bpy.types.Panel):
     def draw(self, context):
         """The betas whose effect has a name."""
         layout, hand = self.layout, active_hand(context)
-        assert layout is not None
         assert hand is not None
         column = layout.column(align=True)
         for index, name in enumerate(reshape.shape_names_of(hand)):
@@ -72,7 +70,6 @@ class MANIENT_PT_other_proportions(Section, bpy.types.Panel):
     def draw(self, context):
         """The betas that change several things at once, or hardly anything."""
         layout, hand = self.layout, active_hand(context)
-        assert layout is not None
         assert hand is not None
         column = layout.column(align=True)
         for index, name in enumerate(reshape.shape_names_of(hand)):

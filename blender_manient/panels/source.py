@@ -6,7 +6,7 @@ import bpy
 
 from .. import source_info
 from ..operators.use_source import MANIENT_MT_sources
-from ..section import Section, sentence
+from ..section import Section, sentence, split
 
 _KINDS = {
     "photo": ("Photo", "IMAGE_DATA"),
@@ -23,7 +23,6 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
     def draw(self, context):
         """The file, what it is, and which of its frames are used."""
         layout, settings = self.layout, context.scene.manient
-        assert layout is not None
         row = layout.row(align=True)
         row.prop(settings, "source", text="")
         row.menu(MANIENT_MT_sources.bl_idname, text="", icon="DOWNARROW_HLT")
@@ -36,8 +35,7 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         if info.siblings > 1:
             layout.prop(settings, "as_sequence", text=f"Image Sequence ({info.siblings} Pictures)")
         if info.files.kind != "photo":
-            layout.use_property_split = True
-            layout.use_property_decorate = False
+            split(layout)
             heading = layout.column(heading="Frame Range")
             heading.prop(settings, "use_frames", text="")
             column = layout.column(align=True)
@@ -48,7 +46,6 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
 
     def _describe(self, context, info: source_info.SourceInfo) -> None:
         layout = self.layout
-        assert layout is not None
         assert info.files is not None
         kind, icon = _KINDS[info.files.kind]
         row = layout.row()

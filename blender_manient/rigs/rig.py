@@ -30,8 +30,8 @@ class Rig(ABC):
         """Have what goes wrong in a plug-in be a sentence for whoever asks it for bones and poses."""
         for name in {"bones", "rest", "to_bones", "from_bones", "follow"} & vars(cls).keys():
             own: Any = vars(cls)[name]
-            guarded = property(_guarded(own.fget)) if isinstance(own, property) else _guarded(own)
-            setattr(cls, name, guarded)
+            getter = getattr(own, "fget", None)
+            setattr(cls, name, property(_guarded(getter)) if getter is not None else _guarded(own))
 
     def __init__(self, armature: bpy.types.Object, side: Side) -> None:
         self.armature = armature

@@ -7,7 +7,7 @@ side is mirrored about the vertical plane through its camera (x = 0 of the armat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import bpy
@@ -34,18 +34,6 @@ from .store import CapturedHand, hand_of, timing_of
 from .timing import Timing, timing_in
 
 Mode = Literal["ANIMATION", "POSE"]
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Poses about the target's own bones."""
-
-    frames: np.ndarray
-    """(N,) scene frames of the source, increasing"""
-    quats: np.ndarray
-    """(N, 16, 4) w, x, y, z"""
-    locations: np.ndarray
-    """(N, 3) metres, of the wrist"""
 
 
 def apply_track(
@@ -78,19 +66,13 @@ def apply_track(
         wanted = numbers[0] if source_frame is None else source_frame
         rows = rows[[int(np.argmin(np.abs(numbers - wanted)))]]
     timing = _timing(hand, take, own, frame)
-    motion = Motion(timing.scene_frames(take.frame_numbers)[rows], *_of_track(hand, take, track, rows))
-    if wrist is None:
-        wrist = mode == "ANIMATION" or own
-    return _apply(hand, motion, mode, frame, wrist)
+    frames = np.array([frame]) if mode == "POSE" else timing.scene_frames(take.frame_numbers)[rows]
+    keys = PoseKeys.everywhere(frames, *_of_track(hand, take, track, rows))
+    return _apply(hand, keys, mode, mode == "ANIMATION" or own if wrist is None else wrist)
 
 
 def apply_hand(
-    obj: bpy.types.Object,
-    source: bpy.types.Object,
-    mode: Mode,
-    frame: float,
-    *,
-    wrist: bool = True,
+    obj: bpy.types.Object, source: bpy.types.Object, mode: Mode, frame: float, *, wrist: bool = True
 ) -> int:
     """The same from another captured hand of the scene, as the artist left it: its keys, on its frames
     (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as `apply_track`."""
@@ -101,15 +83,13 @@ def apply_hand(
         )
     if mode == "POSE":
         frames = np.array([frame])
-        quats, locations = pose_at(other.rig, frames)
-        motion = Motion(frames, *_of_bones(hand, other, quats, locations))
-        return _apply(hand, motion, mode, frame, wrist)
-    keys = read_pose_keys(other.rig)
-    if len(keys.frames) == 0:
-        raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
-    motion = Motion(keys.frames, *_of_bones(hand, other, keys.quats, keys.locations))
-    # Each bone gets its own keys, not one on every frame on which any other bone has one.
-    return _apply(hand, motion, mode, frame, wrist, keyed=keys)
+        keys = PoseKeys.everywhere(frames, *pose_at(other.rig, frames))
+    else:
+        # Each bone gets its own keys, not one on every frame on which any other bone has one.
+        keys = read_pose_keys(other.rig)
+        if len(keys.frames) == 0:
+            raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
+    return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)
 
 
 def track_for(take: Take, side: str) -> HandTrack:
@@ -141,7 +121,6 @@ def _timing(hand: CapturedHand, take: Take, own: bool, frame: float) -> Timing:
     if own:
         return timing_of(hand.collection)
     scene = bpy.context.scene
-    assert scene is not None
     scale = timing_in(scene, take).scale
     return Timing(frame - scale * float(take.frame_numbers[0]), scale)
 
@@ -171,36 +150,18 @@ def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarra
         return kept_model(hand.take.model, track.side).shaped(track.betas).joints[0]
 
 
-def _of_bones(
-    hand: CapturedHand, other: CapturedHand, quats: np.ndarray, locations: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Another rig's pose about the target's bones."""
-    source, target = other.rig.rest, hand.rig.rest
-    return source.turned_to(target, quats), source.moved_to(target, locations)
-
-
-def _apply(
-    hand: CapturedHand,
-    motion: Motion,
-    mode: Mode,
-    frame: float,
-    wrist: bool,
-    keyed: PoseKeys | None = None,
-) -> int:
-    frames = np.array([frame]) if mode == "POSE" else motion.frames
-    keys = PoseKeys.everywhere(frames, motion.quats, motion.locations)
-    if keyed is not None:
-        keys = replace(keys, rotation_keyed=keyed.rotation_keyed, location_keyed=keyed.location_keyed)
+def _apply(hand: CapturedHand, keys: PoseKeys, mode: Mode, wrist: bool) -> int:
+    """Write keys about the target's own bones. Returns how many frames they have."""
     joints: Sequence[int] = range(NUM_JOINTS)
     if not wrist:
         joints = range(1, NUM_JOINTS)
         keys = replace(
             keys,
             rotation_keyed=keys.rotation_keyed & (np.arange(NUM_JOINTS) > 0),
-            location_keyed=np.zeros(len(frames), dtype=bool),
+            location_keyed=np.zeros(len(keys.frames), dtype=bool),
         )
     rig = hand.rig
-    first, last = float(frames[0]), float(frames[-1])
+    first, last = float(keys.frames[0]), float(keys.frames[-1])
     check_unlocked(rig, joints=list(joints), location=wrist)
     end_corrections(
         hand.armature,
@@ -213,4 +174,4 @@ def _apply(
         remove_pose_keys(rig, first, last, joints=list(joints), location=wrist)
     write_pose_keys(rig, keys)
     align_signs(rig)
-    return len(frames)
+    return len(keys.frames)

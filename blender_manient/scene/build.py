@@ -27,12 +27,11 @@ from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, named_after, shortened_name
 from .animation import CURVES, animating, computing_keys, describe
 from .camera import build_camera, frame_scene, put_before, show_behind
-from .correctives import adding_correctives
 from .matching import Footage, note_matched
-from .mesh import build_mesh
+from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
-from .store import describe_capture, describe_hand, keep_packed, kept_here, packing_take
+from .store import describe_capture, describe_hand, keeping_take
 from .timing import Timing, check_range, set_timing, timing_in
 
 _T = TypeVar("_T")
@@ -106,37 +105,33 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     """
     made: list[bpy.types.ID] = []
     finished = False
-    steps = None
+    watch = Watch()
     try:
-        with _Watch() as watch:
-            open_scene = _checked_scene(how.scene)
-            steps = _steps(made, take, open_scene, how)
-            done = 0.0
-            while True:
-                is_over = slice_clock()
-                while not is_over():
-                    step = next(steps)
-                    if step is None:
-                        break
-                    done = step
-                yield done
-                if watch.changed:
-                    raise BuildInterrupted("the scene was undone or replaced while hands were being built")
+        steps = _steps(made, take, _checked_scene(how.scene), how)
+        done = 0.0
+        while True:
+            is_over = slice_clock()
+            while not is_over():
+                step = next(steps)
+                if step is None:
+                    break
+                done = step
+            yield done
+            if watch.changed:
+                raise BuildInterrupted("the scene was undone or replaced while hands were being built")
     except StopIteration as stop:
         finished = True
         return stop.value
     except ReferenceError as error:
         raise BuildInterrupted(f"something was deleted while hands were being built ({error})") from error
     finally:
+        watch.leave()
         if not finished:
             _remove(made)
 
 
 def _steps(
-    made: list[bpy.types.ID],
-    take: Take,
-    scene: bpy.types.Scene,
-    how: BuildOptions,
+    made: list[bpy.types.ID], take: Take, scene: bpy.types.Scene, how: BuildOptions
 ) -> Generator[float | None, None, BuiltTake]:
     """The work in small steps. Yields how much is done, or None where the slice should end: what follows
     is one long step. Every data-block goes into `made`."""
@@ -204,8 +199,6 @@ def _steps(
         mesh = keep(build_mesh(f"{armature.name} mesh", model_of_side, shaped, rig))
         keep(mesh.data)
         made.extend(mesh.data.materials)
-        mesh.parent = armature
-        mesh.modifiers.new("Armature", "ARMATURE").object = armature
         yield work.done(1)
         if work.has_correctives(track):
             offsets = axes.corrective_offsets(model_of_side, rest.frames)
@@ -221,11 +214,8 @@ def _steps(
         assert action is not None
         hands.append(BuiltHand(track.side, armature, mesh, action))
 
-    if kept_here():
-        packed = yield from work.counting(packing_take(take, how.data))
-        yield None
-        keep_packed(collection, take, packed)  # a copy of up to 20 MB
-        yield None
+    yield from work.counting(keeping_take(collection, take, how.data))
+    yield None
 
     # From here on the artist sees it.
     describe_capture(collection, camera, timing)
@@ -279,8 +269,8 @@ class _Work:
         return min(1.0, self._done / self._all)
 
 
-class _Watch:
-    """Notices an undo, a redo and another file."""
+class Watch:
+    """Notices an undo, a redo and another file, until `leave`."""
 
     def __init__(self) -> None:
         self.changed = False
@@ -292,13 +282,11 @@ class _Watch:
         self._notice = notice
         handlers = bpy.app.handlers
         self._lists = (handlers.undo_post, handlers.redo_post, handlers.load_post)
+        for each in self._lists:
+            each.append(notice)
 
-    def __enter__(self) -> _Watch:
-        for handlers in self._lists:
-            handlers.append(self._notice)
-        return self
-
-    def __exit__(self, *_error: object) -> None:
+    def leave(self) -> None:
+        """Notice nothing more. May be called twice."""
         for handlers in self._lists:
             if self._notice in handlers:
                 handlers.remove(self._notice)

@@ -56,7 +56,6 @@ def clean_rig(
     ends the copy is gone.
     """
     scene = bpy.context.scene
-    assert scene is not None
     turned = np.eye(4)
     if turn is not None:
         turned[:3, :3] = turn

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from functools import lru_cache
 from typing import Final
 
 import bpy
@@ -31,13 +32,8 @@ UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
 _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
 """sRGB of GOOD, FAIR and POOR"""
 
-_KEPT: Final = 32
-"""Hands whose errors are remembered"""
 
-_errors: dict[tuple[str, int], np.ndarray] = {}
-"""(digest of the take, hand's index) -> `bone_errors`"""
-
-
+@lru_cache(maxsize=8)  # takes are kept as they are read, and every frame asks
 def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
     """(T, 16) mean distance of each bone's ends from their detected keypoints, over the hand's length in the
     picture; NaN in frames where the hand was not detected. A finger's bone has two ends, the wrist's six."""
@@ -61,26 +57,23 @@ def colors_of(errors: np.ndarray, levels: tuple[float, float, float] = (GOOD, FA
     return colors
 
 
-def shown_changed(obj: bpy.types.Object) -> None:
+def shown_changed(group: bpy.types.PropertyGroup) -> None:
     """Colour a captured hand's bones, or give them their own colours back: `Object.manient.show_confidence`
     has changed."""
+    obj = group.id_data
+    assert isinstance(obj, bpy.types.Object)
     hand = hand_of(obj)
     if obj.manient.show_confidence and hand is not None:
         _keep_colors(hand)
-        _color(hand, _scene().frame_current_final)
+        _color(hand, bpy.context.scene.frame_current_final)
     else:
         _give_colors_back(obj)
     _follow()
 
 
 def _color(hand: CapturedHand, frame: float) -> None:
-    row = _row_at(hand, frame)
-    key = (hand.collection.manient.digest, hand.index)
-    if key not in _errors:
-        if len(_errors) >= _KEPT:
-            _errors.clear()  # most are of takes that were corrected since
-        _errors[key] = bone_errors(hand.take, hand.track)
-    errors = np.full(NUM_JOINTS, np.nan) if row is None else _errors[key][row]
+    row = int(rows_at(hand.collection, hand.take, np.array([frame]))[0])
+    errors = np.full(NUM_JOINTS, np.nan) if row < 0 else bone_errors(hand.take, hand.track)[row]
     bones = hand.armature.pose.bones
     for name, color in zip(hand.rig.bones, colors_of(errors), strict=True):
         bone = bones.get(name)
@@ -94,12 +87,6 @@ def _color(hand: CapturedHand, frame: float) -> None:
             custom.normal = color
             custom.select = np.minimum(color + 0.25, 1.0)
             custom.active = np.minimum(color + 0.4, 1.0)
-
-
-def _row_at(hand: CapturedHand, frame: float) -> int | None:
-    """The take's row that is shown at a scene frame; None between rows."""
-    row = int(rows_at(hand.collection, hand.take, np.array([frame]))[0])
-    return row if row >= 0 else None
 
 
 def _keep_colors(hand: CapturedHand) -> None:
@@ -168,12 +155,6 @@ def _follow() -> None:
         handlers.remove(_on_frame)
 
 
-def _scene() -> bpy.types.Scene:
-    scene = bpy.context.scene
-    assert scene is not None
-    return scene
-
-
 def _ends_of_bones() -> tuple[list[int], ...]:
     """Per bone the keypoints at its ends, in MANO's joint order."""
     keypoint = {source: k for k, source in enumerate(KEYPOINT_SOURCE)}
@@ -184,26 +165,15 @@ def _ends_of_bones() -> tuple[list[int], ...]:
 
 _ENDS: Final = _ends_of_bones()
 
-_LASTING: Final = ("load_post", "undo_post", "redo_post")
-
-
-def register() -> None:
-    """Watch for files and undo steps in which hands show their colours."""
-    for name in _LASTING:
-        getattr(bpy.app.handlers, name).append(_on_change)
-    # The add-on may be switched on again in a file that shows some; at start-up there is no file yet.
-    if hasattr(bpy.data, "scenes"):
-        _follow()
+HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post"), _on_change)
+FOLLOWS: Final = {"confidence": shown_changed}
 
 
 def unregister() -> None:
-    """Stop watching, and give all bones their colours back."""
+    """Give all bones their colours back."""
     for scene in getattr(bpy.data, "scenes", ()):
         for armature in _shown(scene):
             armature.manient.show_confidence = False
-    for name in (*_LASTING, "frame_change_pre"):
-        handlers = getattr(bpy.app.handlers, name)
-        for own in (_on_change, _on_frame):
-            if own in handlers:
-                handlers.remove(own)
-    _errors.clear()
+    if _on_frame in bpy.app.handlers.frame_change_pre:
+        bpy.app.handlers.frame_change_pre.remove(_on_frame)
+    bone_errors.cache_clear()

@@ -312,8 +312,7 @@ def end_corrections(
     except TakeError:
         return
     change_field(
-        armature,
-        field.keyed_anew(frames, whole=whole, joints=joints, location=location, keep_pins=keep_pins),
+        armature, field.keyed_anew(frames, whole=whole, joints=joints, location=location, keep_pins=keep_pins)
     )
 
 

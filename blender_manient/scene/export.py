@@ -32,7 +32,7 @@ from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
 from ..exporters import EXPORTERS, PRESETS, find_exporter
-from ..exporters.exporter import Exporter, HandObjects, Preset, open_scene
+from ..exporters.exporter import Exporter, HandObjects, Preset
 from ..plugins import failed
 from .build import BuiltTake
 from .camera import frame_scene
@@ -78,8 +78,8 @@ class Stage:
     def of_take(cls, take: Take) -> Stage:
         """What a scene gets that is matched to the take; the unit of length and how colours are shown are the
         open scene's."""
-        metres_per_unit = open_scene().unit_settings.scale_length
-        view_transform = open_scene().view_settings.view_transform
+        metres_per_unit = bpy.context.scene.unit_settings.scale_length
+        view_transform = bpy.context.scene.view_settings.view_transform
         with own_scene("take") as scene:
             scene.unit_settings.scale_length = metres_per_unit
             scene.view_settings.view_transform = view_transform

@@ -12,8 +12,7 @@ been changed then.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -22,6 +21,7 @@ from mathutils import Euler, Quaternion
 
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import unflip_quats
+from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import NUM_JOINTS
 
 from ..blender_versions import action_slot, assign_action, channels
@@ -62,14 +62,15 @@ class PoseKeys:
             np.full(count, locations is not None),
         )
 
+    def turned(self, old: RestPose, new: RestPose, plane: float = 0.0) -> PoseKeys:
+        """The same keys about bones that lie otherwise at rest; for a hand of the other side mirrored at
+        `plane` (see `RestPose.moved_to`)."""
+        return replace(
+            self, quats=old.turned_to(new, self.quats), locations=old.moved_to(new, self.locations, plane)
+        )
 
-def read_pose_keys(
-    rig: Rig,
-    first: float = -np.inf,
-    last: float = np.inf,
-    *,
-    holder: Any = None,
-) -> PoseKeys:
+
+def read_pose_keys(rig: Rig, first: float = -np.inf, last: float = np.inf, *, holder: Any = None) -> PoseKeys:
     """All keys of the hand's 16 bones from frame `first` to `last`, both included."""
     curves = _Curves(rig.armature, holder)
     names = _bones(rig)
@@ -93,7 +94,7 @@ def pose_at(rig: Rig, frames: np.ndarray, *, holder: Any = None) -> tuple[np.nda
     names = _bones(rig)
     for joint, name in enumerate(names):
         bone = rig.armature.pose.bones[name]
-        values = _values_at(curves.rotation(name), _present_rotation(bone), frames)
+        values = _values_at(curves.rotation(name), getattr(bone, _rotation_path(bone)), frames)
         quats[:, joint] = _to_quats(values, bone.rotation_mode)
     locations = _values_at(curves.location(names[0]), rig.armature.pose.bones[names[0]].location, frames)
     return unflip_quats(quats), locations
@@ -109,8 +110,8 @@ def write_pose_keys(rig: Rig, keys: PoseKeys, *, holder: Any = None) -> None:
     names = _bones(rig)
     if holder is None:
         own_action(rig.armature)
-        chosen = [bool(keys.rotation_keyed[:, joint].any()) for joint in range(NUM_JOINTS)]
-        _check_unlocked(rig.armature, names, chosen, bool(keys.location_keyed.any()))
+        chosen = np.flatnonzero(keys.rotation_keyed.any(axis=0)).tolist()
+        check_unlocked(rig, joints=chosen, location=bool(keys.location_keyed.any()))
     curves = _Curves(rig.armature, holder, make=True)
     for joint, name in enumerate(names):
         chosen = keys.rotation_keyed[:, joint]
@@ -131,12 +132,7 @@ def write_pose_keys(rig: Rig, keys: PoseKeys, *, holder: Any = None) -> None:
 
 
 def remove_pose_keys(
-    rig: Rig,
-    first: float,
-    last: float,
-    *,
-    joints: list[int] | None = None,
-    location: bool = True,
+    rig: Rig, first: float, last: float, *, joints: list[int] | None = None, location: bool = True
 ) -> None:
     """Take away the rotation keys of `joints` (None: all 16), and the wrist's location keys, from frame
     `first` to `last`, both included."""
@@ -147,9 +143,7 @@ def remove_pose_keys(
     found = [c for j in (range(NUM_JOINTS) if joints is None else joints) for c in curves.rotation(names[j])]
     if location:
         found += curves.location(names[0])
-    for curve in found:
-        if curve is None:
-            continue
+    for curve in filter(None, found):
         data = _read(curve, _EVERYTHING)
         keep = (data["co"][:, 0] < first - SAME_FRAME) | (data["co"][:, 0] > last + SAME_FRAME)
         if not keep.all():
@@ -223,22 +217,15 @@ def displayed_pose(rig: Rig) -> np.ndarray:
 def check_unlocked(rig: Rig, *, joints: list[int] | None = None, location: bool = True) -> None:
     """Raises OptionError where a channel of these joints (None: all 16), or of the wrist's location, is
     locked."""
-    chosen = [joints is None or j in joints for j in range(NUM_JOINTS)]
-    _check_unlocked(rig.armature, _bones(rig), chosen, location)
-
-
-def _check_unlocked(
-    armature: bpy.types.Object, names: Sequence[str], chosen: list[bool], location: bool
-) -> None:
-    curves = _Curves(armature)
-    asked = [(name, curves.rotation(name)) for name, on in zip(names, chosen, strict=True) if on]
+    curves, names = _Curves(rig.armature), _bones(rig)
+    asked = [(name, curves.rotation(name)) for j, name in enumerate(names) if joints is None or j in joints]
     if location:
         asked.append((names[0], curves.location(names[0])))
     for name, parts in asked:
         for curve in parts:
             if curve is not None and (curve.lock or (curve.group is not None and curve.group.lock)):
                 raise OptionError(
-                    f"the animation channels of the bone {name} of {armature.name!r} are locked: unlock "
+                    f"the animation channels of the bone {name} of {rig.armature.name!r} are locked: unlock "
                     "them in the Dope Sheet or the Graph Editor"
                 )
 
@@ -315,12 +302,8 @@ class _Curves:
 
     def rotation(self, bone: str, *, make: bool = False) -> list[Any]:
         """The 3 or 4 curves of a bone's rotation in its own mode; None for those it lacks."""
-        mode = self._armature.pose.bones[bone].rotation_mode
-        path, count = {
-            "QUATERNION": ("rotation_quaternion", 4),
-            "AXIS_ANGLE": ("rotation_axis_angle", 4),
-        }.get(mode, ("rotation_euler", 3))
-        return self._parts(bone, path, count, make)
+        path = _rotation_path(self._armature.pose.bones[bone])
+        return self._parts(bone, path, 3 if path == "rotation_euler" else 4, make)
 
     def location(self, bone: str, *, make: bool = False) -> list[Any]:
         """The three curves of a bone's location; None for those it lacks."""
@@ -384,10 +367,10 @@ def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray
     return values
 
 
-def _present_rotation(bone: bpy.types.PoseBone) -> Any:
-    if bone.rotation_mode == "QUATERNION":
-        return bone.rotation_quaternion
-    return bone.rotation_axis_angle if bone.rotation_mode == "AXIS_ANGLE" else bone.rotation_euler
+def _rotation_path(bone: bpy.types.PoseBone) -> str:
+    """The name of the property that holds a bone's rotation in its own mode."""
+    other = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+    return other.get(bone.rotation_mode, "rotation_euler")
 
 
 def _to_quats(values: np.ndarray, mode: str) -> np.ndarray:
@@ -410,7 +393,7 @@ def _from_quats(
     before = co[co[:, 0] < frames[0] - SAME_FRAME, 0]
     if len(before):
         earlier = float(before[-1])
-    start = _values_at(parts, _present_rotation(bone), np.array([earlier]))
+    start = _values_at(parts, getattr(bone, _rotation_path(bone)), np.array([earlier]))
     if bone.rotation_mode == "QUATERNION":
         return unflip_quats(np.concatenate([start, quats]))[1:].T
     if bone.rotation_mode == "AXIS_ANGLE":
@@ -501,12 +484,9 @@ def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarra
         if len(data[name]) and name in ("interpolation", "easing", *_AMOUNTS):
             new[name] = data[name][before]
         elif name in plain:
-            new[name] = np.full(len(frames), _number(name, plain[name]))
+            kinds = bpy.types.Keyframe.bl_rna.properties[name].enum_items
+            new[name] = np.full(len(frames), kinds[plain[name]].value)
         else:
             new[name] = np.zeros(len(frames))
     order = np.argsort(np.concatenate([data["co"][:, 0], frames]), kind="stable")
     return {name: np.concatenate([data[name], new[name].astype(data[name].dtype)])[order] for name in data}
-
-
-def _number(attribute: str, value: str) -> int:
-    return bpy.types.Keyframe.bl_rna.properties[attribute].enum_items[value].value

@@ -16,8 +16,8 @@ import bpy
 from handfit_core.take import Take
 
 from ..blender_versions import has_strips
-from .start_up import is_untouched
 from .store import kept_here
+from .surroundings import is_untouched
 from .timing import frame_rate, nearest_rate
 
 Choice = Literal["AUTO", "MATCH", "KEEP"]

@@ -1,24 +1,58 @@
-"""The hand's mesh: faces, texture coordinates, vertex groups and skin."""
+"""The hand's mesh: faces, texture coordinates and vertex groups; shape keys that fill out bent
+joints, for models with pose blend shapes (MANO); skin and nails as plain materials that look
+like a hand in EEVEE, Cycles and Solid shading."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
 
 import bpy
 import numpy as np
 
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.nails import nail_polygons
+from handfit_core.skeleton import NUM_JOINTS
 
+from ..blender_versions import use_nodes
 from ..rigs.rig import Rig
-from .materials import hand_materials
 
 _LEAST_WEIGHT = 1e-6
 """Weights below this move nothing visibly; they would only make every export larger"""
+_SKIN = {
+    "Base Color": (0.54, 0.28, 0.185, 1.0),
+    "Roughness": 0.48,
+    "Subsurface Weight": 0.1,
+    "Subsurface Radius": (1.0, 0.35, 0.2),
+    "Subsurface Scale": 0.004,
+    "Specular IOR Level": 0.4,
+}
+_NAILS = {
+    "Base Color": (0.58, 0.335, 0.26, 1.0),
+    "Roughness": 0.22,
+    "Subsurface Weight": 0.1,
+    "Subsurface Radius": (1.0, 0.45, 0.35),
+    "Subsurface Scale": 0.002,
+}
+_LEAST_OFFSET = 1e-6
+"""metres. A key that moves no vertex by more, at a full turn, is left out"""
+
+CORRECTIVE_ELEMENTS = (
+    ((-1, "2*(y*y+z*z)"), (1, "2*(x*y-w*z)"), (1, "2*(x*z+w*y)")),
+    ((1, "2*(x*y+w*z)"), (-1, "2*(x*x+z*z)"), (-1, "2*(w*x-y*z)")),
+    ((1, "2*(x*z-w*y)"), (1, "2*(y*z+w*x)"), (-1, "2*(x*x+y*y)")),
+)
+"""R - I of a unit quaternion (w, x, y, z) as sign times expression, element by element.
+
+The signs make every value that bending towards the palm gives positive, because some programs clamp
+shape keys to 0..1. Blender calls these simple expressions: it evaluates them itself, so they work
+with scripts disabled."""
 
 
 def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy.types.Object:
-    """A smooth-shaded mesh object of the shaped hand in rest space, with a vertex group per bone of the rig.
+    """A smooth-shaded mesh object of the shaped hand that hangs on the rig, with a vertex group per bone.
 
-    It is not linked to any collection and has no modifier yet.
+    It is not linked to any collection.
     """
     mesh = bpy.data.meshes.new(name)
     polygons = model.polygons
@@ -36,6 +70,8 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy
         group = obj.vertex_groups.new(name=bone)
         for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
             group.add([vertex], float(weights[vertex]), "REPLACE")
+    obj.parent = rig.armature
+    obj.modifiers.new("Armature", "ARMATURE").object = rig.armature
     return obj
 
 
@@ -64,3 +100,66 @@ def _palm_and_back(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 def _set_uvs(mesh: bpy.types.Mesh, uv: np.ndarray, uv_faces: np.ndarray) -> None:
     layer = mesh.uv_layers.new(name="UVMap")
     layer.data.foreach_set("uv", uv[uv_faces].astype(np.float32).ravel())
+
+
+def hand_materials(nails: bool) -> list[bpy.types.Material]:
+    """New materials, skin first; the artist's own of these names are left alone."""
+    skin = _material("Hand Skin", _SKIN, (0.80, 0.56, 0.45, 1.0))
+    return [skin, _material("Hand Nails", _NAILS, (0.87, 0.66, 0.58, 1.0))] if nails else [skin]
+
+
+def _material(
+    name: str, inputs: dict[str, Any], in_solid: tuple[float, float, float, float]
+) -> bpy.types.Material:
+    material = bpy.data.materials.new(name)
+    material.diffuse_color = in_solid
+    shader = next(n for n in use_nodes(material).nodes if n.type == "BSDF_PRINCIPLED")
+    for name_of_socket, value in inputs.items():
+        socket = shader.inputs.get(name_of_socket)
+        if socket is not None:  # their names have changed between Blenders before
+            socket.default_value = value
+    return material
+
+
+def adding_correctives(mesh: bpy.types.Object, rig: Rig, offsets: np.ndarray) -> Iterator[int]:
+    """Give the mesh up to 135 shape keys, each driven by one element of one bone's rotation.
+
+    With them the evaluated mesh is exactly the model's (`HandModel.posed`), under any pose that is set on the
+    bones. `offsets`: `axes.corrective_offsets` (15, 3, 3, V, 3). Yields how many keys each step made: 1, or 0
+    for a joint's elements that are left out.
+    """
+    names = rig.bones
+    basis = np.empty((len(mesh.data.vertices), 3), dtype=np.float32)
+    mesh.data.vertices.foreach_get("co", basis.ravel())
+    mesh.shape_key_add(name="Basis", from_mix=False)
+    for joint in range(1, NUM_JOINTS):
+        for row in range(3):
+            for column in range(3):
+                offset = offsets[joint - 1, row, column]
+                if np.abs(offset).max() < _LEAST_OFFSET:
+                    continue
+                key = mesh.shape_key_add(name=f"{names[joint]} {row}{column}", from_mix=False)
+                sign, expression = CORRECTIVE_ELEMENTS[row][column]
+                key.data.foreach_set("co", (basis + sign * offset).astype(np.float32).ravel())
+                key.slider_min, key.slider_max = -1.0, 2.0
+                _drive(key, expression, rig.armature, names[joint])
+                yield 1
+        yield 0
+
+
+def _drive(key: bpy.types.ShapeKey, expression: str, armature: bpy.types.Object, bone: str) -> None:
+    driver = key.driver_add("value").driver
+    driver.type = "SCRIPTED"
+    for name in "wxyz":
+        if name not in expression:
+            continue
+        variable = driver.variables.new()
+        variable.name = name
+        variable.type = "TRANSFORMS"
+        target = variable.targets[0]
+        target.id = armature
+        target.bone_target = bone
+        target.transform_type = f"ROT_{name.upper()}"
+        target.rotation_mode = "QUATERNION"
+        target.transform_space = "LOCAL_SPACE"
+    driver.expression = expression

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.hand_model import HandModel
+from handfit_core.hand_model import HandModel, axes
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.hand_model.kept import kept_model
@@ -20,9 +20,8 @@ from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig
 from ..wording import named_after
 from .animation import describe
-from .correctives import add_correctives
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
-from .mesh import build_mesh
+from .mesh import adding_correctives, build_mesh
 from .store import CapturedHand, describe_hand, keep_take
 
 _GAP = 0.01
@@ -65,12 +64,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     set_pose(rig, old.turned_to(new, present), old.moved_to(new, present_place, plane))
     holder = _mirrored_action(own, rig)
     if holder is not None and len(keys.frames):
-        mirrored = replace(
-            keys,
-            quats=old.turned_to(new, keys.quats),
-            locations=old.moved_to(new, keys.locations, plane),
-        )
-        write_pose_keys(rig, mirrored, holder=holder)
+        write_pose_keys(rig, keys.turned(old, new, plane), holder=holder)
     _keep(hand, armature, model, betas, plane)
     return armature
 
@@ -100,8 +94,6 @@ def _add_mesh(source: bpy.types.Object, rig: Rig, model: HandModel, betas: np.nd
     mesh = build_mesh(f"{armature.name} mesh", model, model.shaped(betas), rig)
     for collection in armature.users_collection:
         collection.objects.link(mesh)
-    mesh.parent = armature
-    mesh.modifiers.new("Armature", "ARMATURE").object = armature
     # The artist's own materials, on both hands.
     own = list(mesh.data.materials)
     mesh.data.materials.clear()
@@ -109,7 +101,8 @@ def _add_mesh(source: bpy.types.Object, rig: Rig, model: HandModel, betas: np.nd
         mesh.data.materials.append(material)
     bpy.data.batch_remove([m for m in own if m is not None])
     if source.data.shape_keys is not None and model.has_pose_blendshapes:
-        add_correctives(mesh, rig, model)
+        for _ in adding_correctives(mesh, rig, axes.corrective_offsets(model, rig.rest.frames)):
+            pass
 
 
 def _mirrored_action(source: Rig, rig: Rig) -> Any:

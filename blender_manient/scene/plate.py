@@ -173,12 +173,10 @@ def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
     if smaller < 1.0:
         width, height = max(1, int(width * smaller)), max(1, int(height * smaller))
         image.scale(width, height)
-    pixels = np.empty(width * height * 4, dtype=np.float32)
-    image.pixels.foreach_get(pixels)
+    rows = rows_of(image)
     image.buffers_free()
-    # Blender's first row is the bottom one.
-    turned = np.ascontiguousarray(upright(pixels.reshape(height, width, 4)[::-1], orientation)[::-1])
-    del pixels  # as `turned` up to a quarter of a gigabyte, which Blender needs for its copy and for packing
+    turned = np.ascontiguousarray(upright(rows, orientation)[::-1])
+    del rows  # as `turned` up to a quarter of a gigabyte, which Blender needs for its copy and for packing
     copy = bpy.data.images.new(f"{image.name} upright", turned.shape[1], turned.shape[0], alpha=False)
     copy.colorspace_settings.name = image.colorspace_settings.name
     copy.pixels.foreach_set(turned.ravel())
@@ -186,6 +184,14 @@ def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
     copy.update()
     copy.pack()
     return copy
+
+
+def rows_of(image: bpy.types.Image) -> np.ndarray:
+    """(H, W, 4) an image's own values, the first row on top; Blender's first row is the bottom one."""
+    width, height = image.size
+    pixels = np.empty(width * height * 4, dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, 4)[::-1]
 
 
 def missing_picture(camera: bpy.types.Object | None) -> str:

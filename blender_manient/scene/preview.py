@@ -25,7 +25,7 @@ from ..blender_versions import use_nodes
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import own_scene
-from .plate import Plate, load_plate
+from .plate import Plate, load_plate, rows_of
 from .proof import is_whole_png, prove_whole
 from .render_setup import SUNS, picture_card, sun
 
@@ -149,7 +149,7 @@ def write_png(rows: np.ndarray, path: Path) -> Path:
             except RuntimeError as error:
                 check_room(beside, 1 << 16)
                 reason = " ".join(str(error).split())
-                raise OutputError(f"{path}: Blender could not write the preview ({reason})") from error
+                raise OutputError(f"{path}: Blender could not write the picture ({reason})") from error
             prove_whole(path, beside, is_whole_png)
     finally:
         bpy.data.images.remove(image)
@@ -232,12 +232,9 @@ def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:
             # The bytes as they are: no colour space, no premultiplied alpha.
             image.colorspace_settings.name = "Non-Color"
             image.alpha_mode = "CHANNEL_PACKED"
-            width, height = image.size
-            pixels = np.empty(width * height * 4, dtype=np.float32)
-            image.pixels.foreach_get(pixels)
+            return rows_of(image)
         finally:
             bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[::-1]
 
 
 def _remove_with_data(*objects: bpy.types.Object) -> None:

@@ -20,8 +20,8 @@ from handfit_core.take import Take
 from ..blender_versions import use_nodes
 from .camera import put_before
 from .plate import Plate
-from .start_up import is_untouched
 from .store import kept_here
+from .surroundings import is_untouched
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
 """Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
@@ -172,12 +172,9 @@ def _on_update(scene: bpy.types.Scene, *_args) -> None:
         _seen[scene.session_uid] = state()
 
 
-def register() -> None:
-    """Watch the scene's camera."""
-    bpy.app.handlers.depsgraph_update_post.append(_on_update)
+HANDLERS = {"depsgraph_update_post": _on_update}
 
 
 def unregister() -> None:
-    """Watch no more."""
-    bpy.app.handlers.depsgraph_update_post.remove(_on_update)
+    """Forget what scenes were."""
     _seen.clear()

@@ -17,6 +17,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -34,10 +35,10 @@ from handfit_core.skeleton import NUM_BETAS
 
 from ..blender_versions import action_slot, channels
 from ..rigs.rig import Rig
-from . import correctives
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
+from .mesh import CORRECTIVE_ELEMENTS
 from .own_scene import object_mode
 from .store import CapturedHand, hand_of
 
@@ -194,28 +195,19 @@ def _after_time_travel(*_: Any) -> None:
 
 def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     """New rest bones, and every key and the present pose about the new axes."""
-    kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in _holders(rig.armature)]
+    holders = filter(None, [channels(action, slot) for action, slot in _used(rig.armature)])
+    kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in holders]
     quats, locations = pose_at(rig, np.zeros(1), holder=_NOTHING)
     old = rig.rest
     rig.follow(shaped)
     new = rig.rest
     for holder, keys in kept:
-        changed = replace(
-            keys,
-            quats=old.turned_to(new, keys.quats),
-            locations=old.moved_to(new, keys.locations),
-        )
-        write_pose_keys(rig, changed, holder=holder)
+        write_pose_keys(rig, keys.turned(old, new), holder=holder)
     set_pose(rig, old.turned_to(new, quats)[0], old.moved_to(new, locations)[0])
 
 
-class _Nothing:
-    """An action's channels without any: what the bones say beside their keys."""
-
-    fcurves: tuple[()] = ()
-
-
-_NOTHING = _Nothing()
+_NOTHING = SimpleNamespace(fcurves=())
+"""An action's channels without any: what the bones say beside their keys"""
 
 
 def _used(armature: bpy.types.Object) -> list[tuple[Any, Any]]:
@@ -230,12 +222,6 @@ def _used(armature: bpy.types.Object) -> list[tuple[Any, Any]]:
         if action is not None and action.is_editable:
             found[action, slot.handle if slot is not None else 0] = (action, slot)
     return list(found.values())
-
-
-def _holders(armature: bpy.types.Object) -> list[Any]:
-    """The channels of all these actions."""
-    holders = [channels(action, slot) for action, slot in _used(armature)]
-    return [holder for holder in holders if holder is not None]
 
 
 def _turn_corrections(
@@ -298,7 +284,7 @@ def _by_key_name(offsets: np.ndarray, rig: Rig) -> dict[str, np.ndarray]:
     """(15, 3, 3, V, 3) offsets -> those of each corrective shape key, with its sign."""
     names = rig.bones[1:]
     return {
-        f"{names[joint]} {row}{column}": correctives._ELEMENTS[row][column][0] * offsets[joint, row, column]
+        f"{names[joint]} {row}{column}": CORRECTIVE_ELEMENTS[row][column][0] * offsets[joint, row, column]
         for joint in range(len(names))
         for row in range(3)
         for column in range(3)
@@ -311,19 +297,12 @@ def _move(points: Any, moved: np.ndarray) -> None:
     points.foreach_set("co", (co + moved).astype(np.float32).ravel())
 
 
-_HANDLERS = (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post, bpy.app.handlers.load_post)
-
-
-def register() -> None:
-    """Watch undo, redo and loading."""
-    for handlers in _HANDLERS:
-        handlers.append(_after_time_travel)
+HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _after_time_travel)
+FOLLOWS = {"shape": lambda group: shape_changed(group.id_data)}
 
 
 def unregister() -> None:
-    """Stop watching, and forget what waits."""
-    for handlers in _HANDLERS:
-        handlers.remove(_after_time_travel)
+    """Forget what waits."""
     if bpy.app.timers.is_registered(_catch_up):
         bpy.app.timers.unregister(_catch_up)
     _waiting.clear()

@@ -37,7 +37,6 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
     """
     take, collection = hands[0].take, hands[0].collection
     scene = bpy.context.scene
-    assert scene is not None
     metres = scene.unit_settings.scale_length
     frames = scene_frames(collection, take)
     camera = hands[0].camera
@@ -112,7 +111,6 @@ def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray) -> np.nd
     if camera is None:
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4))
     scene = bpy.context.scene
-    assert scene is not None
     found = []
     for frame in frames:
         whole = int(np.floor(frame))

@@ -43,7 +43,6 @@ def sample(armature: bpy.types.Object, frames: Iterable[float]) -> Sampled:
     `own_scene.shown_in_pose`.
     """
     scene = bpy.context.scene
-    assert scene is not None
     bones = list(armature.data.bones)  # parents before children
     names = tuple(bone.name for bone in bones)
     parents = tuple(names.index(bone.parent.name) if bone.parent else -1 for bone in bones)

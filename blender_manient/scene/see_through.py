@@ -13,12 +13,12 @@ from collections.abc import Callable
 
 import bpy
 
-from .. import preferences
 from ..remembered import Remembered
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
 
-_active: SeeThrough | None = None
+_shown: tuple[Remembered, Callable[[], float]] | None = None
+"""The camera whose picture lies over the hand, and what tells the hand's opacity"""
 
 
 class Copied(bpy.types.PropertyGroup):
@@ -28,41 +28,33 @@ class Copied(bpy.types.PropertyGroup):
     clip: bpy.props.PointerProperty(type=bpy.types.MovieClip)  # type: ignore
 
 
-class SeeThrough:
-    """One camera's picture over what is in front of it, until `leave`."""
-
-    def __init__(self, camera: bpy.types.Camera, opacity: Callable[[], float]) -> None:
-        """Show the pictures through; `opacity` tells that of the hand, 0..1, whenever it is asked."""
-        global _active
-        self._camera = Remembered.of("cameras", camera)
-        self._opacity = opacity
-        _active = self
-        self.show()
-
-    def show(self) -> None:
-        """Show as much as the opacity asks for now."""
-        camera = self._camera.find()
-        if camera is not None:
-            lay_over(camera, self._opacity())
-
-    def hide(self) -> None:
-        """Show the camera's pictures as the artist had them."""
-        camera = self._camera.find()
-        if camera is not None:
-            take_away(camera)
-
-    def leave(self) -> None:
-        """Leave nothing behind. May be called twice."""
-        global _active
-        self.hide()
-        if _active is self:
-            _active = None
+def begin(camera: bpy.types.Camera, opacity: Callable[[], float]) -> None:
+    """Lay one camera's picture over what is in front of it until `end`; `opacity` tells the hand's, 0..1,
+    whenever it is asked."""
+    global _shown
+    _shown = Remembered.of("cameras", camera), opacity
+    follow()
 
 
-def opacity_changed() -> None:
-    """Follow the slider."""
-    if _active is not None:
-        _active.show()
+@bpy.app.handlers.persistent
+def follow(*_: object) -> None:
+    """Show as much as the opacity asks for now."""
+    if _shown is not None and (camera := _shown[0].find()) is not None:
+        lay_over(camera, _shown[1]())
+
+
+@bpy.app.handlers.persistent
+def hide(*_: object) -> None:
+    """Show the camera's pictures as the artist had them."""
+    if _shown is not None and (camera := _shown[0].find()) is not None:
+        take_away(camera)
+
+
+def end() -> None:
+    """Leave nothing behind. May be called twice."""
+    global _shown
+    hide()
+    _shown = None
 
 
 def lay_over(camera: bpy.types.Camera, opacity: float) -> None:
@@ -129,47 +121,28 @@ def _on_change(*_args) -> None:
     """An undo, a redo or a file may have brought copies."""
     for camera in bpy.data.cameras:
         take_away(camera)
-    opacity_changed()
+    follow()
 
 
-@bpy.app.handlers.persistent
-def _before_save(*_args) -> None:
-    if _active is not None:
-        _active.hide()
-
-
-@bpy.app.handlers.persistent
-def _after_save(*_args) -> None:
-    opacity_changed()
-
-
-_HANDLERS = {
+HANDLERS = {
     "undo_post": _on_change,
     "redo_post": _on_change,
     "load_post": _on_change,
-    "save_pre": _before_save,
-    "save_post": _after_save,
-    "save_post_fail": _after_save,
+    "save_pre": hide,
+    "save_post": follow,
+    "save_post_fail": follow,
 }
+FOLLOWS = {"hand_opacity": follow}
 
 
 def register() -> None:
-    """Let cameras remember their copies, and look after them."""
+    """Let cameras remember their copies."""
     bpy.types.Camera.manient_see_through = bpy.props.CollectionProperty(
         type=Copied, description="Background images that are copies, with which keypoints are edited"
     )
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
-    preferences.listeners["hand_opacity"] = opacity_changed
 
 
 def unregister() -> None:
     """Leave no copies behind."""
-    preferences.listeners.pop("hand_opacity", None)
-    for name, handler in _HANDLERS.items():
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
-    if _active is not None:
-        _active.leave()
+    end()
     del bpy.types.Camera.manient_see_through

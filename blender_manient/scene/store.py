@@ -75,19 +75,14 @@ class CapturedHand:
         return kept_model(self.take.model, self.side).shaped(self.betas)
 
 
-@dataclass(frozen=True)
-class PackedTake:
-    """A take as a collection keeps it."""
-
-    text: str
-    """Base64 of the take file's bytes"""
-    digest: str
-    """Fingerprint of those bytes"""
-
-
-def packing_take(take: Take, data: bytes | None = None) -> Generator[None, None, PackedTake]:
-    """Pack a take in small steps, or rather the bytes of its file where they are at hand; else the first step
-    compresses the take, which for 10 000 frames of two hands takes half a second."""
+def keeping_take(
+    collection: bpy.types.Collection, take: Take, data: bytes | None = None
+) -> Generator[None, None, None]:
+    """Keep a take in its collection, in place of the one that is there, in small steps. `data`: the bytes of
+    its file, where they are at hand; else the first step compresses the take, which for 10 000 frames of two
+    hands takes half a second. Does nothing where nothing is kept."""
+    if not kept_here():
+        return
     data = take.to_bytes(compact=True) if data is None else data
     texts, fingerprint = [], hashlib.sha256()
     for start in range(0, len(data), _CHUNK):
@@ -95,28 +90,15 @@ def packing_take(take: Take, data: bytes | None = None) -> Generator[None, None,
         fingerprint.update(chunk)
         texts.append(base64.b64encode(chunk).decode("ascii"))
         yield
-    return PackedTake("".join(texts), fingerprint.hexdigest()[:32])
-
-
-def pack_take(take: Take, data: bytes | None = None) -> PackedTake:
-    """`packing_take` at once."""
-    return result_of(packing_take(take, data))
-
-
-def keep_take(collection: bpy.types.Collection, take: Take, data: bytes | None = None) -> None:
-    """Keep a take in its collection, in place of the one that is there. Packing a long one takes its time:
-    where that matters, use `packing_take` and `keep_packed`."""
-    keep_packed(collection, take, pack_take(take, data))
-
-
-def keep_packed(collection: bpy.types.Collection, take: Take, packed: PackedTake) -> None:
-    """Keep a packed take. `take` is what it decodes to; it is remembered as such."""
-    if not kept_here():
-        return
     collection.manient.is_capture = True
-    collection.manient.take = packed.text
-    collection.manient.digest = packed.digest
-    _remember(packed.digest, take)
+    collection.manient.take = "".join(texts)
+    collection.manient.digest = fingerprint.hexdigest()[:32]
+    _remember(collection.manient.digest, take)
+
+
+def keep_take(collection: bpy.types.Collection, take: Take) -> None:
+    """`keeping_take` at once."""
+    result_of(keeping_take(collection, take))
 
 
 def kept_take(collection: bpy.types.Collection) -> Take:
@@ -177,6 +159,16 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
         index,
         take.hands[index].side,
     )
+
+
+def active_hand(context: bpy.types.Context) -> CapturedHand | None:
+    """The captured hand that the artist works on: the active object's, else the only one there is."""
+    if context.active_object is not None:
+        hand = hand_of(context.active_object)
+        if hand is not None:
+            return hand
+    armatures = captured_hands(context.scene)
+    return hand_of(armatures[0]) if len(armatures) == 1 else None
 
 
 def hung_on(hand: CapturedHand) -> list[bpy.types.Object]:

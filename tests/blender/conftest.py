@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
+import blender_manient  # noqa: E402
+from blender_manient import preferences  # noqa: E402
+from blender_manient.blender_versions import channels, first_slot  # noqa: E402
+from blender_manient.scene.build import build_take  # noqa: E402
 from handfit_core.geometry.camera import Intrinsics  # noqa: E402
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
 from handfit_core.hand_model import HandModel, load_model, save_model_npz  # noqa: E402
@@ -18,6 +23,8 @@ from handfit_core.hand_model.forearm import with_wrist  # noqa: E402
 from handfit_core.media.source import Source  # noqa: E402
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
 from handfit_core.take import HandTrack, Take  # noqa: E402
+from handfit_core.version import __version__  # noqa: E402
+from handfit_core.worker.protocol import PROTOCOL  # noqa: E402
 from tests.imitation_mano import imitation_model  # noqa: E402
 
 FRAMES = np.array([3, 4, 5, 6, 7, 8, 12, 13, 14, 16, 17, 18])
@@ -35,6 +42,38 @@ def empty_file():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     yield
     bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def registered(empty_file, tmp_path):
+    """The add-on, with its temporary files in a folder of the test's."""
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    yield
+    blender_manient.unregister()
+
+
+@pytest.fixture
+def peer(tmp_path):
+    """peer(code) -> an interpreter that runs this code, whatever it is asked to run."""
+    if sys.platform == "win32":
+        pytest.skip("misbehaving peers are scripts with a #! line")
+
+    def make(code: str) -> str:
+        path = tmp_path / "peer"
+        path.write_text(f"#!{sys.executable}\nimport json, os, signal, sys, time\n{code}")
+        path.chmod(0o755)
+        return str(path)
+
+    return make
+
+
+READY = f"""
+ready = {{"event": "ready", "protocol": {PROTOCOL}, "version": {__version__!r}, "pid": 1, "python": "3"}}
+ready |= {{"detectors": ["mediapipe", "bright-spot"], "solvers": ["fast", "paper-a", "flat"]}}
+print(json.dumps(ready), flush=True)
+"""
+"""What a peer says first, with plug-ins"""
 
 
 @dataclass(frozen=True)
@@ -126,6 +165,12 @@ def make_take(picture):
     return make
 
 
+@pytest.fixture
+def armature(make_take):
+    """One right hand, in a file of its own."""
+    return build_take(make_take(sides=("right",)).take).hands[0].armature
+
+
 def built_model(model: str, side: Side) -> HandModel:
     """The model with the forearm that hands are built with."""
     return with_wrist(load_model(model, side), "forearm")
@@ -190,6 +235,11 @@ def evaluated_vertices(obj) -> np.ndarray:
     evaluated.to_mesh_clear()
     matrix = np.array(evaluated.matrix_world)
     return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def action_curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
+    """All curves of an action, whose first slot is its only one."""
+    return list(channels(action, first_slot(action)).fcurves)
 
 
 def joint_heads(armature, side: Side) -> np.ndarray:

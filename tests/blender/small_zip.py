@@ -43,13 +43,7 @@ def small_zip(
     for python, tag in tags.items():
         wheels.append((_wheel("scipy", "1.11.4", f"{tag}-{tag}-{system}"), "scipy", "1.11.4", (python,)))
     listed = [
-        {
-            "file": name,
-            "name": package,
-            "version": number,
-            "size": len(content),
-            "pythons": list(fits),
-        }
+        {"file": name, "name": package, "version": number, "size": len(content), "pythons": list(fits)}
         for (name, content), package, number, fits in wheels
     ]
     contents = {

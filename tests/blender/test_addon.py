@@ -9,40 +9,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-import blender_manient
-
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def registered():
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
-
-
-def _traces() -> list[str]:
-    menu = bpy.types.TOPBAR_MT_file_import
-    drawn = [f.__module__ for f in getattr(menu.draw, "_draw_funcs", ())]
-    types = [name for name in dir(bpy.types) if "manient" in name.lower()]
-    operators = list(dir(bpy.ops.manient)) if "manient" in dir(bpy.ops) else []
-    return types + operators + [m for m in drawn if "manient" in m]
-
-
-def test_register_and_unregister_leave_nothing():
-    assert _traces() == []
-    for _ in range(2):
-        blender_manient.register()
-        assert _traces() != []
-        blender_manient.unregister()
-        assert _traces() == []
-
-
-def test_import_operator(registered, make_take, tmp_path):
-    path = make_take().take.save(tmp_path / "a.take.npz")
-    assert bpy.ops.manient.import_take(filepath=str(path)) == {"FINISHED"}
-    assert "photo of a hand" in bpy.data.collections
-    assert len([o for o in bpy.data.objects if o.type == "ARMATURE"]) == 2
 
 
 def test_import_operator_says_what_is_wrong_in_one_sentence(registered, tmp_path):

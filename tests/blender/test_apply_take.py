@@ -8,7 +8,6 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient.rigs import rig_of
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
@@ -20,14 +19,9 @@ from handfit_core.media.source import Source
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 MIRROR = np.array([-1.0, 1.0, 1.0])
-
-
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
 
 
 def other_source(made, name="another.mp4", **fields):
@@ -194,19 +188,6 @@ def test_corrections_of_replaced_frames_go(make_take):
     assert sorted(corrections_of(armature).corrections) == [4, 30]
     apply_track(armature, made.take, made.take.hands[0], "ANIMATION", 1.0)
     assert sorted(corrections_of(armature).corrections) == [30]
-
-
-def test_undo(make_take):
-    target = build_take(make_take(sides=("right",)).take).hands[0]
-    made = make_take(sides=("right",), seed=4)
-    name = target.armature.name
-    before = read_pose_keys(rig_of(target.armature))
-    bpy.ops.ed.undo_push(message="before")
-    apply_track(target.armature, made.take, made.take.hands[0], "ANIMATION", 1.0)
-    bpy.ops.ed.undo_push(message="applied")
-    bpy.ops.ed.undo()
-    after = read_pose_keys(rig_of(bpy.data.objects[name]))
-    np.testing.assert_allclose(after.quats, before.quats, atol=1e-6)
 
 
 def test_what_cannot_be_applied_is_one_sentence(make_take, tmp_path):

@@ -6,7 +6,6 @@ import bpy
 import pytest
 
 from blender_manient.blender_versions import (
-    action_curves,
     action_slot,
     assign_action,
     channels,
@@ -17,6 +16,8 @@ from blender_manient.blender_versions import (
     property_group,
     use_nodes,
 )
+
+from .conftest import action_curves
 
 
 @pytest.fixture(autouse=True)

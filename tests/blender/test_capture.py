@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from pathlib import Path
@@ -12,21 +11,15 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-import blender_manient  # noqa: E402
 from blender_manient import jobs, shared_worker  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
 from handfit_core.errors import HandfitError  # noqa: E402
 from tests.capturing import needs_capture  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
-
-
-@pytest.fixture(autouse=True)
-def addon():
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
 
 
 @pytest.fixture
@@ -55,16 +48,6 @@ def test_photo(photo, settings):
     assert bpy.context.scene.camera == hand.camera
     (job,) = jobs.jobs()
     assert (job.state, job.message) == ("done", "1 hand in 1 frame")
-
-
-@needs_capture
-def test_in_the_start_up_file_the_cube_does_not_hide_the_picture(photo, settings):
-    bpy.ops.mesh.primitive_cube_add()
-    cube = bpy.context.view_layer.objects.active
-    settings.source = str(photo)
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    assert cube.hide_get()
-    assert any("Cube is hidden now" in warning for warning in jobs.jobs()[0].warnings)
 
 
 @needs_capture
@@ -220,63 +203,6 @@ def test_a_painted_picture_stays_in_the_file(settings, photo, tmp_path):
     assert plate.packed_file
 
 
-@needs_capture
-def test_the_worker_dies_in_the_middle_and_the_next_capture_works(settings):
-    settings.source = str(SAMPLE)
-    job = new_job(bpy.context, only_frame=False)
-    jobs.submit(job)
-    _tick_until(lambda: job.done >= 2)
-    pid = shared_worker.worker().pid
-    assert pid
-    os.kill(pid, 9)
-    _tick_until(lambda: job.finished)
-    assert job.state == "failed"
-    assert "worker process was killed from outside" in job.message
-    assert "Traceback" not in job.message
-    text = bpy.data.texts["Hand Capture Details"].as_string()
-    assert job.message in text
-    assert not _hands()
-    settings.use_frames, settings.last_frame = True, 2
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-
-
-@needs_capture
-def test_cancelling_keeps_what_is_finished(settings):
-    settings.source = str(SAMPLE)
-    first, second = (new_job(bpy.context, only_frame=False) for _ in range(2))
-    jobs.submit(first)
-    jobs.submit(second)
-    _tick_until(lambda: first.stage == "detect" and first.done >= 4)
-    jobs.cancel_all()
-    _tick_until(lambda: not jobs.busy())
-    assert (first.state, first.stopped) == ("done", True)
-    assert second.state == "cancelled"
-    (hand,) = _hands()
-    assert 4 <= len(hand.take.frame_numbers) < 24
-
-
-@needs_capture
-def test_no_hand_is_a_sentence(settings, tmp_path):
-    image = bpy.data.images.new("grey", 320, 240)
-    image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
-    image.save()
-    settings.source = str(tmp_path / "grey.png")
-    with pytest.raises(RuntimeError, match="threshold"):
-        bpy.ops.manient.capture()
-    assert jobs.jobs()[-1].state == "failed"
-
-
-@needs_capture
-def test_another_file_ends_the_capture(settings):
-    settings.source = str(SAMPLE)
-    job = new_job(bpy.context, only_frame=False)
-    jobs.submit(job)
-    _tick_until(lambda: job.stage == "detect")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert not jobs.busy()
-    assert jobs.jobs() == ()
-
-
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -368,13 +294,3 @@ def test_the_list_of_captures_and_its_buttons(settings, photo):
     assert not jobs.busy()
     assert bpy.ops.manient.clear_captures() == {"FINISHED"}
     assert jobs.jobs() == ()
-
-
-@needs_capture
-def test_details_of_a_failure_can_be_shown(settings, tmp_path):
-    (tmp_path / "broken.jpg").write_bytes(b"no picture")
-    settings.source = str(tmp_path / "broken.jpg")
-    with pytest.raises(RuntimeError, match=r"broken\.jpg: Not a picture"):
-        bpy.ops.manient.capture()
-    assert bpy.ops.manient.show_details() == {"FINISHED"}
-    assert "not a picture" in bpy.data.texts["Hand Capture Details"].as_string()

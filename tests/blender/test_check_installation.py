@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 import os
-import stat
-import sys
 
 import bpy
 import pytest
 
-import blender_manient
 from blender_manient import details, preferences
 from blender_manient.operators import check_installation
 from handfit_core.version import __version__
 from tests.capturing import needs_capture
-
-
-@pytest.fixture
-def registered(tmp_path):
-    blender_manient.register()
-    preferences.get().cache_folder = str(tmp_path / "cache")
-    yield
-    blender_manient.unregister()
 
 
 def content(name: str) -> str:
@@ -52,12 +41,8 @@ def test_an_interpreter_that_does_not_exist(registered, tmp_path):
     assert result.sentence in content("Hand Capture Check")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="misbehaving peers are scripts with a #! line")
-def test_what_a_process_said_before_it_died_is_in_the_report(registered, tmp_path):
-    path = tmp_path / "peer"
-    path.write_text(f"#!{sys.executable}\nimport sys\nsys.stderr.write('out of paper\\n')\nsys.exit(3)\n")
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    preferences.get().python = str(path)
+def test_what_a_process_said_before_it_died_is_in_the_report(registered, peer):
+    preferences.get().python = peer("sys.stderr.write('out of paper\\n'); sys.exit(3)")
     bpy.ops.manient.check_installation()
     text = content("Hand Capture Check")
     assert "The process that captures said:\nout of paper" in text

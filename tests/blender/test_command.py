@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -12,23 +11,15 @@ from pathlib import Path
 import bpy
 import pytest
 
-import blender_manient
 from blender_manient import command, preferences
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.take import Take
-from handfit_core.version import __version__
-from tests.capturing import needs_capture
+
+from .conftest import READY
+
+pytestmark = pytest.mark.usefixtures("registered")
 
 ROOT = Path(__file__).resolve().parents[2]
-needs_scripts = pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
-
-
-@pytest.fixture(autouse=True)
-def registered(empty_file, tmp_path):
-    blender_manient.register()
-    preferences.get().cache_folder = str(tmp_path / "cache")
-    yield
-    blender_manient.unregister()
 
 
 @pytest.fixture
@@ -36,22 +27,8 @@ def take_file(make_take, tmp_path) -> Path:
     return make_take(sides=("right",)).take.save(tmp_path / "wave.take.npz")
 
 
-@pytest.fixture
-def interrupting(tmp_path) -> Path:
-    """A Python whose worker answers every request with a Ctrl-C to who asked."""
-    path = tmp_path / "interrupting"
-    path.write_text(
-        f"#!{sys.executable}\n"
-        "import json, os, signal, sys, time\n"
-        f"version, python = {__version__!r}, '3'\n"
-        "ready = {'event': 'ready', 'protocol': 1, 'version': version, 'pid': 1, 'python': python}\n"
-        "print(json.dumps(ready), flush=True)\n"
-        "sys.stdin.readline()\n"
-        "os.kill(os.getppid(), signal.SIGINT)\n"
-        "time.sleep(600)\n"
-    )
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return path
+INTERRUPTING = f"{READY}sys.stdin.readline(); os.kill(os.getppid(), signal.SIGINT); time.sleep(600)"
+"""A worker that answers every request with a Ctrl-C to who asked"""
 
 
 def report(folder: Path) -> list[dict]:
@@ -122,43 +99,29 @@ def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path, monk
     assert command.main([*arguments, "--solver", "paper-a"]) == 2
 
 
-@needs_scripts
-def test_ctrl_c_ends_a_capture(interrupting, tmp_path, capfd):
+def test_ctrl_c_ends_a_capture(peer, tmp_path, capfd):
     out, before = tmp_path / "out", signal.getsignal(signal.SIGINT)
-    arguments = ["capture", "a.jpg", "b.jpg", "-o", str(out), "--python", str(interrupting)]
+    arguments = ["capture", "a.jpg", "b.jpg", "-o", str(out), "--python", peer(INTERRUPTING)]
     assert command.main(arguments) == 130
     assert "what was finished is kept" in capfd.readouterr().err
     assert [entry["status"] for entry in report(out)] == ["interrupted", "pending"]
     assert signal.getsignal(signal.SIGINT) == before
 
 
-@needs_scripts
-def test_ctrl_c_ends_a_check(interrupting, capfd):
-    preferences.get().python = str(interrupting)
+def test_ctrl_c_ends_a_check(peer, capfd):
+    preferences.get().python = peer(INTERRUPTING)
     assert command.main(["check"]) == 130
     said = capfd.readouterr()
     assert (said.out, said.err) == ("", "stopped\n")
 
 
 def test_a_check_that_fails_says_why(tmp_path, capfd):
-    preferences.get().python = str(tmp_path / "no-python")
-    assert command.main(["check"]) == 1
+    assert command.main(["check", "--python", str(tmp_path / "no-python")]) == 1
     said = capfd.readouterr()
     assert said.out.startswith("Hand Capture Check\n")
-    assert "no-python" in said.out
+    assert f"Python that captures: {tmp_path / 'no-python'} (command line)" in said.out
     assert bpy.app.version_string in said.out
     assert said.err == ""
-
-
-def test_a_check_of_another_python(tmp_path, capfd):
-    assert command.main(["check", "--python", str(tmp_path / "no-python")]) == 1
-    assert f"Python that captures: {tmp_path / 'no-python'} (command line)" in capfd.readouterr().out
-
-
-@needs_capture
-def test_a_check_that_succeeds(capfd):
-    assert command.main(["check"]) == 0
-    assert "Everything that a capture needs is there and works" in capfd.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [["capture", "a.jpg", "--output", "out"], ["check"]])

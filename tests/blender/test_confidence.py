@@ -17,12 +17,7 @@ from blender_manient.scene.confidence import FAIR, GOOD, POOR, UNSEEN_COLOR, bon
 
 from .conftest import FRAMES, UNSEEN
 
-
-@pytest.fixture(autouse=True)
-def registered():
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 BAD_FRAME, INDEX_TIP = 8, 8

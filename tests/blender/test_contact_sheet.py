@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from blender_manient.scene.build import build_take
-from blender_manient.scene.preview import spread_frames, turned_rows
+from blender_manient.scene.preview import turned_rows
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from scripts.contact_sheet import find_takes, main, row
 
-from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH
+from .conftest import HEIGHT, WIDTH
 
 GAP = 4
 
@@ -39,18 +39,6 @@ def test_one_row_a_take(take_file, tmp_path):
     height, width = picture(sheet).shape
     # A frame and its hand side by side, twice.
     assert (height, width) == (2 * (30 + GAP), 2 * (2 * WIDTH * 30 // HEIGHT + GAP))
-
-
-def test_turned_adds_a_view_to_every_frame(take_file, tmp_path):
-    sheet = tmp_path / "sheet.png"
-    options = ["--frames", "2", "--height", "30", "--turned", "60"]
-    assert main([str(take_file), "-o", str(sheet), *options]) == 0
-    cell = WIDTH * 30 // HEIGHT
-    seen = picture(sheet)
-    assert seen.shape == (30 + GAP, 2 * (3 * cell + GAP))
-    for first in (0, 3 * cell + GAP):
-        turned = seen[:30, first + 2 * cell : first + 3 * cell]
-        assert turned.max() - turned.min() > 0.2  # a hand on a plain ground
 
 
 @pytest.mark.parametrize("degrees", [0.0, 70.0, -120.0])
@@ -82,12 +70,6 @@ def test_nothing_is_left_behind(make_take):
     before = {name: len(getattr(bpy.data, name)) for name in ("objects", "cameras", "scenes", "materials")}
     turned_rows(built, made.take, [made.seen[0][1]], 30.0)
     assert {name: len(getattr(bpy.data, name)) for name in before} == before
-
-
-def test_frames_with_a_hand_are_shown(make_take):
-    take = make_take(sides=("right",)).take
-    assert spread_frames(take, 100) == list(np.delete(FRAMES, UNSEEN))
-    assert spread_frames(take, 2) == [3, 18]
 
 
 def test_row_without_turned_is_narrower(make_take):

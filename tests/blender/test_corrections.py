@@ -8,33 +8,20 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient.blender_versions import channels
 from blender_manient.rigs import rig_of
 from blender_manient.scene import corrections
-from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
-from handfit_core.edit.corrections import (
-    changed_quats,
-    correction_between,
-)
+from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.errors import OptionError
 
 from .conftest import FRAMES, UNSEEN
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 ROOT = Path(__file__).resolve().parents[2]
 SEEN = np.delete(FRAMES, UNSEEN)
-
-
-# In the scene
-
-
-@pytest.fixture
-def armature(make_take):
-    blender_manient.register()
-    yield build_take(make_take(sides=("right",)).take).hands[0].armature
-    blender_manient.unregister()
 
 
 def all_keys(armature) -> PoseKeys:
@@ -53,10 +40,21 @@ def moved_pose(armature, frame: int, seed: int = 1, size: float = 0.3):
     return turned, locations[0] + rng.normal(scale=0.01, size=3)
 
 
+def correct(armature, frame=6, spread=6.0, seed=1, size=0.6, pins=None) -> tuple[np.ndarray, np.ndarray]:
+    """Correct a frame to another pose, which is returned."""
+    quats, location = moved_pose(armature, frame, seed, size)
+    corrections.correct_frame(armature, frame, pins or {8: (1.0, 2.0)}, quats, location, spread)
+    return quats, location
+
+
+def moved_poses(armature, frames, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    quats, locations = zip(*(moved_pose(armature, f, seed + f) for f in frames), strict=True)
+    return np.array(quats), np.array(locations)
+
+
 def test_a_corrected_frame_takes_the_pose_and_its_neighbours_a_part(armature):
     before = all_keys(armature)
-    quats, location = moved_pose(armature, 6)
-    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, quats, location, spread=3)
+    quats, location = correct(armature, 6, 3, size=0.3, pins={8: (10.0, 20.0)})
     after = all_keys(armature)
     np.testing.assert_array_equal(after.frames, before.frames)
     at = int(np.flatnonzero(SEEN == 6)[0])
@@ -76,8 +74,7 @@ def test_a_corrected_frame_takes_the_pose_and_its_neighbours_a_part(armature):
 def test_clearing_puts_every_key_back(armature, scope):
     before = all_keys(armature)
     for seed, frame in enumerate((6, 5, 16, 6)):
-        quats, location = moved_pose(armature, frame, seed, size=0.8)
-        corrections.correct_frame(armature, frame, {seed: (1.0, 2.0)}, quats, location, spread=6)
+        correct(armature, frame, 6, seed=seed, size=0.8, pins={seed: (1.0, 2.0)})
     assert same_rotations(all_keys(armature).quats, before.quats) > 0.5
     assert corrections.clear_corrections(armature, scope) == 3
     after = all_keys(armature)
@@ -87,11 +84,9 @@ def test_clearing_puts_every_key_back(armature, scope):
 
 
 def test_clearing_one_leaves_the_other_as_if_it_had_been_alone(armature):
-    quats, location = moved_pose(armature, 5)
-    corrections.correct_frame(armature, 5, {8: (1.0, 2.0)}, quats, location, spread=6)
+    correct(armature, 5, 6, size=0.3)
     alone = all_keys(armature)
-    quats, location = moved_pose(armature, 8, seed=2)
-    corrections.correct_frame(armature, 8, {4: (1.0, 2.0)}, quats, location, spread=6)
+    correct(armature, 8, 6, seed=2, size=0.3, pins={4: (1.0, 2.0)})
     # The other corrected frame keeps its pose.
     at = int(np.flatnonzero(SEEN == 5)[0])
     assert same_rotations(all_keys(armature).quats[at], alone.quats[at]) < 1e-5
@@ -104,8 +99,7 @@ def test_clearing_one_leaves_the_other_as_if_it_had_been_alone(armature):
 
 def test_what_was_done_by_hand_stays(armature):
     """A key that the artist turned under a correction keeps that turn when the correction goes."""
-    quats, location = moved_pose(armature, 6)
-    corrections.correct_frame(armature, 6, {8: (1.0, 2.0)}, quats, location, spread=6)
+    correct(armature, 6, 6, size=0.3)
     here = np.array([8.0])
     now, _ = pose_at(rig_of(armature), here)
     turn = np.zeros((1, 16, 3))
@@ -123,8 +117,7 @@ def test_what_was_done_by_hand_stays(armature):
 def test_a_frame_without_keys_gets_them_and_loses_them_again(armature):
     before = all_keys(armature)
     assert 10 not in before.frames
-    quats, location = moved_pose(armature, 10)
-    corrections.correct_frame(armature, 10, {8: (1.0, 2.0)}, quats, location, spread=0)
+    quats, location = correct(armature, 10, 0, size=0.3)
     assert 10 in all_keys(armature).frames
     found, place = pose_at(rig_of(armature), np.array([10.0]))
     assert same_rotations(found[0], quats) < 1e-5
@@ -136,8 +129,7 @@ def test_a_frame_without_keys_gets_them_and_loses_them_again(armature):
 
 
 def test_a_key_that_says_something_else_too_stays(armature):
-    quats, location = moved_pose(armature, 10)
-    corrections.correct_frame(armature, 10, {8: (1.0, 2.0)}, quats, location, spread=0)
+    correct(armature, 10, 0, size=0.3)
     other, place = moved_pose(armature, 10, seed=9)
     write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([10.0]), other[None], place[None]))
     corrections.clear_corrections(armature)
@@ -146,23 +138,19 @@ def test_a_key_that_says_something_else_too_stays(armature):
 
 def refitted(armature, frames, seed: int = 0) -> PoseKeys:
     """Key other poses on a range, as Re-fit Range does; the keys after it."""
-    new = [moved_pose(armature, f, seed=seed + f) for f in frames]
-    for _ in corrections.replacing_poses(
-        armature, frames, np.array([q for q, _ in new]), np.array([p for _, p in new])
-    ):
+    for _ in corrections.replacing_poses(armature, frames, *moved_poses(armature, frames, seed)):
         pass
     return all_keys(armature)
 
 
 def test_fitting_a_range_again_contains_its_corrections(armature):
     captured = all_keys(armature)
-    quats, location = moved_pose(armature, 6)
-    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, quats, location, spread=3)
+    correct(armature, 6, 3, size=0.3, pins={8: (10.0, 20.0)})
     frames = [5, 6, 8]
-    new = [moved_pose(armature, f, seed=f) for f in frames]
+    new, _ = moved_poses(armature, frames)
     after = refitted(armature, frames)
     rows = np.isin(SEEN, frames)
-    assert same_rotations(after.quats[rows], np.array([q for q, _ in new])) < 1e-5
+    assert same_rotations(after.quats[rows], new) < 1e-5
     # What the correction did to frames outside of the range is gone with it.
     assert same_rotations(after.quats[~rows], captured.quats[~rows]) < 1e-5
     np.testing.assert_allclose(after.locations[~rows], captured.locations[~rows], atol=1e-6)
@@ -196,8 +184,7 @@ def test_clearing_after_a_range_was_fitted_again(armature, corrected, spread):
     """Inside stays what was fitted, outside comes back what was captured, whatever is cleared first."""
     captured = all_keys(armature)
     for frame in corrected:
-        quats, location = moved_pose(armature, frame, seed=frame, size=0.5)
-        corrections.correct_frame(armature, frame, {8: (1.0, 2.0)}, quats, location, spread)
+        correct(armature, frame, spread, seed=frame, size=0.5)
     rows = (SEEN >= 6) & (SEEN <= 12)
     fitted = refitted(armature, SEEN[rows].tolist())
     assert set(corrections.corrections_of(armature).corrected) == set(corrected)
@@ -215,12 +202,10 @@ def test_clearing_after_a_range_was_fitted_again(armature, corrected, spread):
 
 def test_a_frame_keyed_anew_can_be_corrected_and_that_taken_back(armature):
     for frame in (4, 14):
-        quats, location = moved_pose(armature, frame, seed=frame)
-        corrections.correct_frame(armature, frame, {8: (1.0, 2.0)}, quats, location, spread=8)
+        correct(armature, frame, 8, seed=frame, size=0.3)
     fitted = refitted(armature, [6, 8, 12])
     for frame in (6, 8):
-        quats, location = moved_pose(armature, frame, seed=frame + 50)
-        corrections.correct_frame(armature, frame, {4: (1.0, 2.0)}, quats, location, spread=3)
+        correct(armature, frame, 3, seed=frame + 50, size=0.3, pins={4: (1.0, 2.0)})
     found, _ = pose_at(rig_of(armature), np.array([6.0]))
     assert same_rotations(found[0], moved_pose(armature, 6, size=0.0)[0]) < 1e-5
     assert corrections.clear_corrections(armature, [6, 8]) == 2
@@ -238,11 +223,6 @@ def other_action(armature) -> bpy.types.Action:
     keys = PoseKeys.everywhere(SEEN.astype(float), np.tile([0.8, 0.6, 0.0, 0.0], (len(SEEN), 16, 1)))
     write_pose_keys(rig_of(armature), keys)
     return first
-
-
-def correct(armature, frame: int = 6, spread: float = 6.0) -> None:
-    quats, location = moved_pose(armature, frame, size=0.6)
-    corrections.correct_frame(armature, frame, {8: (1.0, 2.0)}, quats, location, spread)
 
 
 def give(armature, action) -> None:
@@ -322,17 +302,15 @@ def test_duplicates_are_corrected_each_for_itself(armature, linked):
 
 def test_another_name_while_keys_are_written(armature):
     frames = [5, 6, 8]
-    new = [moved_pose(armature, f, seed=f) for f in frames]
-    writing = corrections.replacing_poses(
-        armature, frames, np.array([q for q, _ in new]), np.array([p for _, p in new])
-    )
+    quats, locations = moved_poses(armature, frames)
+    writing = corrections.replacing_poses(armature, frames, quats, locations)
     next(writing)
     armature.name = "My Hand"
     bpy.data.objects.new("photo of a hand right hand", None)
     assert list(writing)[-1] == 1.0
     found, _ = pose_at(rig_of(armature), np.array(frames, dtype=float))
-    assert same_rotations(found, np.array([q for q, _ in new])) < 1e-5
-    writing = corrections.replacing_poses(armature, frames, found, np.array([p for _, p in new]))
+    assert same_rotations(found, quats) < 1e-5
+    writing = corrections.replacing_poses(armature, frames, found, locations)
     next(writing)
     bpy.data.objects.remove(armature)
     with pytest.raises(OptionError, match="the hand is gone"):

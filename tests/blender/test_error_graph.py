@@ -6,28 +6,16 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient import error_graph
-from blender_manient.scene.build import build_take
 from blender_manient.scene.confidence import colors_of
 from blender_manient.scene.store import hand_of
 from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
 
 from .conftest import FRAMES, UNSEEN
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 POOR = error_graph.LEVELS[-1]
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
-
-
-@pytest.fixture
-def armature(make_take):
-    return build_take(make_take(sides=("right",)).take).hands[0].armature
 
 
 def test_errors_are_the_takes_own_in_parts_of_the_hand(make_take):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-import blender_manient
 from blender_manient.blender_versions import use_nodes
 from blender_manient.exporters import EXPORTERS
 from blender_manient.panels.export import MANIENT_PT_export
@@ -24,15 +23,11 @@ from tests.drawn import drawn
 
 from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world, write_png
 from .fbx_file import read_fbx
+from .importing import imported, joint_error, read_back, vertex_error
+
+pytestmark = pytest.mark.usefixtures("registered")
 
 BETAS = np.array([1.0, -1.0, 0.5, 0.0, 1.5, -0.5, 0.3, 0.0, -1.0, 0.8])
-
-
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
 
 
 def build(made):
@@ -74,54 +69,23 @@ def snapshot() -> list:
     ]
 
 
-def imported(side):
-    name = bone_names(side)[0]
-    found = [o for o in bpy.data.objects if o.type == "ARMATURE" and name in o.pose.bones]
-    assert len(found) == 1
-    return found[0]
-
-
-def joint_error(made, sides=("left", "right"), move=None) -> float:
-    worst = 0.0
-    for row, frame in made.seen:
-        bpy.context.scene.frame_set(frame)
-        for side in sides:
-            expected = world(made.joints[side][row])
-            if move is not None:
-                expected = expected @ np.array(move.to_3x3()).T + np.array(move.translation)
-            error = np.linalg.norm(joint_heads(imported(side), side) - expected, axis=-1)
-            worst = max(worst, error.max())
-    return worst
-
-
-def vertex_error(made) -> float:
-    for mesh in bpy.data.meshes:
-        for key in mesh.shape_keys.key_blocks if mesh.shape_keys else ():
-            key.slider_min, key.slider_max = -2.0, 2.0
-    worst = 0.0
-    meshes = [o for o in bpy.data.objects if o.type == "MESH"]
-    for row, frame in made.seen[::3]:
-        bpy.context.scene.frame_set(frame)
-        clouds = [evaluated_vertices(o) for o in meshes]
-        for vertices in made.vertices.values():
-            expected = world(vertices[row])
-            cloud = min(clouds, key=lambda c, e=expected: np.linalg.norm(c.mean(0) - e.mean(0)))
-            assert len(cloud) == len(expected)
-            worst = max(worst, np.linalg.norm(cloud - expected, axis=-1).max())
-    return worst
-
-
 @pytest.mark.parametrize("preset", ["PLAIN", "UNITY", "UNREAL"])
-def test_fbx_comes_back_where_it_was(all_hands, tmp_path, preset):
+@pytest.mark.parametrize("fmt", ["fbx", "glb"])
+def test_it_comes_back_where_it_was(all_hands, tmp_path, fmt, preset):
     made, _ = all_hands
     before = snapshot()
-    path = write(tmp_path / "a.fbx", file_format="fbx", preset=preset)
+    path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
     assert snapshot() == before
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
-    bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    if fmt == "glb":
+        content = glb_content(path)
+        attributes = {a for m in content["meshes"] for p in m["primitives"] for a in p["attributes"]}
+        assert ("JOINTS_1" in attributes) <= (preset != "UNITY")  # four bones per vertex
+        extras = [set(node["extras"]) for node in content["nodes"] if "extras" in node]
+        assert extras == [{"side", "betas", "model", "solver", "source"}] * 2, "none of the add-on's settings"
+    read_back(path)
     assert joint_error(made) < 1e-3
-    assert vertex_error(made) < 1e-3
+    if fmt == "fbx":
+        assert vertex_error(made) < 1e-3
 
 
 def models_of(path: Path) -> dict:
@@ -192,46 +156,6 @@ def glb_content(path: Path) -> dict:
     return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
 
 
-@pytest.mark.parametrize("preset", ["PLAIN", "UNITY", "UNREAL"])
-def test_gltf_comes_back_where_it_was(all_hands, tmp_path, preset):
-    made, _ = all_hands
-    before = snapshot()
-    path = write(tmp_path / "a.glb", file_format="glb", preset=preset)
-    assert snapshot() == before
-    attributes = {a for m in glb_content(path)["meshes"] for p in m["primitives"] for a in p["attributes"]}
-    assert ("JOINTS_1" in attributes) <= (preset != "UNITY")  # four bones per vertex
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
-    bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
-    assert joint_error(made) < 1e-3
-
-
-@pytest.mark.parametrize("fmt", ["usd", "abc"])
-def test_other_formats(all_hands, tmp_path, fmt):
-    made, _ = all_hands
-    if EXPORTERS[fmt].why_not():
-        pytest.skip(f"this Blender cannot write {fmt}")
-    before = snapshot()
-    path = write(tmp_path / "hand", file_format=fmt)
-    path = path.with_name("hand" + EXPORTERS[fmt].suffix)
-    assert path.is_file()
-    assert snapshot() == before
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
-    if fmt == "usd":
-        bpy.ops.wm.usd_import(filepath=str(path))
-    else:
-        bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)
-    assert vertex_error(made) < 1e-3
-
-
-def test_bvh_is_a_file_per_hand(hands, tmp_path):
-    write(tmp_path / "a.bvh", file_format="bvh")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a_left.bvh", "a_right.bvh"]
-    write(tmp_path / "b.bvh", file_format="bvh", active_only=True)
-    assert (tmp_path / "b.bvh").is_file()
-
-
 def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
     made = make_take(sides=("right",))
     built = build_take(made.take)
@@ -252,9 +176,7 @@ def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
         ends = {content["accessors"][i]["max"][0] for i in inputs}
         assert max(ends) == pytest.approx(last / 30.0, abs=1e-4)
     path = write(tmp_path / "a.fbx", file_format="fbx", frame_range="KEYS", preset="UNREAL")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
-    bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
+    read_back(path)
     bpy.context.scene.frame_set(30)
     np.testing.assert_allclose(joint_heads(imported("right"), "right"), expected, atol=1e-3)
 
@@ -278,12 +200,7 @@ def test_other_units_a_moved_rig_and_constraints(make_take, tmp_path, fmt, prese
     assert 0.1 < np.ptp(expected, axis=0).max() < 0.3
     path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
     assert armature.name == built.hands[0].armature.name
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
-    if fmt == "fbx":
-        bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
-    else:
-        bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
+    read_back(path)
     bpy.context.scene.frame_set(frame)
     np.testing.assert_allclose(joint_heads(imported("right"), "right"), expected, atol=1e-3)
 
@@ -372,15 +289,6 @@ def test_the_panels_settings_are_the_default(hands, tmp_path):
     bpy.context.scene.manient.export_format = "glb"
     bpy.ops.manient.export_hand(filepath=str(tmp_path / "x.fbx"))
     assert [p.name for p in tmp_path.iterdir()] == ["x.glb"]
-
-
-def test_pose_mode(hands, tmp_path):
-    bpy.ops.object.mode_set(mode="POSE")
-    before = snapshot()
-    for preset in ("PLAIN", "UNREAL"):
-        write(tmp_path / f"{preset}.fbx", file_format="fbx", preset=preset)
-    write(tmp_path / "a.npz", file_format="npz")
-    assert snapshot() == before
 
 
 def test_a_format_that_this_blender_lacks_is_one_sentence(hands, tmp_path, monkeypatch):
@@ -481,17 +389,8 @@ def test_hidden_hands_at_rest_in_other_formats(hands, tmp_path, fmt, preset):
     hide(built)
     path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
     assert built.hands[0].armature.data.pose_position == "REST"
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
-    if fmt == "fbx":
-        bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
-    elif fmt == "glb":
-        bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="BLENDER")
-    else:
-        bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)
-        assert vertex_error(made) < 1e-3
-        return
-    assert joint_error(made) < 1e-3
+    read_back(path)
+    assert (vertex_error if fmt == "abc" else joint_error)(made) < 1e-3
 
 
 def test_frames_that_the_artist_posed_count_as_filled(make_take, tmp_path):
@@ -520,7 +419,9 @@ def test_frames_that_the_artist_posed_count_as_filled(make_take, tmp_path):
     np.testing.assert_allclose(track.joints_3d[UNSEEN], posed.keypoints, atol=1e-6)
 
 
-@pytest.mark.parametrize(("kind", "mode"), [("mesh", "EDIT"), ("mesh", "WEIGHT_PAINT"), ("armature", "EDIT")])
+@pytest.mark.parametrize(
+    ("kind", "mode"), [("mesh", "EDIT"), ("mesh", "WEIGHT_PAINT"), ("armature", "EDIT"), ("armature", "POSE")]
+)
 def test_other_modes_are_left_and_entered_again(hands, tmp_path, kind, mode):
     made, built = hands
     obj = getattr(built.hands[1], kind)
@@ -634,78 +535,3 @@ def test_no_folder_leaves_in_an_export(make_take, tmp_path, monkeypatch, fmt, pr
         assert b"scene of a hand.blend" in content
         bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)  # it can still be read
     assert [armature[key] for key in ("source", "model", "side")] == before
-
-
-def view_state() -> list:
-    """All that a window shows and how: nothing of it is an export's business."""
-    found = []
-    for window in bpy.context.window_manager.windows:
-        found.append((window.scene.name, window.view_layer.name, window.scene.camera))
-        for area in window.screen.areas:
-            for space in area.spaces:
-                if space.type != "VIEW_3D":
-                    continue
-                views = [v for v in (space.region_3d, *space.region_quadviews) if v is not None]
-                found.append(
-                    (
-                        space.camera,
-                        space.use_local_camera,
-                        space.shading.type,
-                        [
-                            (
-                                v.view_perspective,
-                                v.view_camera_zoom,
-                                list(v.view_camera_offset),
-                                list(v.view_rotation),
-                                list(v.view_location),
-                                v.view_distance,
-                            )
-                            for v in views
-                        ],
-                    )
-                )
-    return found
-
-
-@pytest.mark.parametrize("local", [False, True])
-@pytest.mark.parametrize("fmt", ["fbx", "glb", "usd", "bvh", "abc", "npz"])
-def test_no_view_is_changed(hands, tmp_path, fmt, local):
-    """Through the scene's camera or one of the view's own, in a second view layer, with two cameras."""
-    if EXPORTERS[fmt].why_not():
-        pytest.skip(f"this Blender cannot write {fmt}")
-    scene = bpy.context.scene
-    other = bpy.data.objects.new("Another camera", bpy.data.cameras.new("Another camera"))
-    scene.collection.objects.link(other)
-    scene.camera = hands[1].camera
-    bpy.context.window.view_layer = scene.view_layers.new("Second")
-    bpy.context.view_layer.objects.active = hands[1].hands[1].armature
-    spaces = [s for a in bpy.context.screen.areas for s in a.spaces if s.type == "VIEW_3D"]
-    if not spaces:
-        pytest.skip("the empty file's screen has no 3D view")
-    for space in spaces:
-        if local:
-            space.use_local_camera = True
-            space.camera = other
-        space.region_3d.view_perspective = "CAMERA"
-        space.region_3d.view_camera_zoom = 12.5
-    before = view_state()
-    write(tmp_path / "out", file_format=fmt)
-    assert view_state() == before
-    assert {s.region_3d.view_perspective for s in spaces} == {"CAMERA"}
-
-
-@pytest.mark.parametrize("fmt", ["fbx", "glb", "bvh", "npz"])
-def test_a_pose_without_keys_stays(hands, tmp_path, fmt):
-    """What was moved and not keyed yet, of hands and of what else is animated."""
-    built = hands[1]
-    bone = built.hands[1].armature.pose.bones[6]
-    bone.rotation_quaternion = (0.5, 0.5, -0.5, 0.5)
-    built.camera.keyframe_insert("location", frame=3)
-    built.camera.location = (0.1, 0.2, 0.3)
-    bpy.context.view_layer.update()
-    before = [list(bone.rotation_quaternion), list(bone.matrix), list(built.camera.matrix_world)]
-    write(tmp_path / "out", file_format=fmt, preset="UNREAL")
-    bpy.context.view_layer.update()
-    after = [list(bone.rotation_quaternion), list(bone.matrix), list(built.camera.matrix_world)]
-    for one, two in zip(before, after, strict=True):
-        np.testing.assert_allclose(np.array(one), np.array(two), atol=1e-6)

@@ -6,10 +6,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.blender_versions import action_curves
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import (
     PoseKeys,
     align_signs,
@@ -23,14 +21,9 @@ from blender_manient.scene.keys import (
 )
 from handfit_core.geometry.rotations import quat_to_rotmat
 
-from .conftest import FRAMES, UNSEEN
+from .conftest import FRAMES, UNSEEN, action_curves
 
 SEEN = np.delete(FRAMES, UNSEEN).astype(float)
-
-
-@pytest.fixture
-def armature(make_take):
-    return build_take(make_take(sides=("right",)).take).hands[0].armature
 
 
 def random_quats(count, seed=0) -> np.ndarray:

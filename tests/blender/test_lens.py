@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 from bpy_extras.object_utils import world_to_camera_view  # noqa: E402
 from mathutils import Vector  # noqa: E402
 
-from blender_manient.scene.lens import lens_of_camera  # noqa: E402
+from blender_manient.scene.camera import lens_of_camera  # noqa: E402
 from handfit_core.errors import OptionError  # noqa: E402
 
 

@@ -8,19 +8,13 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.markers import doubtful_ranges, is_marked, mark_doubtful, next_doubtful
 
 from .conftest import FRAMES, UNSEEN
 
-
-@pytest.fixture(autouse=True)
-def registered():
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 def with_flags(take):
@@ -147,14 +141,3 @@ def test_operators(hand):
 def test_operators_without_a_hand_say_so(operator):
     with pytest.raises(RuntimeError, match="No captured hand: select"):
         getattr(bpy.ops.manient, operator)()
-
-
-def test_undo_takes_markers_back(hand):
-    name = hand.armature.name
-    bpy.ops.ed.undo_push(message="built")
-    bpy.ops.manient.mark_doubtful("EXEC_DEFAULT", True, hand=name)
-    assert markers() == OURS
-    bpy.ops.ed.undo()
-    assert markers() == []
-    bpy.ops.ed.redo()
-    assert markers() == OURS

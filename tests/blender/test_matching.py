@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import source_info, sources
+from blender_manient import source_info
 from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys
@@ -171,10 +171,7 @@ def test_a_picture_does_not_enter_a_shot_of_its_size(make_take, tmp_path):
     scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
     scene.frame_set(1040)
     before = state()
-    armature = brought_in(
-        make_take(sides=("right",), frame_numbers=np.array([7])).take,
-        tmp_path,
-    )
+    armature = brought_in(make_take(sides=("right",), frame_numbers=np.array([7])).take, tmp_path)
     assert state() == before
     assert read_pose_keys(rig_of(armature)).frames.tolist() == [1040]
 
@@ -221,7 +218,9 @@ def test_all_that_matching_changes_is_said(clip):
 
 def test_one_frame_of_a_clip_has_no_time(clip):
     scene = bpy.context.scene
-    info = source_info.SourceInfo("", False, sources.SourceFiles("video", ("a.mp4",)), width=64, height=48)
+    info = source_info.SourceInfo(
+        "", False, source_info.SourceFiles("video", ("a.mp4",)), width=64, height=48
+    )
     info.fps, info.first, info.last = 25.0, 1, 60
     whole, one = (source_info.footage(scene.manient, info, only=only) for only in (None, 7))
     assert said(scene, "AUTO", whole, 7) == "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"

@@ -6,8 +6,6 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
-from blender_manient.blender_versions import action_curves
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
@@ -15,16 +13,11 @@ from blender_manient.scene.keys import PoseKeys, read_pose_keys, remove_pose_key
 from blender_manient.scene.store import hand_of
 from handfit_core.skeleton import other_side
 
-from .conftest import evaluated_vertices, joint_heads
+from .conftest import action_curves, evaluated_vertices, joint_heads
+
+pytestmark = pytest.mark.usefixtures("registered")
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
-
-
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
 
 
 def aside(made, metres=0.4):

@@ -8,7 +8,6 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient.operators.refit_range import MANIENT_OT_refit_range, replaced, suggested_range
 from blender_manient.rigs import rig_of
 from blender_manient.scene import corrections
@@ -23,16 +22,11 @@ from tests.drawn import drawn
 
 from .conftest import FRAMES, UNSEEN
 
+pytestmark = pytest.mark.usefixtures("registered")
+
 ROWS = np.arange(len(FRAMES))
 ROW = 2
 """Of frame 5"""
-
-
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
 
 
 @pytest.fixture(params=["matched", "retimed"])

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from blender_manient import source_info, sources
+from blender_manient import source_info
 from blender_manient.scene.build import build_take
 from handfit_core.media.source import Source
 from tests.bombs import clip, with_claimed_size
@@ -33,7 +33,7 @@ def test_a_name_is_no_address(make_take, tmp_path, monkeypatch):
                 image = built.camera.data.background_images[0].image
                 assert image.filepath == str(tmp_path / name)
                 assert tuple(image.size) == (64, 48)
-            assert sources.resolve(name, as_sequence=False).files == (str(tmp_path / name),)
+            assert source_info.resolve(name, as_sequence=False).files == (str(tmp_path / name),)
         assert connections() == 0
 
 

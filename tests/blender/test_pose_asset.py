@@ -6,19 +6,14 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
-from blender_manient.blender_versions import action_curves
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import displayed_pose
 
+from .conftest import action_curves
 
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture
@@ -94,16 +89,3 @@ def test_names_and_euler_bones(hands):
     bpy.ops.manient.save_pose_asset(asset_name="  ")
     bpy.ops.manient.save_pose_asset(asset_name="Hand Pose")
     assert {"Hand Pose", "Hand Pose.001"} <= {a.name for a in bpy.data.actions}
-
-
-def test_undo(hands):
-    bpy.ops.ed.undo_push(message="before")
-    bpy.ops.manient.save_pose_asset(asset_name="Wave")
-    bpy.ops.ed.undo_push(message="saved")
-    bpy.ops.ed.undo()
-    assert "Wave" not in bpy.data.actions
-
-
-def test_it_needs_a_hand():
-    with pytest.raises(RuntimeError, match="Select a captured hand first"):
-        bpy.ops.manient.save_pose_asset(asset_name="Wave")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -17,14 +16,6 @@ from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
 from tests.blender.conftest import FRAMES, write_png
 from tests.drawn import drawn
-
-
-@pytest.fixture
-def registered(tmp_path):
-    blender_manient.register()
-    preferences.get().cache_folder = str(tmp_path / "cache")
-    yield
-    blender_manient.unregister()
 
 
 @pytest.fixture
@@ -180,56 +171,9 @@ def test_no_clearing_while_the_worker_writes(registered):
     assert bpy.ops.manient.clear_cache.poll()
 
 
-def test_the_size_is_measured_in_slices(registered, monkeypatch):
-    """By a timer, which Blender without a window never calls: so we do."""
-    monkeypatch.setattr(cache, "_SLICE", 0.0)
+def test_the_size_that_is_shown(registered):
     for name in "abc":
         (cache.cache_folder() / f"{name}.png").write_bytes(b"x" * 500)
-    assert cache.shown_size() is None
-    assert bpy.app.timers.is_registered(cache.measure_on)
-    slices = 1
-    while cache.measure_on() is not None:
-        slices += 1
-    assert slices > 2
     assert cache.shown_size() == 1500
     bpy.ops.manient.clear_cache()
-    assert cache.shown_size() is None  # the old number is not shown any more
-    cache.measure_on()
-    assert cache.shown_size() == 0
-
-
-def test_an_extension_has_a_folder_of_its_own():
-    """The name under which Blender runs extensions decides; here in a Blender of its own."""
-    import subprocess
-    import sys
-
-    root = Path(__file__).resolve().parents[2]
-    code = (
-        "import bpy, importlib, sys, types, importlib.util\n"
-        "for name in ('bl_ext', 'bl_ext.user_default'):\n"
-        "    sys.modules[name] = types.ModuleType(name); sys.modules[name].__path__ = []\n"
-        "name = 'bl_ext.user_default.manient'\n"
-        "where = sys.argv[1] + '/blender_manient'\n"
-        "spec = importlib.util.spec_from_file_location(name, where + '/__init__.py',\n"
-        "    submodule_search_locations=[where])\n"
-        "module = importlib.util.module_from_spec(spec); sys.modules[name] = module\n"
-        "spec.loader.exec_module(module)\n"
-        "module.register()\n"
-        "cache = sys.modules[name + '.cache']\n"
-        "print('ADDON', sys.modules[name + '.preferences'].ADDON)\n"
-        "print('CACHE', cache.folder_path().as_posix())\n"
-        "module.unregister()\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(root)],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    said = dict(
-        line.split(" ", 1) for line in done.stdout.splitlines() if line.startswith(("ADDON", "CACHE"))
-    )
-    assert said["ADDON"] == "bl_ext.user_default.manient"
-    assert "/.user/user_default/manient/cache" in said["CACHE"]
+    assert cache.shown_size() == 0, "the old number is not shown any more"

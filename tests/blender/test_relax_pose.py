@@ -6,7 +6,6 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
@@ -18,12 +17,7 @@ from handfit_core.hand_model import axes, load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
 from handfit_core.media.source import Source
 
-
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture(params=["right", "left"])

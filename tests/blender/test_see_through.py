@@ -6,15 +6,10 @@ import bpy
 import pytest
 
 import blender_manient
+from blender_manient.scene import see_through
 from blender_manient.scene.build import build_take
-from blender_manient.scene.see_through import SeeThrough
 
-
-@pytest.fixture(autouse=True)
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture
@@ -47,7 +42,7 @@ def named(name: str) -> bpy.types.Camera:
 
 def test_a_copy_of_the_picture_lies_over_the_hand_until_the_end(camera):
     before = described(camera)
-    over = SeeThrough(camera, lambda: 0.4)
+    see_through.begin(camera, lambda: 0.4)
     copy = camera.background_images[-1]
     behind = camera.background_images[0]
     assert len(camera.background_images) == len(before) + 1
@@ -57,30 +52,30 @@ def test_a_copy_of_the_picture_lies_over_the_hand_until_the_end(camera):
         behind.image_user.frame_start,
         behind.frame_method,
     )
-    over.leave()
+    see_through.end()
     assert described(camera) == before
-    over.leave()
+    see_through.end()
     assert described(camera) == before
 
 
 def test_the_opacity_is_followed_and_a_solid_hand_needs_no_copy(camera):
     before = described(camera)
     opacities = [0.3]
-    over = SeeThrough(camera, lambda: opacities[-1])
+    see_through.begin(camera, lambda: opacities[-1])
     for opacity, alphas in ((0.3, [0.7]), (0.0, [1.0]), (1.0, []), (0.8, [0.2])):
         opacities.append(opacity)
-        over.show()
+        see_through.follow()
         copies = camera.background_images[len(before) :]
         assert [c.alpha for c in copies] == pytest.approx(alphas)
-    over.leave()
+    see_through.end()
     assert described(camera) == before
 
 
 def test_what_the_artist_adds_meanwhile_stays(camera):
-    over = SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     added = camera.background_images.new()
     added.image, added.alpha = bpy.data.images.new("reference", 4, 4), 0.25
-    over.leave()
+    see_through.end()
     shown = [(b.display_depth, b.alpha) for b in camera.background_images]
     assert shown == [("BACK", 1.0), ("FRONT", 0.125), ("BACK", 0.25)]
 
@@ -92,38 +87,38 @@ def test_a_picture_that_is_hidden_stays_hidden(camera, hidden):
     else:
         camera.background_images[0].show_background_image = False
     before = described(camera)
-    SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     assert described(camera) == before
 
 
 def test_a_picture_that_is_hidden_meanwhile_leaves_no_copy(camera):
     count = len(camera.background_images)
-    over = SeeThrough(camera, lambda: 0.4)
+    see_through.begin(camera, lambda: 0.4)
     camera.background_images[0].show_background_image = False
-    over.leave()
+    see_through.end()
     assert len(camera.background_images) == count
     assert not camera.background_images[0].show_background_image
 
 
 @pytest.mark.parametrize("how", ["removed", "another picture"])
 def test_a_picture_that_is_taken_away_meanwhile_leaves_no_copy(camera, how):
-    over = SeeThrough(camera, lambda: 0.4)
+    see_through.begin(camera, lambda: 0.4)
     original = camera.background_images[0]
     if how == "removed":
         camera.background_images.remove(original)
     else:
         original.image = bpy.data.images.new("another", 4, 4)
     left = described(camera)[:-1]
-    over.leave()
+    see_through.end()
     assert described(camera) == left
 
 
 def test_an_undo_afterwards_brings_no_copy_back(camera):
     before, name = described(camera), camera.name
     bpy.ops.ed.undo_push(message="Before")
-    over = SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     bpy.ops.ed.undo_push(message="Edit Keypoints")
-    over.leave()
+    see_through.end()
     bpy.data.objects.new("something", None)
     bpy.ops.ed.undo_push(message="Later")
     bpy.ops.ed.undo()
@@ -137,19 +132,19 @@ def test_an_undo_afterwards_brings_no_copy_back(camera):
 def test_an_undo_meanwhile_keeps_the_hand_see_through(camera):
     before, name = described(camera), camera.name
     bpy.ops.ed.undo_push(message="Before")
-    over = SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     bpy.ops.ed.undo_push(message="Edit Keypoints")
     bpy.ops.ed.undo_push(message="Move Keypoint")
     for step in (bpy.ops.ed.undo, bpy.ops.ed.undo, bpy.ops.ed.redo):
         step()
         assert len(named(name).background_images) == len(before) + 1
-    over.leave()
+    see_through.end()
     assert described(named(name)) == before
 
 
 def test_a_file_saved_meanwhile_has_none(camera, tmp_path):
     before, name = described(camera), camera.name
-    over = SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     path = str(tmp_path / "meanwhile.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path, copy=True, check_existing=False)
     assert len(camera.background_images) == len(before) + 1
@@ -158,22 +153,22 @@ def test_a_file_saved_meanwhile_has_none(camera, tmp_path):
     saved = wanted.cameras[0]
     assert len(saved.background_images) == len(before)
     assert len(saved.manient_see_through) == 0
-    over.leave()
+    see_through.end()
 
 
 def test_a_file_that_blender_saved_by_itself_is_put_right(camera, tmp_path):
     before, name = described(camera), camera.name
-    over = SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     path = str(tmp_path / "quit.blend")
     bpy.data.libraries.write(path, {bpy.context.scene, *bpy.context.scene.objects})  # without handlers
-    over.leave()
+    see_through.end()
     bpy.ops.wm.open_mainfile(filepath=path)
     assert len(named(name).background_images) == len(before)
 
 
 def test_disabling_the_add_on_ends_it(camera):
     before = described(camera)
-    SeeThrough(camera, lambda: 0.5)
+    see_through.begin(camera, lambda: 0.5)
     blender_manient.unregister()
     try:
         assert described(camera) == before

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
-import sys
 
 import bpy
 import pytest
@@ -14,40 +12,16 @@ from blender_manient import cache, preferences, shared_worker
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from handfit_core.errors import OutputError
-from handfit_core.version import __version__
 from tests.conftest import ROOT
 from tests.drawn import drawn
 
-PEER = f"""#!{sys.executable}
-import json, sys
-ready = {{"event": "ready", "protocol": 1, "version": {__version__!r}, "python": "3"}}
-ready |= {{"detectors": ["mediapipe", "bright-spot"], "solvers": ["fast", "paper-a", "flat"]}}
-print(json.dumps(ready), flush=True)
+from .conftest import READY
+
+PEER = f"""{READY}
 for line in sys.stdin:
     if answers:
         print(json.dumps({{"event": "done", "id": json.loads(line)["id"]}}), flush=True)
 """
-
-
-@pytest.fixture
-def peer(tmp_path):
-    """peer(answers) -> an interpreter that takes requests, whatever it is asked to run."""
-
-    def make(answers: bool) -> str:
-        path = tmp_path / "peer"
-        path.write_text(PEER.replace("if answers", f"if {answers}"))
-        path.chmod(path.stat().st_mode | stat.S_IXUSR)
-        return str(path)
-
-    return make
-
-
-@pytest.fixture
-def registered(tmp_path):
-    blender_manient.register()
-    preferences.get().cache_folder = str(tmp_path / "cache")
-    yield
-    blender_manient.unregister()
 
 
 def test_one_worker_until_the_preferences_change(registered):
@@ -60,9 +34,8 @@ def test_one_worker_until_the_preferences_change(registered):
     assert shared_worker.current() is other
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
 def test_a_busy_worker_is_not_replaced(registered, peer):
-    preferences.get().python = peer(answers=True)
+    preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
     request = worker.submit("warm")
     preferences.get().threads = 2
@@ -72,11 +45,10 @@ def test_a_busy_worker_is_not_replaced(registered, peer):
     assert not worker.alive
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
 def test_unregister_ends_it_and_its_files(peer, tmp_path):
     blender_manient.register()
     preferences.get().cache_folder = str(tmp_path / "cache")
-    preferences.get().python = peer(answers=False)
+    preferences.get().python = peer(f"answers = False{PEER}")
     worker = shared_worker.worker()
     worker.submit("warm")
     pid = worker.pid
@@ -90,11 +62,10 @@ def test_unregister_ends_it_and_its_files(peer, tmp_path):
     assert shared_worker.current() is None
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
 def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer):
     settings = bpy.context.scene.manient
     assert not {"solver", "detector"} & set(drawn(MANIENT_PT_capture_advanced).said.split())
-    preferences.get().python = peer(answers=True)
+    preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
     worker.wait(worker.submit("warm"), timeout=20)
     assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split())

@@ -8,7 +8,6 @@ import bpy
 import numpy as np
 import pytest
 
-import blender_manient
 from blender_manient import jobs, refiner
 from blender_manient.jobs import Building, Job
 from blender_manient.operators.doubtful_frames import MANIENT_OT_jump_worst
@@ -19,7 +18,7 @@ from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_P
 from blender_manient.remembered import Remembered
 from blender_manient.scene import reshape, store
 from blender_manient.scene.build import build_take
-from blender_manient.selection import active_hand
+from blender_manient.scene.store import active_hand
 from blender_manient.wording import (
     NAME_BYTES,
     capitalised,
@@ -34,13 +33,6 @@ from handfit_core.options import CaptureOptions
 from tests.drawn import drawn
 
 LONG = "entrevista con la señora Muñoz en el taller, segunda toma, cámara B, mano izquierda"
-
-
-@pytest.fixture
-def registered(empty_file):
-    blender_manient.register()
-    yield
-    blender_manient.unregister()
 
 
 @pytest.mark.parametrize(

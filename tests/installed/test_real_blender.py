@@ -99,7 +99,7 @@ def life(new_sealed, zipped: Path, samples: Path, tmp_path_factory) -> Life:
     window = InstalledWindow(sealed, wrapper, screenshots)
     try:
         played = window.play("installed.photo_by_the_button", timeout=240, source=photo).value
-        window.play("installed.preferences")
+        window.play("panels.preferences")
         left_behind, log = window.quit(), window.log()
     finally:
         window.stop()

@@ -105,11 +105,6 @@ def test_dropped_picture(blender, photo):
     assert played["said"] == [there, taken_back, not_chosen, taken_back, there]
 
 
-def test_dropped_video(blender, make_clip):
-    (hand,) = blender.play("capture.dropped", source=make_clip(CLIP)).value["hands"]
-    assert hand["frames"] == CLIP
-
-
 def test_a_shot_keeps_its_time_size_and_camera(blender, make_clip):
     played = blender.play("capture.into_a_shot", source=make_clip(CLIP), timeout=240).value
     assert played["kept"] == played["before"] == [24, 1001, 1120, 1001, 1920, 1080, "Shot Camera"]

@@ -200,6 +200,37 @@ class Stage:
                 return (x, y)
         return None
 
+    # The file browser
+
+    def file_browser(self) -> Steps:
+        """The file browser, once it is open."""
+        return (
+            yield from self.until(
+                lambda: next((a for a in self.window.screen.areas if a.type == "FILE_BROWSER"), None),
+                5.0,
+                "the file browser",
+            )
+        )
+
+    def choose_file(self, path: str, shot: str = "") -> Steps:
+        """Choose a file in the browser that opens, and press its button; `shot` names a picture of it."""
+        browser = yield from self.file_browser()
+        # The browser reads the folder first; what is chosen before that is forgotten.
+        parameters = yield from self.until(lambda: browser.spaces.active.params, 5.0, "the browser's folder")
+        directory, _, name = path.rpartition("/")
+        parameters.directory = directory.encode()
+        yield 0.5
+        parameters.filename = name
+        yield 0.2
+        if shot:
+            yield from self.screenshot(shot)
+        self.in_browser(browser, bpy.ops.file.execute)
+
+    def in_browser(self, browser: bpy.types.Area, operator: Callable[[], Any]) -> None:
+        """Run an operator of the file browser's."""
+        with bpy.context.temp_override(window=self.window, area=browser, region=browser.regions[-1]):
+            operator()
+
     # Looking
 
     def reports(self) -> Steps:

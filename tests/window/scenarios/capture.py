@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 from stage import ADDON
 
-from scenarios.capturing import begin, capture, done, finish, hands, jobs, part, summary
+from scenarios.capturing import begin, capture, done, finish, hands, jobs, part, press_capture, summary
 from scenarios.traces import workers
 
 
@@ -51,12 +51,7 @@ def photo(stage, source):
 def by_the_button(stage, source):
     """The mouse on the panel's own buttons: Capture, then the X beside the progress bar."""
     yield from stage.open_sidebar()
-    bpy.context.scene.manient.source = source
-    yield 0.5
-    place = yield from stage.find_button("bpy.ops.manient.capture(")
-    assert place is not None, "the sidebar has no button Capture"
-    yield from stage.click(place)
-    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
+    job = yield from press_capture(stage, source)
     yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
     place = yield from stage.find_button("bpy.ops.manient.cancel_capture(", along=0.83)
     assert place is not None, "there is no button to cancel"
@@ -203,18 +198,7 @@ def left_running(stage, source):
 
 def dropped(stage, source):
     """A file dropped onto the viewport."""
-    folder, _, name = source.rpartition("/")
-    with stage.override():
-        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=folder, files=[{"name": name}])
-    # Blender asks first where it has a use for pictures as well; C is for Capture Hands.
-    yield from stage.screenshot("dropped")
-    yield from stage.key("C")
-    yield from stage.screenshot("dropped-dialog")
-    assert not jobs() or all(job.finished for job in jobs()), "it began without asking"
-    yield from stage.key("RET")
-    job = yield from stage.until(
-        lambda: next((j for j in jobs() if j.name == name), None), 5.0, "the dropped file's capture"
-    )
+    job = yield from _drop(stage, source, "dropped")
     yield from stage.open_sidebar()
     yield from finish(stage, job)
     done(job)
@@ -229,6 +213,24 @@ def dropped(stage, source):
         if step == stage.undo:
             yield from stage.screenshot(f"dropped-undone-{len(said) - 1}")
     return {"hands": captured, "said": said}
+
+
+def _drop(stage, source, shot):
+    """Drop a file and press Capture in the dialog. Returns the job."""
+    folder, _, name = source.rpartition("/")
+    with stage.override():
+        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=folder, files=[{"name": name}])
+    # Blender asks first where it has a use for pictures as well; C is for Capture Hands.
+    yield from stage.screenshot(shot)
+    yield from stage.key("C")
+    yield from stage.screenshot(f"{shot}-dialog")
+    assert all(job.finished for job in jobs()), "it began without asking"
+    yield from stage.key("RET")
+    return (
+        yield from stage.until(
+            lambda: next((j for j in jobs() if j.name == name), None), 5.0, "the dropped file's capture"
+        )
+    )
 
 
 def said_of(job) -> dict:
@@ -258,17 +260,7 @@ def into_a_shot(stage, source):
         return [render.fps, scene.frame_start, scene.frame_end, scene.frame_current, *size, scene.camera.name]
 
     before = state()
-    folder, _, name = source.rpartition("/")
-    with stage.override():
-        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=folder, files=[{"name": name}])
-    yield 0.5
-    yield from stage.key("C")
-    yield 0.5
-    yield from stage.screenshot("dropped-into-a-shot")
-    yield from stage.key("RET")
-    job = yield from stage.until(
-        lambda: next((j for j in jobs() if j.name == name), None), 5.0, "the dropped file's capture"
-    )
+    job = yield from _drop(stage, source, "dropped-into-a-shot")
     yield from finish(stage, job)
     done(job)
     yield from stage.open_sidebar()

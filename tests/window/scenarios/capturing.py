@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+from pathlib import Path
 from types import ModuleType
 
 import bpy
+import numpy as np
 from stage import ADDON
 
 
@@ -29,11 +31,19 @@ def begin(stage, source: str, **settings):
     before = jobs()
     yield from stage.invoke("manient.capture")
     new = yield from stage.until(
-        lambda: [job for job in jobs() if job not in before],
-        5.0,
-        f"a capture of {source} to begin",
+        lambda: [job for job in jobs() if job not in before], 5.0, f"a capture of {source} to begin"
     )
     return new[0]
+
+
+def press_capture(stage, source: str):
+    """Choose a source and click the panel's own button with the mouse. Returns the job."""
+    bpy.context.scene.manient.source = source
+    yield 1.0
+    place = yield from stage.find_button("bpy.ops.manient.capture(")
+    assert place is not None, "the sidebar has no button Capture"
+    yield from stage.click(place)
+    return (yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin"))
 
 
 def finish(stage, *waited, timeout: float = 90.0):
@@ -90,6 +100,17 @@ def pose_of(armature: bpy.types.Object) -> str:
     """A digest of the pose at the current frame."""
     values = [round(v, 5) for bone in armature.pose.bones for row in bone.matrix_basis for v in row]
     return hashlib.sha256(repr(values).encode()).hexdigest()[:12]
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    """(H, W, 4) a file's own values 0..1, the lowest row first, as regions count."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    image.colorspace_settings.name = "Non-Color"
+    width, height = image.size
+    pixels = np.empty(width * height * 4, dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    return pixels.reshape(height, width, 4)
 
 
 def keys_of(obj) -> int:

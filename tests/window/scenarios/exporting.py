@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from scenarios.capturing import capture, hands, part
-from scenarios.panels import closed_again, opened_by_default
+from scenarios.capturing import capture, hands, part, pixels_of
+from scenarios.panels import opened_by_default
 
 FORMATS = ("fbx", "glb", "usd", "bvh", "abc", "npz")
 COLUMNS = (0.2, 0.5, 0.8)
@@ -18,8 +18,7 @@ COLUMNS = (0.2, 0.5, 0.8)
 def leaves_all_as_it_is(stage, source):
     """Every format that this Blender writes, by the file browser, with the view through the camera and a bone
     that was moved and not keyed; beside it a local view through a camera of its own."""
-    panels = _only_export_open()
-    try:
+    with opened_by_default("MANIENT_PT_export"):
         yield from capture(stage, source)
         (armature, *_) = hands()
         armature.select_set(True)
@@ -52,15 +51,12 @@ def leaves_all_as_it_is(stage, source):
         yield 0.3
         (armature, *_) = hands()
         seen["undone"] = _state(armature)
-    finally:
-        closed_again(panels)
     return seen
 
 
 def formats(stage, source):
     """Every place of the format buttons clicked, in the sidebar; then the file browser's own."""
-    panels = _only_export_open()
-    try:
+    with opened_by_default("MANIENT_PT_export"):
         yield from capture(stage, source)
         (armature, *_) = hands()
         bpy.context.view_layer.objects.active = armature
@@ -85,30 +81,12 @@ def formats(stage, source):
                 chosen.add(settings.export_format)
         bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
         yield from stage.invoke("manient.export_hand")
-        browser = yield from _browser(stage)
+        browser = yield from stage.file_browser()
         yield 1.0
         yield from stage.screenshot("export-browser")
-        with bpy.context.temp_override(window=stage.window, area=browser, region=browser.regions[-1]):
-            bpy.ops.file.cancel()
+        stage.in_browser(browser, bpy.ops.file.cancel)
         yield 0.5
-    finally:
-        closed_again(panels)
     return sorted(chosen)
-
-
-def _only_export_open() -> dict:
-    """The other sections closed, so that this one is seen without scrolling. Returns what `closed_again`
-    wants."""
-    before = opened_by_default()
-    closed_again(
-        {
-            cls: options - {"DEFAULT_CLOSED"}
-            if cls.__name__ == "MANIENT_PT_export"
-            else options | {"DEFAULT_CLOSED"}
-            for cls, options in before.items()
-        }
-    )
-    return before
 
 
 def _over_formats(stage) -> bool:
@@ -137,30 +115,13 @@ def _second_view(stage, armature):
     yield 0.3
 
 
-def _browser(stage):
-    return (
-        yield from stage.until(
-            lambda: next((a for a in stage.window.screen.areas if a.type == "FILE_BROWSER"), None),
-            5.0,
-            "the file browser",
-        )
-    )
-
-
 def _export(stage, path: Path, fmt: str):
     """The files that were written; none where this Blender lacks the format."""
     if part("exporters").EXPORTERS[fmt].why_not():
         return []
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
     yield from stage.invoke("manient.export_hand", file_format=fmt)
-    browser = yield from _browser(stage)
-    parameters = yield from stage.until(lambda: browser.spaces.active.params, 5.0, "the browser's folder")
-    parameters.directory = str(path.parent).encode()
-    yield 0.5
-    parameters.filename = path.name
-    yield 0.2
-    with bpy.context.temp_override(window=stage.window, area=browser, region=browser.regions[-1]):
-        bpy.ops.file.execute()
+    yield from stage.choose_file(str(path))
     yield from stage.until(lambda: list(path.parent.glob(f"{path.name}*")), 20.0, f"the {fmt} file")
     yield 0.5
     return sorted(p.name for p in path.parent.glob(f"{path.name}*"))
@@ -201,15 +162,8 @@ def _state(armature) -> dict:
 def _difference(stage, one: str, other: str) -> int:
     """How many squares of the 3D views differ between two screenshots. Of squares, since edges are drawn a
     little otherwise each time."""
-    side, pixels = 8, []
-    for name in (one, other):
-        image = bpy.data.images.load(str(stage.screenshots / f"{name}.png"))
-        width, height = image.size
-        rows = np.empty(width * height * 4, dtype=np.float32)
-        image.pixels.foreach_get(rows)
-        pixels.append(rows.reshape(height, width, 4))
-        bpy.data.images.remove(image)
-    count = 0
+    pixels = [pixels_of(stage.screenshots / f"{name}.png") for name in (one, other)]
+    side, count = 8, 0
     for area in stage.window.screen.areas:
         if area.type == "VIEW_3D":
             region = next(r for r in area.regions if r.type == "WINDOW")

@@ -14,20 +14,7 @@ def through_the_file_browser(stage, take):
     yield from stage.screenshot("import-menu")
     yield from stage.key("ESC")
     yield from stage.invoke("manient.import_take")
-    browser = yield from stage.until(
-        lambda: next((a for a in stage.window.screen.areas if a.type == "FILE_BROWSER"), None),
-        5.0,
-        "the file browser",
-    )
-    # The browser reads the folder first; what is chosen before that is forgotten.
-    parameters = yield from stage.until(lambda: browser.spaces.active.params, 5.0, "the browser's folder")
-    directory, _, name = take.rpartition("/")
-    parameters.directory = directory.encode()
-    yield 0.5
-    parameters.filename = name
-    yield from stage.screenshot("import-browser")
-    with bpy.context.temp_override(window=stage.window, area=browser, region=browser.regions[-1]):
-        bpy.ops.file.execute()
+    yield from stage.choose_file(take, "import-browser")
     yield from stage.until(armatures, 10.0, "the imported hand")
     yield 0.5
     yield from stage.look_through_camera()

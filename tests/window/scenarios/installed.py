@@ -7,7 +7,7 @@ import sys
 import bpy
 from stage import ADDON
 
-from scenarios.capturing import done, finish, jobs, summary
+from scenarios.capturing import done, finish, press_capture, summary
 from scenarios.traces import workers
 
 
@@ -19,12 +19,7 @@ def photo_by_the_button(stage, source):
     begun_with = set(bpy.data.objects.keys())
     yield from stage.open_sidebar()
     yield from stage.screenshot("installed-panel")
-    bpy.context.scene.manient.source = source
-    yield 1.0
-    place = yield from stage.find_button("bpy.ops.manient.capture(")
-    assert place is not None, "the sidebar has no button Capture"
-    yield from stage.click(place)
-    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
+    job = yield from press_capture(stage, source)
     yield from finish(stage, job, timeout=120.0)
     done(job)
     yield from stage.look_through_camera()
@@ -40,20 +35,6 @@ def photo_by_the_button(stage, source):
         "workers": len(workers()),
         "files": sorted({str(getattr(module, "__file__", None)) for module in modules.values()}),
     }
-
-
-def preferences(stage):
-    """The add-on's preferences."""
-    bpy.context.preferences.active_section = "ADDONS"
-    bpy.context.window_manager.addon_search = "manient"
-    bpy.ops.preferences.addon_expand(module=ADDON)
-    area = stage.area()
-    area.type = "PREFERENCES"
-    yield 0.5
-    yield from stage.screenshot("installed-preferences")
-    area.type = "VIEW_3D"
-    bpy.context.window_manager.addon_search = ""
-    yield 0.2
 
 
 def _is_ours(name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import types
+from contextlib import contextmanager
 from pathlib import Path
 
 import addon_utils
@@ -14,8 +15,7 @@ from scenarios.capturing import capture, hands, part
 
 def all_sections(stage, source, shot="sections"):
     """With a captured clip: every section open, the mouse wheel turned through all of them."""
-    panels = opened_by_default()
-    try:
+    with opened_by_default():
         yield from capture(stage, source)
         (armature, *_) = hands()
         bpy.context.view_layer.objects.active = armature
@@ -30,8 +30,6 @@ def all_sections(stage, source, shot="sections"):
                 yield from stage.key("WHEELDOWNMOUSE")
             yield 0.3
         drawn = [name for name in stage.meter.calls if name.endswith(".draw")]
-    finally:
-        closed_again(panels)
     return sorted(drawn)
 
 
@@ -71,18 +69,21 @@ def sections() -> list[type]:
     return [c for one in registered for c in one.classes if issubclass(c, bpy.types.Panel)]
 
 
-def opened_by_default(but: tuple[str, ...] = ()) -> dict[type, set[str]]:
-    """Open all sections of new files, `but` for some: a section's state comes from its class when it is
-    first drawn. Returns what `closed_again` wants."""
+@contextmanager
+def opened_by_default(only: str = ""):
+    """Meanwhile all sections of new files are open, or `only` one is: a section's state comes from its class
+    when it is first drawn."""
     before = {cls: set(getattr(cls, "bl_options", ())) for cls in sections()}
-    opened = {c: o if c.__name__ in but else o - {"DEFAULT_CLOSED"} for c, o in before.items()}
-    _register_with(opened)
-    return before
-
-
-def closed_again(before: dict[type, set[str]]) -> None:
-    """Undo `opened_by_default`."""
-    _register_with(before)
+    _register_with(
+        {
+            cls: options | {"DEFAULT_CLOSED"} if only not in cls.__name__ else options - {"DEFAULT_CLOSED"}
+            for cls, options in before.items()
+        }
+    )
+    try:
+        yield
+    finally:
+        _register_with(before)
 
 
 def _register_with(options: dict[type, set[str]]) -> None:

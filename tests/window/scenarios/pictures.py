@@ -8,10 +8,9 @@ import addon_utils
 import bpy
 from stage import ADDON
 
-from scenarios.capturing import begin, done, finish, hands, part
+from scenarios.capturing import begin, done, finish, hands
 from scenarios.panels import sections
-
-INDEX_TIP = 8
+from scenarios.refine import INDEX_TIP, places, state
 
 
 def tour(stage, folder, source, edited_frame=12):
@@ -49,19 +48,17 @@ def tour(stage, folder, source, edited_frame=12):
 
 
 def _drag_a_fingertip(stage):
-    edit_keypoints = part("operators.edit_keypoints")
-
     with stage.override():
         bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
     yield 1.0
-    yield from stage.until(lambda: not edit_keypoints.describe()["warming"], 60.0, "the worker to be warm")
-    x, y = edit_keypoints.handle_places()[INDEX_TIP]
+    yield from stage.until(lambda: not state()["warming"], 60.0, "the worker to be warm")
+    x, y = places()[INDEX_TIP]
     path = [
         (x + 45 * math.sin(0.5 * math.pi * i / 20), y - 60 * (1 - math.cos(0.5 * math.pi * i / 20)))
         for i in range(21)
     ]
     yield from stage.drag(path, pause=0.1)
-    yield from stage.until(lambda: edit_keypoints.describe()["dragged"] is None, 20.0, "the last fit")
+    yield from stage.until(lambda: state()["dragged"] is None, 20.0, "the last fit")
     yield 1.0
     yield from stage.screenshot("keypoints")
     yield from stage.key("RET")

@@ -33,7 +33,7 @@ def keypoint_dragged(stage, source, steps=20):
 
     start = places()[INDEX_TIP]
     path = [(start[0] + 70 * i / steps, start[1] - 25 * i / steps) for i in range(steps + 1)]
-    waits = yield from dragged(stage, path)
+    yield from dragged(stage, path)
     yield from stage.until(lambda: state()["dragged"] is None, 10.0, "the last fit")
     yield 0.3
     yield from stage.move_to(stage.region())
@@ -76,8 +76,6 @@ def keypoint_dragged(stage, source, steps=20):
         "undone": undone == before[30],
         "redone": redone == after[30],
         "reloaded": reloaded == after[30],
-        "waits_ms": waits,
-        "latencies_ms": [1000 * s for s in operator().latencies()],
     }
 
 
@@ -94,7 +92,7 @@ def live_latency(stage, source, steps=60):
     yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
     return {
         "waits_ms": waits,
-        "latencies_ms": [1000 * s for s in operator().latencies()],
+        "latencies_ms": [1000 * s for s in part("keypoint_mode.mode").latencies],
         "redraw_ms": (yield from redraws.timed(stage)),
     }
 
@@ -302,12 +300,31 @@ def operator():
     return part("operators.edit_keypoints")
 
 
-def places():
-    return operator().handle_places()
+def places() -> dict[int, tuple[float, float]]:
+    """Keypoint -> (x, y) of its handle in window pixels, as events have them; empty while none are shown."""
+    mode = operator()._mode
+    viewport = part("keypoint_mode.view").viewport_at(bpy.context, mode.view.address) if mode else None
+    if viewport is None:
+        return {}
+    found = mode.region_places(viewport) + np.array([viewport.region.x, viewport.region.y])
+    return {k: (float(x), float(y)) for k, (x, y) in enumerate(found) if np.isfinite([x, y]).all()}
 
 
-def state():
-    return operator().describe()
+def state() -> dict:
+    """What is dragged and pinned, what the line says, and how many drags there were."""
+    mode = operator()._mode
+    row = mode.row() if mode else None
+    return (
+        {}
+        if mode is None
+        else {
+            "dragged": mode.drag.keypoint if mode.drag is not None else None,
+            "pins": {} if row is None else dict(mode.refiner.pins(row)),
+            "message": mode.message,
+            "warming": bool(mode._warming),
+            "done": mode.done,
+        }
+    )
 
 
 def _pose_at(armature, frame) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from scenarios.capturing import capture, hands
+from scenarios.capturing import capture, hands, pixels_of
 
 
 def proportions(stage, source):
@@ -73,8 +73,8 @@ def first_render(stage, source):
         scene.render.filepath = str(path)
         with stage.override():
             bpy.ops.render.render(write_still=True)
-        shown[name] = _pixels(path)
-    photo = _pixels(Path(source))
+        shown[name] = pixels_of(path)[..., :3]
+    photo = pixels_of(Path(source))[..., :3]
     height, width = shown["cap"].shape[:2]
     rows, columns = (
         np.linspace(0, s - 1, n).astype(int) for s, n in zip(photo.shape, (height, width), strict=False)
@@ -87,15 +87,6 @@ def first_render(stage, source):
         "hand": float((off > 0.1).mean()),
         "forearm": float((np.abs(shown["forearm"] - shown["cap"]).mean(axis=-1) > 0.1).mean()),
     }
-
-
-def _pixels(path: Path) -> np.ndarray:
-    """Rows (H, W, 3) of a file's own values 0..1."""
-    image = bpy.data.images.load(str(path), check_existing=False)
-    image.colorspace_settings.name = "Non-Color"
-    pixels = np.empty(len(image.pixels), dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(image.size[1], image.size[0], 4)[..., :3]
 
 
 def _mesh(armature) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenarios.capturing import capture, hands
+from scenarios.capturing import capture, hands, pixels_of
 
 
 def curves_and_error(stage, source):
@@ -32,11 +32,11 @@ def curves_and_error(stage, source):
     curves = [c for c in armature.animation_data.action.fcurves if "rotation" in c.data_path]
     values = np.array([k.co.y for c in curves for k in c.keyframe_points])
     yield from stage.screenshot("curves")
-    before = _pixels(stage, "curves")
+    before = pixels_of(stage.screenshots / "curves.png")
     armature.manient.show_error = True
     yield 0.3
     yield from stage.screenshot("curves-and-error")
-    changed = np.abs(_pixels(stage, "curves-and-error") - before).max(axis=-1) > 0.05
+    changed = np.abs(pixels_of(stage.screenshots / "curves-and-error.png") - before).max(axis=-1) > 0.05
     rows, columns = slice(region.y, region.y + region.height), slice(region.x, region.x + region.width)
     area.type = "VIEW_3D"
     return {
@@ -45,13 +45,3 @@ def curves_and_error(stage, source):
         "changed_in_graph": int(changed[rows, columns].sum()),
         "changed_in_timeline": int(changed[: stage.area("DOPESHEET_EDITOR").height].sum()),
     }
-
-
-def _pixels(stage, name: str) -> np.ndarray:
-    """(H, W, 4) of a screenshot, the lowest row first, as regions count."""
-    image = bpy.data.images.load(str(stage.screenshots / f"{name}.png"), check_existing=False)
-    width, height = image.size
-    pixels = np.empty(width * height * 4, dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import bpy
 
 from scenarios.capturing import begin, capture, finish, hands, jobs, part
-from scenarios.panels import closed_again, opened_by_default, sections
+from scenarios.panels import opened_by_default, sections
 
 
 def long_names(stage, source, broken):
@@ -65,8 +65,7 @@ def _texts():
 
 def shapes(stage, source):
     """The sliders of a captured hand's shape, with all sections open."""
-    panels = opened_by_default()
-    try:
+    with opened_by_default():
         yield from capture(stage, source)
         bpy.context.view_layer.objects.active = hands()[0]
         yield from stage.open_sidebar()
@@ -76,6 +75,4 @@ def shapes(stage, source):
             yield from stage.key("WHEELDOWNMOUSE")
         with _texts() as shown:
             yield from stage.screenshot("words-shapes")
-    finally:
-        closed_again(panels)
     return shown
