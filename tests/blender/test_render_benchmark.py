@@ -182,18 +182,13 @@ def test_an_interrupted_run_keeps_what_is_done_and_goes_on(
     assert jpegs(tmp_path) == jpegs(rendered)
 
 
-def test_other_settings_are_refused_in_the_same_folder(rendered: Path, capsys) -> None:
-    before = jpegs(rendered)
-    assert main([str(rendered), *TINY, "--seed", "4"]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert jpegs(rendered) == before
-
-
-def test_overwriting_with_other_settings_leaves_no_picture_of_the_old(rendered: Path, tmp_path: Path) -> None:
+def test_other_settings_are_refused_or_replace_every_picture(rendered: Path, tmp_path: Path, capsys) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(rendered, folder)
-    other = [*TINY[:-3], "64", *TINY[-2:]]
-    assert main([str(folder), *other, "--overwrite", "--only", "0"]) == 0
+    assert main([str(folder), *TINY, "--seed", "4"]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert jpegs(folder) == jpegs(rendered)
+    assert main([str(folder), *TINY, "--size", "64", "--overwrite", "--only", "0"]) == 0
     assert list(jpegs(folder)) == ["stills/00000.jpg"]
     listed = json.loads((folder / "index.json").read_text(encoding="utf-8"))["pictures"]
     assert [picture["file"] for picture in listed] == ["stills/00000.jpg"]

@@ -9,14 +9,12 @@ import importlib.util
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.installed.sealed import Sealed
-
-PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 if importlib.util.find_spec("bpy") is None:
     pytest.skip("needs one of the bpy wheels", allow_module_level=True)
@@ -35,14 +33,8 @@ def zipped() -> Path:
 
 
 @pytest.fixture(scope="module")
-def new_sealed(tmp_path_factory) -> Iterator[Callable[[], Sealed]]:
-    """new_sealed() -> one more machine; all of them, with some GB of disk, go after the module's tests."""
-    made: list[Path] = []
-
-    def new() -> Sealed:
-        made.append(tmp_path_factory.mktemp("sealed"))
-        return Sealed(made[-1])
-
-    yield new
-    for base in made:
-        shutil.rmtree(base)
+def sealed(tmp_path_factory) -> Iterator[Sealed]:
+    """Such a machine; it, with some GB of disk, goes after the module's tests."""
+    base = tmp_path_factory.mktemp("sealed")
+    yield Sealed(base)
+    shutil.rmtree(base)

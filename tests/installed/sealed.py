@@ -12,7 +12,6 @@ import shutil
 import subprocess
 import sys
 import uuid
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -59,7 +58,6 @@ class Sealed:
     def __init__(self, base: Path) -> None:
         self.base = base
         self._mark = uuid.uuid4().hex
-        self._runs = 0
         for name in (*EMPTY, "inside", "given", "made"):
             (base / name).mkdir(parents=True)
         for script in (*INSIDE.glob("*.py"), TRACES):
@@ -79,72 +77,41 @@ class Sealed:
             shutil.copy(file, copy)
         return str(copy)
 
-    def environment(self, more: dict[str, str] | None = None) -> dict[str, str]:
+    @property
+    def environment(self) -> dict[str, str]:
         """All environment variables that there are in there."""
         folders = {
             "HOME": "home",
             "BLENDER_USER_RESOURCES": "profile",
-            "XDG_CACHE_HOME": "cache",
-            "XDG_CONFIG_HOME": "config",
-            "XDG_DATA_HOME": "data",
-            "XDG_STATE_HOME": "state",
+            **{f"XDG_{name.upper()}_HOME": name for name in ("cache", "config", "data", "state")},
             "TMPDIR": "tmp",
         }
-        return {
-            "PATH": "/usr/local/bin:/usr/bin:/bin",
-            "LANG": "C.UTF-8",
-            **{name: str(self.base / folder) for name, folder in folders.items()},
-            MARK: self._mark,
-            **(more or {}),
-        }
+        own = {name: str(self.base / folder) for name, folder in folders.items()}
+        return {"PATH": "/usr/local/bin:/usr/bin:/bin", "LANG": "C.UTF-8", **own, MARK: self._mark}
 
-    def run(
-        self, script: str, timeout: float = 600.0, more: dict[str, str] | None = None, **arguments: Any
-    ) -> Finished:
-        """Run inside/SCRIPT.py with this environment's Python, isolated: `python -I`."""
-        file = str(self.base / "inside" / f"{script}.py")
-        return self.run_command([sys.executable, "-I", file], (), timeout, more, **arguments)
-
-    def run_command(
-        self,
-        command: Sequence[str],
-        wrapper: Sequence[str] = (),
-        timeout: float = 600.0,
-        more: dict[str, str] | None = None,
-        **arguments: Any,
-    ) -> Finished:
-        """Run a command that ends in a script of inside/, `wrapper` around its environment.
+    def run(self, script: str, **arguments: Any) -> Finished:
+        """Run inside/SCRIPT.py with this environment's Python, isolated: `python -I`.
 
         The script gets a file with its `arguments` and one for its facts, after `--`.
         """
-        self._runs += 1
-        asked, facts = (self.base / "given" / f"{what}-{self._runs}.json" for what in ("asked", "facts"))
+        asked, facts = (self.base / "given" / f"{what}.json" for what in ("asked", "facts"))
         asked.write_text(json.dumps({"made": str(self.made), **arguments}), encoding="utf-8")
-        code, said = self.call([*command, "--", str(asked), str(facts)], wrapper, timeout, more)
-        found = json.loads(facts.read_text(encoding="utf-8")) if facts.is_file() else {}
-        return Finished(code, found, said)
-
-    def call(
-        self,
-        command: Sequence[str],
-        wrapper: Sequence[str] = (),
-        timeout: float = 600.0,
-        more: dict[str, str] | None = None,
-    ) -> tuple[int, str]:
-        """Run any command; its exit code, and what it said on stdout and stderr."""
-        settings = [f"{name}={value}" for name, value in self.environment(more).items()]
+        file = str(self.base / "inside" / f"{script}.py")
+        settings = [f"{name}={value}" for name, value in self.environment.items()]
+        command = ["env", "-i", *settings, sys.executable, "-I", file, "--", str(asked), str(facts)]
         done = subprocess.run(
-            [*without_network(), *wrapper, "env", "-i", *settings, *command],
+            [*without_network(), *command],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
             cwd=self.base / "work",
-            timeout=timeout,
+            timeout=600.0,
             check=False,
         )
-        return done.returncode, done.stdout
+        found = json.loads(facts.read_text(encoding="utf-8")) if facts.is_file() else {}
+        return Finished(done.returncode, found, done.stdout)
 
     def left(self) -> list[str]:
         """Files, and folders without any, that are in the folders which were empty."""

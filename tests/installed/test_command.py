@@ -1,4 +1,7 @@
-"""With the zip alone, on the real Blender's command line: install it, then `--command manient`."""
+"""With the zip alone, on the real Blender's command line: install it, `--command manient`, remove it.
+
+That its window captures with it is in tests/window.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import shutil
 import subprocess
 import uuid
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -17,6 +21,8 @@ from tests.installed.sealed import ROOT, processes_with, without_network
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
 MARK = "MANIENT_COMMAND_TEST"
 TIMEOUT = 400.0
+BLENDERS_OWN = "*.config/blender/*"
+"""What Blender leaves, whatever was installed"""
 
 pytestmark = pytest.mark.skipif(
     not CHROOT, reason="HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it"
@@ -28,6 +34,7 @@ run() {
   blender --command "$@" >"$step.out" 2>"$step.err" && code=0 || code=$?
   echo "$code" >"$step.code"
 }
+run validate extension validate "$ZIP"
 run install extension install-file -r user_default --enable "$ZIP"
 run help manient capture --help
 run wrong manient capture photo.jpg
@@ -43,9 +50,14 @@ kill -INT $!
 wait $! && code=0 || code=$?
 echo "$code" >stopped.code
 
-mv "$HOME"/.config/blender/*/extensions/.local/lib/python*/site-packages/handfit_core moved
+core=$(echo "$HOME"/.config/blender/*/extensions/.local/lib/python*/site-packages/handfit_core)
+mv "$core" moved
 run damaged manient check
 run damaged_capture manient capture photo.jpg --output damaged
+mv moved "$core"
+run remove extension remove manient
+run gone manient check
+find "$HOME" -type f -printf '%P\n' >left
 """
 
 
@@ -100,7 +112,8 @@ def commands(zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFacto
     return Commands(folder, mark, done.stdout)
 
 
-def test_it_installs(commands):
+def test_blender_validates_and_installs_it(commands):
+    assert commands["validate"].code == 0, commands["validate"].out
     assert commands["install"].code == 0
     assert "Installed" in commands["install"].out
 
@@ -156,3 +169,10 @@ def test_a_damaged_installation_says_so(commands, step):
     assert len(errors) == 1
     assert "handfit" in errors[0]
     assert not (commands.folder / "damaged").exists()
+
+
+def test_removing_it_leaves_no_file_and_no_command(commands):
+    assert commands["remove"].code == 0
+    assert commands["gone"].code != 0
+    left = (commands.folder / "left").read_text().splitlines()
+    assert [name for name in left if not fnmatch(name, BLENDERS_OWN)] == []

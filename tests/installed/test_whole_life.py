@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,8 +41,7 @@ class Life:
 
 
 @pytest.fixture(scope="module")
-def life(new_sealed: Callable[[], Sealed], zipped: Path, samples: Path) -> Life:
-    sealed = new_sealed()
+def life(sealed: Sealed, zipped: Path, samples: Path) -> Life:
     finished = sealed.run(
         "whole_life",
         zip=sealed.give(zipped),
@@ -61,7 +59,7 @@ def test_nothing_but_the_zip_is_in_reach(life):
     assert found["modules"] == []
     names = set(found["variables"])
     assert {n for n in names if n.startswith(("PYTHON", "HANDFIT_"))} == set()
-    assert names <= {*life.sealed.environment(), *BPY_VARIABLES}
+    assert names <= {*life.sealed.environment, *BPY_VARIABLES}
     assert Path(found["folder"]) == life.sealed.base / "work"
     environment = Path(found["executable"]).parents[1]
     paths = [Path(p) for p in found["path"] if not Path(p).is_relative_to(environment)]

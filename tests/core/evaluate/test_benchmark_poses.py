@@ -141,7 +141,7 @@ def test_segment_distance_equals_a_dense_search() -> None:
     np.testing.assert_allclose(segment_distance(p1, q1, p2, q2), dense, atol=2e-3)
 
 
-def test_the_same_number_gives_the_same_picture_alone_and_in_every_size(stills: list[Shot]) -> None:
+def test_the_same_number_gives_the_same_alone_and_in_every_size(stills: list[Shot], clip: Shot) -> None:
     for number in (41, 5):
         again = entries(still_shot(0, number, SIZE))
         assert again == entries(stills[number])
@@ -150,9 +150,6 @@ def test_the_same_number_gives_the_same_picture_alone_and_in_every_size(stills: 
             np.testing.assert_allclose(large["joints_3d_mm"], hand["joints_3d_mm"], atol=0.01)
     assert entries(still_shot(1, 5, SIZE)) != entries(stills[5])
     assert entries(stills[4]) != entries(stills[5])
-
-
-def test_clips_are_the_same_every_time(clip: Shot) -> None:
     assert entries(clip_shot(0, 0, 40, SIZE)) == entries(clip)
     assert entries(clip_shot(0, 1, 40, SIZE)) != entries(clip)
 

@@ -92,13 +92,11 @@ def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
 
 def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:
     unit = still(SAMPLE / "hand.0001.jpg")
-    found, _ = detect(unit, tmp_path)
-    assert found.frames[0][0].spread is not None
-    assert_same(found, detect(unit, tmp_path)[0])
-    once = CaptureOptions(plain_detection=True)
-    found, _ = detect(unit, tmp_path, once)
-    assert found.frames[0][0].spread is None
-    assert_same(found, detect(unit, tmp_path, once)[0])
+    for plain in (False, True):
+        options = CaptureOptions(plain_detection=plain)
+        found, _ = detect(unit, tmp_path, options)
+        assert (found.frames[0][0].spread is None) == plain
+        assert_same(found, detect(unit, tmp_path, options)[0])
 
 
 def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, centroid_aligned_distances
+from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc
 from handfit_core.evaluate.summary import paper_pck, pck, pck_root, summarise
 from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.factory import make_hands, make_scores
@@ -175,18 +175,6 @@ def test_paper_pck_by_lists() -> None:
     assert area == pytest.approx(np.mean([area_by_loop(joint) for joint in used]))
     shares = [np.mean([e <= PCK_THRESHOLDS_MM[50] for e in joint]) for joint in used]
     assert curve[50] == pytest.approx(np.mean(shares))
-
-
-def test_the_paper_scores_fingertips_of_detected_hands() -> None:
-    scores = make_scores(6, noise=0.02, detected=np.array([True] * 4 + [False] * 2))
-    epe = centroid_aligned_distances(scores.points_3d[:, TIPS], scores.labels_3d[:, TIPS])
-    filled = np.full((6, 21), 1e6)
-    filled[:, TIPS] = 1000 * epe
-    filled[4:] = 1e6
-    found = summarise(make_scores(6, noise=0.02, detected=scores.detected, epe=filled), "paper")
-    assert list(found) == ["detection_rate", "epe", "auc"]
-    assert found["epe"] == pytest.approx(1000 * epe[:4].mean())
-    assert found["detection_rate"] == pytest.approx(100 * 4 / 6)
 
 
 # Clips

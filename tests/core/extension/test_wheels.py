@@ -99,17 +99,3 @@ def test_a_line_without_a_hash_is_refused(tmp_path, line):
     path.write_text(f"# A lock.\n{line}\n", encoding="utf-8")
     with pytest.raises(BuildError, match="line 2: expected NAME==VERSION --hash"):
         read_lock(path)
-
-
-def test_versions_by_python_and_platform():
-    lines = [
-        "# comment",
-        'scipy==1.15.3; python_version < "3.12"  # why',
-        'scipy==1.17.1; python_version >= "3.12"',
-        'torch==2.13.0; sys_platform != "win32"',
-        'torch==2.12.1; sys_platform == "win32"',
-        "typing_extensions==4.16.0",
-    ]
-    older = {"scipy": "1.15.3", "torch": "2.13.0", "typing-extensions": "4.16.0"}
-    assert versions(lines, "3.11", "linux") == older
-    assert versions(lines, "3.13", "win32") == {**older, "scipy": "1.17.1", "torch": "2.12.1"}

@@ -54,15 +54,6 @@ def test_true_landmarks_are_where_they_were_put() -> None:
     np.testing.assert_allclose(learn.true_landmarks(samples, NO_OFFSETS), samples["joints_3d"], atol=1e-6)
 
 
-def test_targets_of_perfect_detections_are_the_detections() -> None:
-    """Exactly so in x and y; in z up to perspective, which a detector's depth does not have."""
-    samples, truth = samples_with()
-    frame = learn._canonical(samples, samples["side"])
-    goal = learn.targets(samples, truth, frame)
-    np.testing.assert_allclose(goal[..., :2], frame.fused[..., :2], atol=1e-6)
-    assert np.abs(goal - frame.fused)[..., 2].mean() < 0.01
-
-
 def test_targets_come_back_as_places() -> None:
     """Targets in the picture are the points' own projection, and their depth along the line of sight."""
     samples, truth = samples_with()
@@ -110,32 +101,29 @@ def test_pose_prior_is_that_of_a_right_hand() -> None:
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learn, "EPOCHS", 1)
+def few_neurons(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(learn, "HIDDEN", 16)
 
 
-@pytest.mark.usefixtures("quick")
-def test_training_yields_what_the_network_reads() -> None:
+@pytest.mark.usefixtures("few_neurons")
+def test_training_yields_what_the_network_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learn, "EPOCHS", 1)
     samples, _ = samples_with(noise=3.0)
     said: list[str] = []
-    arrays = learn.train(samples, detector_landmarks(), seed=0, report=said.append)
-    assert len(said) == 1
-    assert said[0].startswith("epoch 1/1: landmarks ")
-    frame = learn._canonical(samples, samples["side"])
-    correction = LandmarkNetwork(arrays)(frame)
+    arrays, again = (learn.train(samples, detector_landmarks(), seed=0, report=said.append) for _ in "ab")
+    assert [line.partition(" landmarks ")[0] for line in said] == ["epoch 1/1:"] * 2
+    correction = LandmarkNetwork(arrays)(learn._canonical(samples, samples["side"]))
     assert correction.points.shape == correction.sigma.shape == (12, 21, 3)
     assert np.isfinite(correction.points).all()
     assert np.all((correction.right_side > 0) & (correction.right_side < 1))
-    again = learn.train(samples, detector_landmarks(), seed=0, report=said.append)
     for name, array in arrays.items():
         np.testing.assert_array_equal(again[name], array)
 
 
+@pytest.mark.usefixtures("few_neurons")
 def test_training_learns(monkeypatch: pytest.MonkeyPatch) -> None:
     """A detector that puts every landmark off by the same amount: a bias is the first thing to be learned."""
     monkeypatch.setattr(learn, "EPOCHS", 60)
-    monkeypatch.setattr(learn, "HIDDEN", 16)
     samples, _ = samples_with(noise=1.0)
     shifted = Landmarks(np.full((21, 3), 0.08))
     arrays = learn.train(samples, shifted, seed=0, report=lambda _: None)
