@@ -127,9 +127,8 @@ def _is_labelled(hand: HandLabel) -> bool:
 
 
 def _note_unreadable(unit: Unit, detections: UnitDetections, found: Rows) -> None:
-    for entry, readable in zip(unit.entries, detections.readable, strict=True):
-        if not readable:
-            found.problems.append(Problem("picture cannot be read", entry.name))
+    unreadable = (unit.entries[t] for t in np.flatnonzero(~detections.readable))
+    found.problems += [Problem("picture cannot be read", entry.name) for entry in unreadable]
 
 
 def _camera(camera: str, labels: Labels | None, size: np.ndarray) -> Intrinsics | None:

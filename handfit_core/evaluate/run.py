@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
-from collections import defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
+from itertools import count
 from pathlib import Path
 
 from handfit_core.errors import DatasetError, OptionError
@@ -84,16 +85,12 @@ def evaluate(
 
     scores: list[Scores] = []
     of_meshes: dict[Problem, None] = {}
-    stages = len(names) + 2
-    for name, title, result_of in baselines(found.rows, options.protocol, options.model):
-        scores.append(score(name, title, found.rows, result_of, options.protocol, is_baseline=True))
-        progress("score", len(scores), stages)
-    for name in names:
-        results = _results(fits, name)
-        scores.append(
-            score(name, method_title(name), found.rows, results, options.protocol, problems=of_meshes)
-        )
-        progress("score", len(scores), stages)
+    truths = baselines(found.rows, options.protocol, options.model)
+    judged = [*truths, *((name, method_title(name), _results(fits, name)) for name in names)]
+    for i, method in enumerate(judged):
+        is_baseline = i < len(truths)
+        scores.append(score(*method, found.rows, options.protocol, of_meshes, is_baseline=is_baseline))
+        progress("score", len(scores), len(judged))
     by_name = {s.method: s for s in scores}
     return Evaluation(
         dataset=dataset.name,
@@ -148,16 +145,10 @@ def _detected_rows(
     max_hands: int,
     progress: ReportProgress,
 ) -> Rows:
-    total = sum(len(unit.entries) for unit in units)
-    done = 0
-
-    def one_more() -> None:
-        nonlocal done
-        done += 1
-        progress("detect", done, total)
+    total, done = sum(len(unit.entries) for unit in units), count(1)
 
     def detect(unit: Unit) -> UnitDetections:
-        return detector.detect(unit, one_more)
+        return detector.detect(unit, lambda: progress("detect", next(done), total))
 
     return rows_of(units, detect, protocol=options.protocol, max_hands=max_hands, camera=options.camera)
 
@@ -195,10 +186,8 @@ def _results(fits: Fits, name: str) -> Callable[[Row], RowResult | None]:
 
 
 def _grouped(problems: Sequence[Problem]) -> dict[str, tuple[str, ...]]:
-    kinds: defaultdict[str, list[str]] = defaultdict(list)
-    for problem in problems:
-        kinds[problem.kind].append(problem.where)
-    return {kind: tuple(where) for kind, where in kinds.items()}
+    kinds = dict.fromkeys(problem.kind for problem in problems)
+    return {kind: tuple(p.where for p in problems if p.kind == kind) for kind in kinds}
 
 
 def _notes(options: EvaluationOptions) -> list[str]:
@@ -242,8 +231,6 @@ def _setup(
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPU cores",
     }
     for package in ("numpy", "scipy", "torch", "mediapipe", "opencv-python-headless"):
-        try:
+        with suppress(PackageNotFoundError):
             setup[package] = version(package)
-        except PackageNotFoundError:
-            continue
     return setup

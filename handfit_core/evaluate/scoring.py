@@ -46,12 +46,12 @@ class RowResult:
 def score(
     method: str,
     title: str,
-    rows: Sequence[Row],
     result_of: Callable[[Row], RowResult | None],
+    rows: Sequence[Row],
     protocol: ProtocolName,
+    problems: dict[Problem, None] | None = None,
     *,
     is_baseline: bool = False,
-    problems: dict[Problem, None] | None = None,
 ) -> Scores:
     """Score every row; `result_of` gives None for a miss. `problems` gets each mesh that cannot be read
     once, in order."""

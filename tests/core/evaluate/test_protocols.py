@@ -41,7 +41,7 @@ def scored(
         picture_points = seen(points, camera=camera).keypoints
     result = RowResult(points, picture_points)
     made = rows(entries, detections, protocol).rows
-    return score("made", "made", made, lambda row: result if row.track else None, protocol)
+    return score("made", "made", lambda row: result if row.track else None, made, protocol)
 
 
 def only(points: np.ndarray, kept: Sequence[int]) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_misses_vanish_in_the_paper_and_are_wrong_in_strict() -> None:
     summaries = {}
     for protocol in PROTOCOLS:
         made = rows(entries, detections, protocol)
-        scores = score("made", "made", made.rows, lambda row: result if row.track else None, protocol)
+        scores = score("made", "made", lambda row: result if row.track else None, made.rows, protocol)
         summaries[protocol] = summarise(scores, protocol)
         assert summaries[protocol]["detection_rate"] == 25.0
         dropped = [p.where for p in made.problems if p.kind == "no hand detected: dropped as in the paper"]
@@ -148,12 +148,12 @@ def test_null_baselines_score_what_facts_say(protocol: ProtocolName) -> None:
     entries = [entry(f"{i}", label(one)) for i, one in enumerate(truth)]
     made = rows(entries, [found((seen(joints()),))] * 2, protocol).rows
     name, title, centroid = baselines(made, protocol, None)[0]
-    five = score(name, title, made[:1], centroid, protocol, is_baseline=True)
+    five = score(name, title, centroid, made[:1], protocol, is_baseline=True)
     tips = truth[0][TIPS]
     spread = 1000 * np.linalg.norm(tips - tips.mean(axis=0), axis=1)
     np.testing.assert_allclose(five.epe[0, TIPS], spread, rtol=1e-6)
     assert 0.2 < summarise(five, protocol)["auc"] < 0.8
-    one = summarise(score(name, title, made[1:], centroid, protocol, is_baseline=True), protocol)
+    one = summarise(score(name, title, centroid, made[1:], protocol, is_baseline=True), protocol)
     if protocol == "paper":
         assert one["auc"] == pytest.approx(1.0)
     else:

@@ -34,7 +34,7 @@ def test_a_detection_of_nothing_labelled_is_an_extra_hand() -> None:
 def test_a_wrong_side_shows_in_handedness_alone() -> None:
     made = strict_rows([entry("a", label(TRUTH, "right"))], found((seen(TRUTH, "left"),)))
     result = RowResult(TRUTH, seen(TRUTH).keypoints)
-    summary = summarise(score("m", "m", made.rows, lambda _: result, "strict"), "strict")
+    summary = summarise(score("m", "m", lambda _: result, made.rows, "strict"), "strict")
     assert summary["handedness"] == 0.0
     assert summary["detection_rate"] == 100.0
     assert summary["pa_mpjpe"] < 1e-6

@@ -32,7 +32,7 @@ def result(vertices: np.ndarray, model=RIGHT) -> RowResult:
 
 
 def scored(mesh: MeshLabel | None, fitted: RowResult, problems: dict[Problem, None] | None = None):
-    return score("m", "m", rows(mesh), lambda _: fitted, "strict", problems=problems)
+    return score("m", "m", lambda _: fitted, rows(mesh), "strict", problems)
 
 
 def test_a_perfect_surface_has_no_error_wherever_it_stands() -> None:
