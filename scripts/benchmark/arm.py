@@ -66,16 +66,14 @@ def build_arm(
     grown = size + (1.35 * size - size) * np.clip(s / 0.22, 0.0, 1.0) ** 1.2
     squash = 1 - 0.22 * (1 - np.clip(s / 0.2, 0.0, 1.0))
 
+    def ring(i: int, wider: float) -> np.ndarray:
+        up, across = frames[i, :, 1], frames[i, :, 2]
+        circle = squash[i] * np.outer(np.sin(angle), up) + np.outer(np.cos(angle), across)
+        own = flat @ frames[0] @ frames[i].T * (1 + wider / size) + np.outer(depth, frames[i, :, 0])
+        return axis[i] + (1 - blend[i]) * own + blend[i] * ((grown[i] + wider) * circle)
+
     def rings(wider: np.ndarray) -> np.ndarray:
-        made = []
-        for i in range(len(s)):
-            up, side_ = frames[i, :, 1], frames[i, :, 2]
-            round_ = (grown[i] + wider[i]) * (
-                squash[i] * np.outer(np.sin(angle), up) + np.outer(np.cos(angle), side_)
-            )
-            own = flat @ frames[0] @ frames[i].T * (1 + wider[i] / size) + np.outer(depth, frames[i, :, 0])
-            made.append(axis[i] + (1 - blend[i]) * own + blend[i] * round_)
-        return np.array(made)
+        return np.array([ring(i, wider[i]) for i in range(len(s))])
 
     skin_rings = rings(np.zeros(len(s)))
     cover = None

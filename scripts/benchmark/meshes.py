@@ -38,15 +38,12 @@ def vertex_normals(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:
 def tube(rings: np.ndarray, closed: bool = True) -> Mesh:
     """Join rings (R, N, 3) of points to a tube; `closed` puts a lid on both ends."""
     count, around = rings.shape[:2]
-    polygons: list[tuple[int, ...]] = []
-    for r in range(count - 1):
-        for i in range(around):
-            j = (i + 1) % around
-            polygons.append((r * around + i, r * around + j, (r + 1) * around + j, (r + 1) * around + i))
-    if closed:
-        polygons.append(tuple(reversed(range(around))))
-        polygons.append(tuple(range((count - 1) * around, count * around)))
-    return Mesh(rings.reshape(-1, 3), tuple(polygons))
+    number = np.arange(count * around).reshape(count, around)
+    after = np.roll(number, -1, axis=1)
+    quads = np.stack([number[:-1], after[:-1], after[1:], number[1:]], axis=-1).reshape(-1, 4)
+    polygons = tuple(map(tuple, quads.tolist()))
+    lids = (tuple(number[0, ::-1].tolist()), tuple(number[-1].tolist())) if closed else ()
+    return Mesh(rings.reshape(-1, 3), polygons + lids)
 
 
 def turned(profile: np.ndarray, around: int = 32, closed: bool = True) -> Mesh:
@@ -66,13 +63,8 @@ def cylinder(radius: float, length: float) -> Mesh:
 def pen(radius: float, length: float) -> Mesh:
     """A stick about z with a point."""
     half = length / 2
-    profile = [
-        (0.15 * radius, -half),
-        (radius, -half + 3 * radius),
-        (radius, half - 0.3 * radius),
-        (0.8 * radius, half),
-    ]
-    return turned(np.array(profile), around=16)
+    point = [(0.15 * radius, -half), (radius, -half + 3 * radius)]
+    return turned(np.array([*point, (radius, half - 0.3 * radius), (0.8 * radius, half)]), around=16)
 
 
 def ball(radius: float) -> Mesh:
@@ -91,24 +83,16 @@ def box(sides: np.ndarray) -> Mesh:
 def mug(radius: float, height: float) -> Mesh:
     """A mug about z with a handle towards +x."""
     half, wall = height / 2, 0.1 * radius
-    profile = [
-        (0.9 * radius, -half),
-        (radius, -half + wall),
-        (radius, half),
-        (radius - wall, half),
-        (radius - wall, -half + 2 * wall),
-        (0.1 * radius, -half + 2 * wall),
-    ]
-    body = turned(np.array(profile))
+    outside = [(0.9 * radius, -half), (radius, -half + wall), (radius, half)]
+    floor = -half + 2 * wall
+    body = turned(np.array([*outside, (radius - wall, half), (radius - wall, floor), (0.1 * radius, floor)]))
     bow = np.linspace(-np.pi / 2, np.pi / 2, 13)
     around = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     thick = 0.13 * radius
     outward = np.stack([np.cos(bow), np.zeros_like(bow), np.sin(bow)], axis=-1)
     centres = np.array([0.95 * radius, 0, 0]) + 0.62 * radius * outward
-    rings = centres[:, None] + thick * (
-        np.cos(around)[None, :, None] * outward[:, None]
-        + np.sin(around)[None, :, None] * np.array([0.0, 1.0, 0.0])
-    )
+    round_ = np.cos(around)[:, None] * outward[:, None] + np.sin(around)[:, None] * np.array([0.0, 1.0, 0.0])
+    rings = centres[:, None] + thick * round_
     handle = tube(rings)
     offset = len(body.vertices)
     polygons = body.polygons + tuple(tuple(v + offset for v in p) for p in handle.polygons)

@@ -104,8 +104,8 @@ def random_hand(
 
 def _mirrored(held: Held) -> Held:
     polygons = tuple(tuple(reversed(p)) for p in held.mesh.polygons)
-    mesh = type(held.mesh)(held.mesh.vertices * _MIRROR, polygons, held.mesh.smooth)
-    return Held(held.kind, held.start * _MIRROR, held.end * _MIRROR, held.radius, mesh)
+    mesh = replace(held.mesh, vertices=held.mesh.vertices * _MIRROR, polygons=polygons)
+    return replace(held, start=held.start * _MIRROR, end=held.end * _MIRROR, mesh=mesh)
 
 
 def beside(first: Placed, second: Placed, apart: float, rng: np.random.Generator) -> Placed | None:

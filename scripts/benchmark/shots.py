@@ -143,12 +143,9 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
                     "joints_3d_mm": _rounded(p[t] * 1000.0, 5),
                     "keypoints_2d_px": _rounded(uv[t], 4),
                     "mano": {
-                        "model": OPEN_HAND,
-                        "digest": model_of(hand.side).digest,
+                        **{"model": OPEN_HAND, "digest": model_of(hand.side).digest},
                         "betas": _rounded(hand.betas, 9),
-                        "global_orient": _rounded(hand.global_orient[t], 9),
-                        "hand_pose": _rounded(hand.hand_pose[t], 9),
-                        "transl": _rounded(hand.transl[t], 9),
+                        **{key: _rounded(getattr(hand, key)[t], 9) for key in _PER_FRAME},
                     },
                 }
                 for hand, p, uv in zip(shot.hands, points, pixels, strict=True)
@@ -157,10 +154,11 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
             "time": number / FPS,
             "tags": dict(tags),
         }
-        if shot.clip is not None:
-            entry["clip"] = shot.clip
-        found.append(entry)
+        found.append(entry | ({} if shot.clip is None else {"clip": shot.clip}))
     return found
+
+
+_PER_FRAME = ("global_orient", "hand_pose", "transl")
 
 
 def _rounded(values: np.ndarray, decimals: int) -> list:
