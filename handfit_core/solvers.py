@@ -90,6 +90,8 @@ class Solver:
     slow: bool = False
     """Whether a frame takes it longer than the detector: once stopped, it gets a moment for what was found
     until then, where others get the time that they need"""
+    published: bool = False
+    """Whether it is the paper's: its own protocol runs it frame by frame, as published"""
     needs: tuple[str, ...] = ()
     """Packages that it imports beside those that every capture needs"""
 

@@ -20,9 +20,9 @@ from handfit_core.evaluate.scores import ProtocolName
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel
-from handfit_core.paper.fitter import EXPERIMENTS
+from handfit_core.paper import EXPERIMENTS
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
-from handfit_core.solvers import get_solver, solver_names
+from handfit_core.solvers import SOLVERS, get_solver, solver_names
 
 Models = Mapping[Side, HandModel]
 
@@ -158,7 +158,7 @@ _TITLES: Final = {
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),
-    "paper": tuple(name for name, options in EXPERIMENTS.items() if not options.camera_stage),
+    "paper": tuple(name for name, solver in SOLVERS.built_in().items() if solver.published),
     "all": (*_RAW, *solver_names()),
 }
 """Names that stand for several."""
@@ -183,7 +183,6 @@ def get_method(name: str, protocol: ProtocolName) -> Method:
     """The method of that name, as the protocol runs it."""
     if name in _RAW:
         return partial(raw, _RAW[name])
-    options = EXPERIMENTS.get(name)
-    if protocol == "paper" and options is not None and not options.camera_stage:
+    if protocol == "paper" and SOLVERS.get(name).published:
         return partial(published, name)
     return partial(solved, name)

@@ -4,28 +4,39 @@ its experiments A to H, and A+, which is made of A. They need torch, which loads
 from __future__ import annotations
 
 from functools import partial
+from typing import Final
 
+from handfit_core.paper.fitter import PaperOptions, fit_track
 from handfit_core.solvers import Solver, TrackSolver
 
+_MSE, _GEMAN, _HUBER = ("L-BFGS-B", "mse"), ("L-BFGS-B", "geman_mcclure"), ("L-BFGS-B", "huber")
+_TIPS, _ALL = "error, fingertips counted again", "error of the 21 keypoints"
+_BFGS = "Mean squared error with the BFGS optimizer"
+_IN_RANGE = "A second stage that keeps joints within their range"
+_HELD = "Experiment A, held by a relaxed pose, with a camera stage"
+_BESIDES = {"pose_prior": True, "warm_start": True, "camera_stage": True}
 
-def _made(name: str, _smoothing: float, _hand_length: float | None) -> TrackSolver:
-    from handfit_core.paper.fitter import EXPERIMENTS, fit_track
+EXPERIMENTS: Final = {
+    "paper-a": PaperOptions("A: L-BFGS, Mean Squares", f"Mean squared {_TIPS}", *_MSE, tips=True),
+    "paper-b": PaperOptions("B: Without Fingertips", f"Mean squared {_ALL}", *_MSE, tips=False),
+    "paper-c": PaperOptions("C: Geman-McClure", f"Geman-McClure {_TIPS}", *_GEMAN, tips=True),
+    "paper-d": PaperOptions("D: Geman-McClure, Plain", f"Geman-McClure {_ALL}", *_GEMAN, tips=False),
+    "paper-e": PaperOptions("E: Huber", f"Huber {_TIPS}", *_HUBER, tips=True),
+    "paper-f": PaperOptions("F: Huber, Plain", f"Huber {_ALL}", *_HUBER, tips=False),
+    "paper-g": PaperOptions("G: BFGS", _BFGS, "BFGS", "mse", tips=True),
+    "paper-h": PaperOptions("H: Anatomical Stage", _IN_RANGE, *_MSE, tips=False, anatomical_stage=True),
+    "paper-a-plus": PaperOptions("A+: With Pose Prior", _HELD, *_MSE, tips=True, **_BESIDES),
+}
+"""The paper's experiments as published, and `paper-a-plus`: A with a pull towards a relaxed hand and a last
+stage through the camera"""
 
-    return partial(fit_track, EXPERIMENTS[name])
+
+def _solver(options: PaperOptions) -> Solver:
+    def make(_smoothing: float, _hand_length: float | None) -> TrackSolver:
+        return partial(fit_track, options)
+
+    can = {"slow": True, "needs": ("torch",), "published": not options.camera_stage}
+    return Solver(make, options.title, options.description, **can)
 
 
-def _experiment(name: str, title: str, description: str) -> Solver:
-    return Solver(partial(_made, name), title, description, slow=True, needs=("torch",))
-
-
-A = _experiment("paper-a", "A: L-BFGS, Mean Squares", "Mean squared error, fingertips counted again")
-B = _experiment("paper-b", "B: Without Fingertips", "Mean squared error of the 21 keypoints")
-C = _experiment("paper-c", "C: Geman-McClure", "Geman-McClure error, fingertips counted again")
-D = _experiment("paper-d", "D: Geman-McClure, Plain", "Geman-McClure error of the 21 keypoints")
-E = _experiment("paper-e", "E: Huber", "Huber error, fingertips counted again")
-F = _experiment("paper-f", "F: Huber, Plain", "Huber error of the 21 keypoints")
-G = _experiment("paper-g", "G: BFGS", "Mean squared error with the BFGS optimizer")
-H = _experiment("paper-h", "H: Anatomical Stage", "A second stage that keeps joints within their range")
-A_PLUS = _experiment(
-    "paper-a-plus", "A+: With Pose Prior", "Experiment A, held by a relaxed pose, with a camera stage"
-)
+A, B, C, D, E, F, G, H, A_PLUS = map(_solver, EXPERIMENTS.values())

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -44,6 +43,10 @@ SHAPE_FRAMES = 8
 class PaperOptions:
     """One experiment of the paper's table, or a variation of one."""
 
+    title: str
+    """For lists, in title case"""
+    description: str
+    """One line for those who choose"""
     method: str
     """scipy's name: L-BFGS-B or BFGS"""
     loss: str
@@ -58,23 +61,6 @@ class PaperOptions:
     """start from the frame before, not from the flat hand; not in the paper"""
     camera_stage: bool = False
     """a last stage through the camera (`through_camera`); needs the prior; not in the paper"""
-
-
-EXPERIMENTS: Final[dict[str, PaperOptions]] = {
-    "paper-a": PaperOptions("L-BFGS-B", "mse", tips=True),
-    "paper-b": PaperOptions("L-BFGS-B", "mse", tips=False),
-    "paper-c": PaperOptions("L-BFGS-B", "geman_mcclure", tips=True),
-    "paper-d": PaperOptions("L-BFGS-B", "geman_mcclure", tips=False),
-    "paper-e": PaperOptions("L-BFGS-B", "huber", tips=True),
-    "paper-f": PaperOptions("L-BFGS-B", "huber", tips=False),
-    "paper-g": PaperOptions("BFGS", "mse", tips=True),
-    "paper-h": PaperOptions("L-BFGS-B", "mse", tips=False, anatomical_stage=True),
-    "paper-a-plus": PaperOptions(
-        "L-BFGS-B", "mse", tips=True, pose_prior=True, warm_start=True, camera_stage=True
-    ),
-}
-"""The paper's experiments as published, and `paper-a-plus`: A with a pull towards a relaxed hand and a
-last stage through the camera."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import pytest
 
 from handfit_core.errors import OptionError
 from handfit_core.options import CaptureOptions
-from handfit_core.paper.fitter import EXPERIMENTS
+from handfit_core.paper import EXPERIMENTS
 from handfit_core.solvers import SOLVERS, get_solver, solver_names
 
 

@@ -14,7 +14,8 @@ from handfit_core.evaluate.methods import (
 )
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
-from handfit_core.paper.fitter import EXPERIMENTS, PaperFitter
+from handfit_core.paper import EXPERIMENTS
+from handfit_core.paper.fitter import PaperFitter
 from tests.core.evaluate.hands import CAMERA, joints, seen
 
 

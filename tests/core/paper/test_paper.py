@@ -8,7 +8,8 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.paper.fitter import EXPERIMENTS, PaperFitter, normalise
+from handfit_core.paper import EXPERIMENTS
+from handfit_core.paper.fitter import PaperFitter, normalise
 from handfit_core.skeleton import PALM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import get_solver, solver_names
 
