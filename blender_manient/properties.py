@@ -36,17 +36,25 @@ PRESETS = (
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
 
 
+MATCHING: Any = {
+    "name": "Scene",
+    "description": "What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
+    "items": CHOICES,
+    "default": "AUTO",
+}
+POSE_CORRECTIVES: Any = {
+    "name": "Pose Correctives",
+    "description": "Shape keys that fill out bent joints, for hand models that have them",
+    "default": True,
+}
+
 listeners: dict[str, Callable[[Any], None]] = {}
 """Name of what is followed -> what is called with the group that has changed; the parts' FOLLOWS"""
 
 
 def told(name: str) -> Callable[[Any, bpy.types.Context], None]:
     """The `update` of a property that somebody follows under that name."""
-    return lambda group, _context: listeners.get(name, _nobody)(group)
-
-
-def _nobody(_group: Any) -> None:
-    pass
+    return lambda group, _context: listeners[name](group) if name in listeners else None
 
 
 offered: dict[str, Callable[[], list[str]]] = {}
@@ -166,12 +174,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         max=500.0,
         precision=1,
     )
-    matching: EnumProperty(  # type: ignore
-        name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
-        items=CHOICES,
-        default="AUTO",
-    )
+    matching: EnumProperty(**MATCHING)  # type: ignore
     matched_time: StringProperty(  # type: ignore
         description="The rate and range that the scene was given by footage (scene/matching.py)"
     )
@@ -190,11 +193,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
         options={"HIDDEN"},
     )
-    pose_correctives: BoolProperty(  # type: ignore
-        name="Pose Correctives",
-        description="Shape keys that fill out bent joints, for hand models that have them",
-        default=True,
-    )
+    pose_correctives: BoolProperty(**POSE_CORRECTIVES)  # type: ignore
     target: EnumProperty(  # type: ignore
         name="Output",
         description="What becomes of the captured hands",
@@ -304,15 +303,20 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
 
 
+_OWNERS: Any = {
+    bpy.types.Scene: ManientSettings,
+    bpy.types.Object: ManientHand,
+    bpy.types.Collection: ManientCapture,
+}
+
+
 def register() -> None:
     """Add the groups to scenes, objects and collections."""
-    bpy.types.Scene.manient = PointerProperty(type=ManientSettings)
-    bpy.types.Object.manient = PointerProperty(type=ManientHand)
-    bpy.types.Collection.manient = PointerProperty(type=ManientCapture)
+    for owner, group in _OWNERS.items():
+        owner.manient = PointerProperty(type=group)
 
 
 def unregister() -> None:
     """Take them away again."""
-    del bpy.types.Collection.manient
-    del bpy.types.Object.manient
-    del bpy.types.Scene.manient
+    for owner in _OWNERS:
+        del owner.manient

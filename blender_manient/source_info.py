@@ -224,24 +224,20 @@ def _await_answer() -> float | None:
         return None
     if jobs.current() is not None:
         return 1.0  # the worker answers after that
-    for event in shared_worker.worker().events(info.request):
-        if event.get("event") in ("done", "error"):
-            _take_in(info, event)
-            info.request = 0
-            screen.redraw_sidebars()
-            return None
-    return _LOOK_AGAIN if shared_worker.worker().alive else None
-
-
-def _take_in(info: SourceInfo, event: dict[str, Any]) -> None:
-    if event["event"] == "error":
-        message = str(event.get("message", ""))
+    try:
+        found = shared_worker.answer(info.request)
+    except HandfitError as error:
         # The panel has the path above.
-        info.problem = capitalised(without_name(message, info.files.files if info.files else ()))
-        return
-    info.width, info.height = int(event["width"]), int(event["height"])
-    info.fps, info.frames = float(event["fps"]), int(event["frames"])
-    info.first, info.last = int(event["first"]), int(event["last"])
+        info.problem = capitalised(without_name(str(error), info.files.files if info.files else ()))
+    else:
+        if found is None:
+            return _LOOK_AGAIN if shared_worker.worker().alive else None
+        info.width, info.height = int(found["width"]), int(found["height"])
+        info.fps, info.frames = float(found["fps"]), int(found["frames"])
+        info.first, info.last = int(found["first"]), int(found["last"])
+    info.request = 0
+    screen.redraw_sidebars()
+    return None
 
 
 @bpy.app.handlers.persistent

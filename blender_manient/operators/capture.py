@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.errors import InputError, OptionError
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
@@ -16,7 +16,7 @@ from .. import jobs, preferences, screen, shared_worker, source_info
 from ..remembered import Remembered
 from ..scene.camera import lens_of_camera
 from ..scene.store import active_hand
-from .needs_hand import Refuses, Waits
+from .needs_hand import Refuses, Waits, errors_reported
 
 _TICK = 0.02
 """seconds between two looks at the worker"""
@@ -61,10 +61,11 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
             return "This scene is linked from another file: open or make one of your own"
         return shared_worker.capture_sentence()
 
+    @errors_reported
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
-        if not self.queued and not self._submit(context):
-            return {"CANCELLED"}
+        if not self.queued:
+            jobs.submit(new_job(context, only_frame=self.only_frame))
         if MANIENT_OT_capture._ticking:
             self.report({"INFO"}, "It is captured after the one before")
             return {"FINISHED"}
@@ -98,22 +99,15 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
         jobs.abandon()
         self._end(context)
 
+    @errors_reported
     def execute(self, context):
         """Capture and wait for it: for scripts, and without a window."""
-        if not self.queued and not self._submit(context):
-            return {"CANCELLED"}
+        if not self.queued:
+            jobs.submit(new_job(context, only_frame=self.only_frame))
         waited = jobs.run()
         for job in waited:
             self._report(job)
         return {"FINISHED"} if all(job.state == "done" for job in waited) else {"CANCELLED"}
-
-    def _submit(self, context) -> bool:
-        try:
-            jobs.submit(new_job(context, only_frame=self.only_frame))
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
-            return False
-        return True
 
     def _show(self, context) -> None:
         job = jobs.current()

@@ -8,8 +8,9 @@ from bpy_extras.io_utils import ImportHelper
 from handfit_core.take import Take
 
 from .. import screen
+from ..properties import MATCHING, POSE_CORRECTIVES
 from ..scene.build import build_take
-from ..scene.matching import CHOICES, Footage, matches, said
+from ..scene.matching import Footage, matches, said
 from ..scene.surroundings import clear_view
 from ..section import sentence
 from .needs_hand import Refuses, errors_reported
@@ -23,23 +24,13 @@ class MANIENT_OT_import_take(Refuses, bpy.types.Operator, ImportHelper):
 
     filename_ext = ".npz"
     filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
-    pose_correctives: bpy.props.BoolProperty(  # type: ignore
-        name="Pose Correctives",
-        description="Shape keys that fill out bent joints, for hand models that have them",
-        default=True,
-    )
+    pose_correctives: bpy.props.BoolProperty(**POSE_CORRECTIVES)  # type: ignore
     picture: bpy.props.BoolProperty(  # type: ignore
         name="Picture Behind",
         description="Show the photo or video that was captured behind the hands",
         default=True,
     )
-    matching: bpy.props.EnumProperty(  # type: ignore
-        name="Scene",
-        description="What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
-        items=CHOICES,
-        default="AUTO",
-        options={"SKIP_SAVE"},
-    )
+    matching: bpy.props.EnumProperty(**MATCHING, options={"SKIP_SAVE"})  # type: ignore
     render_setup: bpy.props.BoolProperty(  # type: ignore
         name="Ready to Render",
         description="Lights, and the picture in renders, where the scene is matched",

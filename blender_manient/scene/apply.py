@@ -31,7 +31,7 @@ from .keys import (
     write_pose_keys,
 )
 from .store import CapturedHand, hand_of, timing_of
-from .timing import Timing, timing_in
+from .timing import timing_in
 
 Mode = Literal["ANIMATION", "POSE"]
 
@@ -65,7 +65,7 @@ def apply_track(
         numbers = np.asarray(take.frame_numbers)[rows]
         wanted = numbers[0] if source_frame is None else source_frame
         rows = rows[[int(np.argmin(np.abs(numbers - wanted)))]]
-    timing = _timing(hand, take, own, frame)
+    timing = timing_of(hand.collection) if own else timing_in(bpy.context.scene, take, frame)
     frames = np.array([frame]) if mode == "POSE" else timing.scene_frames(take.frame_numbers)[rows]
     keys = PoseKeys.everywhere(frames, *_of_track(hand, take, track, rows))
     return _apply(hand, keys, mode, mode == "ANIMATION" or own if wrist is None else wrist)
@@ -115,14 +115,6 @@ def _checked(obj: bpy.types.Object, mode: Mode) -> CapturedHand:
     else:
         check_editable(hand.armature)  # a whole motion may well lie over strips in the NLA
     return hand
-
-
-def _timing(hand: CapturedHand, take: Take, own: bool, frame: float) -> Timing:
-    if own:
-        return timing_of(hand.collection)
-    scene = bpy.context.scene
-    scale = timing_in(scene, take).scale
-    return Timing(frame - scale * float(take.frame_numbers[0]), scale)
 
 
 def _of_track(

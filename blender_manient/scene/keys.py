@@ -420,12 +420,8 @@ def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     count = len(points)
     data = {}
     for name in names:
-        if name in _PLACES:
-            data[name] = np.empty((count, 2), dtype=np.float32)
-        elif name in _AMOUNTS:
-            data[name] = np.empty(count, dtype=np.float32)
-        else:
-            data[name] = np.empty(count, dtype=bool if name in _SELECTED else np.int32)
+        kind = bool if name in _SELECTED else np.int32 if name in _KINDS else np.float32
+        data[name] = np.empty((count, 2) if name in _PLACES else count, dtype=kind)
         points.foreach_get(name, data[name].ravel())
     return data
 

@@ -32,6 +32,7 @@ def test_the_report_has_versions_files_and_a_self_test(registered):
 
 def test_an_interpreter_that_does_not_exist(registered, tmp_path):
     preferences.get().python = str(tmp_path / "no-python")
+    preferences.get().mano_folder = str(tmp_path)
     assert bpy.ops.manient.check_installation() == {"FINISHED"}
     result = check_installation.last_result()
     assert result is not None
@@ -39,6 +40,9 @@ def test_an_interpreter_that_does_not_exist(registered, tmp_path):
     assert "no-python" in result.sentence
     assert "preferences" in result.sentence
     assert result.sentence in content("Hand Capture Check")
+    assert "has no MANO_RIGHT" in content("Hand Capture Check")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert check_installation.last_result() is None, "results end with their text"
 
 
 def test_what_a_process_said_before_it_died_is_in_the_report(registered, peer):
@@ -47,13 +51,6 @@ def test_what_a_process_said_before_it_died_is_in_the_report(registered, peer):
     text = content("Hand Capture Check")
     assert "The process that captures said:\nout of paper" in text
     assert "exit code 3" in text
-
-
-def test_the_mano_files_are_checked_too(registered, tmp_path):
-    preferences.get().python = str(tmp_path / "no-python")
-    preferences.get().mano_folder = str(tmp_path)
-    bpy.ops.manient.check_installation()
-    assert "has no MANO_RIGHT" in content("Hand Capture Check")
 
 
 def test_the_users_home_is_not_told(registered, monkeypatch, tmp_path):
@@ -97,11 +94,3 @@ def test_without_a_window_details_are_printed(registered, capfd):
     assert bpy.ops.manient.show_details() == {"FINISHED"}
     assert "where it was" in capfd.readouterr().out
     assert not bpy.ops.manient.copy_details.poll()  # there is no clipboard
-
-
-def test_results_end_with_their_text(registered, tmp_path):
-    preferences.get().python = str(tmp_path / "no-python")
-    bpy.ops.manient.check_installation()
-    assert check_installation.last_result() is not None
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert check_installation.last_result() is None

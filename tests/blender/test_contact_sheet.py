@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_manient.scene.build import build_take
+from blender_manient.scene.plate import rows_of
 from blender_manient.scene.preview import turned_rows
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from scripts.contact_sheet import find_takes, main, row
@@ -20,12 +21,7 @@ GAP = 4
 
 def picture(path: Path) -> np.ndarray:
     """(H, W) brightness, the first row on top."""
-    image = bpy.data.images.load(str(path))
-    width, height = image.size
-    pixels = np.empty(width * height * 4, dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[::-1, :, :3].mean(axis=-1)
+    return rows_of(bpy.data.images.load(str(path)))[..., :3].mean(axis=-1)
 
 
 @pytest.fixture

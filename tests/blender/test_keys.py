@@ -190,7 +190,6 @@ def test_missing_curves_are_made_without_moving_anything(armature):
 
 
 def test_signs(armature):
-    quats = np.zeros((1, 16, 4))
     keys = read_pose_keys(rig_of(armature))
     # A turn of more than half a circle in the middle: what follows has the other sign then.
     quats = keys.quats.copy()

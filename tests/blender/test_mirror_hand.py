@@ -93,20 +93,18 @@ def test_hands_do_not_overlap(make_take):
     """In the middle of the picture the mirror stands beside the hand."""
     made = make_take(sides=("right",))
     source = build_take(made.take).hands[0]
-    low, high = [], []
-    for _, frame in made.seen:
-        bpy.context.scene.frame_set(frame)
-        x = joint_heads(source.armature, "right")[:, 0]
-        low.append(x.min())
-        high.append(x.max())
-    assert min(low) < 0 < max(high)
-    other = mirrored(source)
-    found = []
-    for _, frame in made.seen:
-        bpy.context.scene.frame_set(frame)
-        found.append(joint_heads(other, "left")[:, 0])
-    found = np.array(found)
-    assert found.min() > max(high) or found.max() < min(low)
+
+    def width(armature, side) -> np.ndarray:
+        found = []
+        for _, frame in made.seen:
+            bpy.context.scene.frame_set(frame)
+            found.append(joint_heads(armature, side)[:, 0])
+        return np.array(found)
+
+    own = width(source.armature, "right")
+    assert own.min() < 0 < own.max()
+    other = width(mirrored(source), "left")
+    assert other.min() > own.max() or other.max() < own.min()
 
 
 def test_it_is_a_captured_hand_of_the_same_capture(make_take, tmp_path):

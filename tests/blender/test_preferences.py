@@ -153,8 +153,6 @@ def test_clear_removes_only_what_is_ours(registered, tmp_path):
 
 
 def test_clear_keeps_pictures_that_the_file_shows(registered, picture):
-    import numpy as np
-
     shown = write_png(cache.cache_folder() / "shown.png", np.ones((4, 4, 4), dtype=np.float32))
     bpy.data.images.load(str(shown))
     (cache.cache_folder() / "other.png").write_bytes(b"x")

@@ -13,6 +13,7 @@ import blender_manient
 from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
 from blender_manient.scene.export import export_take
+from blender_manient.scene.plate import rows_of
 from blender_manient.scene.surroundings import clear_view
 from handfit_core.media.source import Source
 
@@ -36,9 +37,7 @@ def rendered(scene: bpy.types.Scene, path: Path) -> np.ndarray:
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(str(path), check_existing=False)
     image.colorspace_settings.name = "Non-Color"
-    pixels = np.empty(len(image.pixels), dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
+    return rows_of(image)[..., :3]
 
 
 def ramp() -> np.ndarray:

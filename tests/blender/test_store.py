@@ -23,10 +23,9 @@ from .conftest import FRAMES
 pytestmark = pytest.mark.usefixtures("registered")
 
 
-@pytest.fixture
-def no_memory(monkeypatch):
-    """forget() empties the cache, as another run of Blender would."""
-    return store._cache.clear
+def no_memory() -> None:
+    """As in another run of Blender."""
+    store._cache.clear()
 
 
 def assert_same_take(found, take) -> None:
@@ -40,7 +39,7 @@ def assert_same_take(found, take) -> None:
         np.testing.assert_array_equal(a.detected, b.detected)
 
 
-def test_the_take_survives_saving(make_take, tmp_path, no_memory):
+def test_the_take_survives_saving(make_take, tmp_path):
     made = make_take()
     build_take(made.take)
     path = tmp_path / "scene.blend"
@@ -74,7 +73,7 @@ def test_a_mesh_leads_to_its_hand_and_other_objects_to_none(make_take):
     assert store.hand_of(bpy.context.object) is None
 
 
-def test_decoding_happens_once(make_take, no_memory, monkeypatch):
+def test_decoding_happens_once(make_take):
     built = build_take(make_take().take)
     no_memory()
     first = store.kept_take(built.collection)
@@ -82,7 +81,7 @@ def test_decoding_happens_once(make_take, no_memory, monkeypatch):
     assert all(store.hand_of(h.armature).take is first for h in built.hands)
 
 
-def test_keeping_another_take_replaces_the_first(make_take, no_memory):
+def test_keeping_another_take_replaces_the_first(make_take):
     built = build_take(make_take().take)
     other = make_take(seed=5).take
     before = built.collection.manient.digest
@@ -92,7 +91,7 @@ def test_keeping_another_take_replaces_the_first(make_take, no_memory):
     assert_same_take(store.kept_take(built.collection), other)
 
 
-def test_undo_brings_the_former_take_back(make_take, no_memory):
+def test_undo_brings_the_former_take_back(make_take):
     made = make_take()
     built = build_take(made.take)
     name = built.collection.name
@@ -120,7 +119,7 @@ def test_a_hand_whose_collection_was_deleted(make_take):
     assert store.hand_of(armature) is None
 
 
-def test_a_damaged_take(make_take, no_memory):
+def test_a_damaged_take(make_take):
     built = build_take(make_take().take)
     text = built.collection.manient.take
     for damaged in (text[: len(text) // 2], "no base64 *", text[:100] + "AAAA" + text[104:]):
@@ -137,7 +136,7 @@ def keep_bytes(collection, data: bytes) -> None:
         pass
 
 
-def test_a_take_in_a_blend_is_checked_like_a_file(make_take, no_memory):
+def test_a_take_in_a_blend_is_checked_like_a_file(make_take):
     """Its fingerprint says only that it is whole."""
     made = make_take(sides=("right",))
     built = build_take(made.take)
@@ -177,17 +176,11 @@ def test_the_model_that_a_take_names_is_read_like_any_other(make_take, tmp_path,
     assert not bpy.data.collections
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"frame_numbers": FRAMES + 20_240_101_123_456_789}, "Blender's timeline ends at 1048574"),
-        ({"frame_numbers": np.append(FRAMES[:-1], 2**61)}, "Blender's timeline ends at 1048574"),
-    ],
-)
-def test_frames_beyond_blenders_timeline_are_a_sentence(make_take, changes, said):
+@pytest.mark.parametrize("numbers", [FRAMES + 20_240_101_123_456_789, np.append(FRAMES[:-1], 2**61)])
+def test_frames_beyond_blenders_timeline_are_a_sentence(make_take, numbers):
     """Pictures that are numbered by the time at which they were taken."""
-    take = replace(make_take().take, **changes)
-    with pytest.raises(TakeError, match=said):
+    take = replace(make_take().take, frame_numbers=numbers)
+    with pytest.raises(TakeError, match="Blender's timeline ends at 1048574"):
         build_take(take)
     assert not bpy.data.collections
 

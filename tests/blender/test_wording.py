@@ -118,26 +118,18 @@ def succeeds(job: Job) -> None:
     assert job.state == "done"
 
 
-def test_an_old_failure_goes_when_a_newer_capture_succeeds(registered):
-    old, beside, new = a_job("old.mp4"), a_job("beside.mp4"), a_job("new.mp4")
-    jobs.submit(old)
-    fails(old, "not a video")
+def test_old_failures_go_when_a_newer_capture_succeeds(registered):
+    old, other, beside, new = (a_job(f"{name}.mp4") for name in ("old", "other", "beside", "new"))
+    for job in (old, other):
+        jobs.submit(job)
+        fails(job, "not a video")
+    assert jobs.jobs() == (old, other)
     jobs.submit(new)
     jobs.submit(beside)
     fails(beside, "not a video")
-    assert jobs.jobs() == (old, new, beside)
     # What failed while it waited is news, and stays.
     succeeds(new)
     assert jobs.jobs() == (new, beside)
-
-
-def test_a_failed_capture_takes_no_failure_away(registered):
-    old, new = a_job("old.mp4"), a_job("new.mp4")
-    jobs.submit(old)
-    fails(old, "not a video")
-    jobs.submit(new)
-    fails(new, "not a video")
-    assert jobs.jobs() == (old, new)
 
 
 def test_the_list_says_what_was_undone_and_which_hands_were_left_out(registered):

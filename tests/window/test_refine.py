@@ -31,12 +31,6 @@ def test_a_range_is_fitted_again_only_after_it_was_asked_for(blender, make_clip)
     assert played["undone"] == []
 
 
-def test_a_relaxed_pose_fades_out_and_is_cleared(blender, make_clip):
-    played = blender.play("refine.relaxed", source=make_clip(CLIP), timeout=240).value
-    assert played["changed"] == list(range(25, 36))
-    assert played["cleared"] == []
-
-
 def test_the_worker_dies_between_two_drags(blender, make_clip):
     played = blender.play("refine.worker_killed", source=make_clip(CLIP), timeout=240).value
     assert played["followed"]

@@ -244,41 +244,6 @@ def said_of(job) -> dict:
     }
 
 
-def into_a_shot(stage, source):
-    """A clip dropped into a shot that an artist has set up, and then captured into it by the panel."""
-    scene, shot = bpy.context.scene, bpy.data.cameras.new("Shot Camera")
-    camera = bpy.data.objects.new("Shot Camera", shot)
-    scene.collection.objects.link(camera)
-    camera.location, camera.rotation_euler = (0.0, -4.0, 1.0), (1.4, 0.0, 0.0)
-    scene.camera = camera
-    scene.frame_start, scene.frame_end = 1001, 1120
-    scene.frame_set(1001)
-
-    def state():
-        render = scene.render
-        size = render.resolution_x, render.resolution_y
-        return [render.fps, scene.frame_start, scene.frame_end, scene.frame_current, *size, scene.camera.name]
-
-    before = state()
-    job = yield from _drop(stage, source, "dropped-into-a-shot")
-    yield from finish(stage, job)
-    done(job)
-    yield from stage.open_sidebar()
-    yield 1.0
-    yield from stage.screenshot("captured-into-a-shot")
-    kept = state()
-    (armature,) = hands()
-    begins = armature.animation_data.action.frame_range[0]
-    scene.manient.matching = "MATCH"
-    yield 0.3
-    yield from stage.screenshot("match-anyway")
-    other = yield from begin(stage, source)
-    yield from finish(stage, other)
-    done(other)
-    yield from stage.screenshot("matched-anyway")
-    return {"before": before, "kept": kept, "begins": begins, "said": job.scene_said, "matched": state()}
-
-
 def into_the_start_up_scene(stage, source):
     """A clip in the scene that Blender starts with: what the panel says before, and what is true after."""
     bpy.ops.wm.read_homefile(use_factory_startup=True)

@@ -225,30 +225,6 @@ def range_refitted(stage, source):
     }
 
 
-def relaxed(stage, source):
-    """Relaxed Pose in the middle of a clip: how far fingers turn from frame to frame, then Clear."""
-    yield from stage.open_sidebar()
-    yield from capture(stage, source)
-    (armature,) = hands()
-    bpy.context.view_layer.objects.active = armature
-    bpy.context.scene.frame_set(30)
-    before = {frame: _values_at(armature, frame) for frame in range(1, 61)}
-    bpy.context.scene.frame_set(30)
-    yield from stage.invoke("manient.relax_pose")
-    yield 0.5
-    changed = _changed(armature, before)
-    bpy.context.scene.frame_set(30)
-    yield from stage.look_through_camera()
-    for frame in (30, 33, 36):
-        bpy.context.scene.frame_set(frame)
-        yield 0.2
-        yield from stage.screenshot(f"relaxed-{frame}")
-    bpy.context.scene.frame_set(30)
-    yield from stage.invoke("manient.clear_corrections", scope="FRAME")
-    yield 0.5
-    return {"changed": changed, "cleared": _changed(armature, before)}
-
-
 def _changed(armature, before) -> list[int]:
     """The frames whose pose is another one now, by more than how single precision rounds."""
     now = {frame: _values_at(armature, frame) for frame in before}
