@@ -223,7 +223,7 @@ class CaptureOptions:
         closed=True,
     )
     max_hands: int = _option(2, _whole, "how many hands to keep at most", "N", least=1, most=200)
-    detector: str = _option("mediapipe", _text, "what finds the hands", "NAME", choices=_detectors)
+    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=_detectors)
     threshold: float = _option(
         0.5,
         _number,
@@ -234,7 +234,7 @@ class CaptureOptions:
         called="the detection threshold",
     )
     plain_detection: bool = _option(
-        False, _flag, "take the detector at its first word: faster for photos, misses more hands"
+        False, _flag, "look once at the whole picture: faster for photos, misses more hands"
     )
     landmark_model: str | None = _option(
         None, _path, "MediaPipe's hand_landmarker.task", "PATH", by_default="the one that was fetched"

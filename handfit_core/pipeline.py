@@ -16,8 +16,8 @@ import numpy as np
 
 from handfit_core.batch import spread
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.detect.finder import HandCounter, open_finder
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.opening import open_detector
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
@@ -73,7 +73,7 @@ def capture(
     *,
     frames: FrameRange | str | None = None,
     max_hands: int = 2,
-    detector: str = "mediapipe",
+    detector: str = "direct",
     threshold: float = 0.5,
     plain_detection: bool = False,
     landmark_model: str | os.PathLike[str] | None = None,
@@ -224,8 +224,7 @@ def detect_frames(
     blamed = partial(DETECTORS.blamed, options.detector)
     with contextlib.ExitStack() as opened:
         with blamed():
-            finder = opened.enter_context(open_finder(options, video=video))
-        counter = opened.enter_context(HandCounter(options))
+            detector = opened.enter_context(open_detector(options, video=video))
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
                 if should_stop():
@@ -234,14 +233,13 @@ def detect_frames(
                     break
                 numbers.append(frame.number)
                 with blamed():
-                    found.append(finder.find(frame.rgb, frame.time))
-                    counter.look(frame.rgb, len(found[-1]))
+                    found.append(detector.find(frame.rgb, frame.time))
                 report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
         with blamed():
-            found = _finite(finder.completed(found), options.detector)
+            found = _finite(detector.completed(found), options.detector)
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")
-    return numbers, found, counter.seen
+    return numbers, found, detector.most_seen
 
 
 def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:

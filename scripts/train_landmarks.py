@@ -75,12 +75,12 @@ def _asked(text: str) -> list[tuple[int, int]]:
 
 def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
     """Stacked rows of all stills; made where they are not kept."""
-    from handfit_core.detect.finder import open_finder
+    from handfit_core.detect.opening import open_detector
     from handfit_core.options import CaptureOptions
     from scripts.training.samples import samples_of
 
     kept = []
-    with open_finder(CaptureOptions(plain_detection=True)) as detector:
+    with open_detector(CaptureOptions(plain_detection=True)) as detector:
         for first in range(0, stills, CHUNK):
             path = folder / f"samples-{seed}-{first:06d}-{min(first + CHUNK, stills):06d}.npz"
             if not path.is_file():

@@ -1,91 +1,103 @@
-"""Hands in the frames of a clip: the detector's own following, and second looks where it loses a hand."""
+"""Hands in the frames of a clip: followed from crop to crop, and looked for where one may be missing."""
 
 from __future__ import annotations
 
 from collections import deque
-from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.detector import Backend, Detector, DetectorSettings
+from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import SAME_HAND, SecondLook, distance, look_again
-from handfit_core.detect.stills import ALL_HANDS, search
+from handfit_core.detect.looks import SAME_HAND, View, distance, same_hand
+from handfit_core.detect.networks import PALM_SIZE, Networks, view_of
+from handfit_core.detect.search import Search, tiles
+
+SEARCH_EVERY = 24
+"""Frames from one look for palms in the whole picture to the next, where all hands that were there are
+followed"""
 
 LOOK_BACK = 24
-"""Past frames that are looked at again once a hand turns up, at most"""
+"""Past frames through which a hand that turns up is followed backwards, at most"""
 
 MOST_PAST_BYTES = 100_000_000
 """Memory that those frames may take: 4 frames of 3840 x 2160"""
 
 MOST_TRIES = 6
-"""Second looks after one loss, 1, 2, 4, ... frames apart: a hand that left costs no more than these."""
+"""Searches around a hand that was lost, 1, 2, 4, ... frames apart: one that left costs no more than these"""
 
-LONGEST_WAIT = 32
-"""Frames between two searches of a clip in which no hand is followed"""
+FIRST_WAIT, LONGEST_WAIT = 8, 128
+"""Frames between two searches of parts of the picture in a clip in which no hand is followed"""
 
-MOST_GAPS = 2
-"""Looking back ends after so many frames that do not show the hand."""
+AROUND = 4.0
+"""Side of what is searched for a lost hand, in units of its size"""
+
+ASTRAY = 0.15
+"""A hand found so far from where it was looked for, in units of its size, is at the edge of what was seen"""
+
+CARRIED = 0.1
+"""A hand that moves by more than this part of its size from frame to frame is looked for where it is going:
+slower ones are where they were, and guesses would only make them tremble"""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Followed:
     """A hand that was seen."""
 
     last: HandDetection
-    frame: int = -1
-    """in which it was seen last; -1 for a new one"""
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    """(2,) pixels from frame to frame"""
     tries: int = 0
-    """second looks since it was last seen, all in vain"""
+    """searches since it was last seen, all in vain"""
     wait: int = 0
     """frames until the next one"""
 
     def seen(self, hand: HandDetection) -> None:
-        self.last, self.tries, self.wait = hand, 0, 0
+        self.velocity = hand.keypoints_2d.mean(axis=0) - self.last.keypoints_2d.mean(axis=0)
+        self.last = hand
+
+    def expected(self) -> np.ndarray:
+        """(21, 2) where its landmarks are looked for in the next frame."""
+        speed, slow = float(np.linalg.norm(self.velocity)), CARRIED * self.last.extent
+        carried = max(0.0, 1.0 - slow / max(speed, 1e-9))
+        return self.last.keypoints_2d + carried * self.velocity
 
     def missed(self) -> None:
+        self.velocity = np.zeros(2)
         self.tries += 1
         self.wait = 2**self.tries - 1
-
-
-@dataclass
-class _PastFrame:
-    """A frame that may be looked at again."""
-
-    index: int
-    rgb: np.ndarray | None
 
 
 class ClipFinder(Detector):
     """Finds the hands of one clip, frame by frame.
 
-    Where all hands are found, it costs what the backend's own following costs. Where one is lost, its
-    surroundings are looked at again, and again in later frames, each time after a longer wait. A hand
-    that turns up is looked for in the `LOOK_BACK` frames before, so that `frames` is final only so
-    many frames back.
-
+    A hand that turns up is followed backwards too, so that `frames` is final only `LOOK_BACK` frames back.
     Raises LandmarkModelError when the model file is missing or damaged.
     """
 
-    def __init__(self, backend: Backend, settings: DetectorSettings) -> None:
+    def __init__(self, settings: DetectorSettings) -> None:
         self.frames: list[tuple[HandDetection, ...]] = []
         """The hands of every frame so far"""
-        self._backend, self._settings = backend, settings
-        self._max_hands = settings.max_hands or ALL_HANDS
+        self._threshold = settings.threshold
+        self._most = settings.max_hands
+        self._networks = Networks(settings.landmark_model)
+        self._searching = Search(self._networks, settings.threshold, first_word=settings.first_word)
         self._followed: list[_Followed] = []
-        self._past: deque[_PastFrame] = deque(maxlen=LOOK_BACK)
+        self._lost: list[_Followed] = []
+        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=LOOK_BACK)
         self._searches = 0
         self._search_wait = 0
-        self._open = ExitStack()
-        self._following = self._open.enter_context(backend.open(settings))
-        self._of_crops: SecondLook | None = None
-        self._of_frames: SecondLook | None = None
+        self._counts: list[int] = []
+
+    @property
+    def most_seen(self) -> int:
+        """As `Detector.most_seen`; at least twice, since one picture may show what only looks like a hand."""
+        return sorted([0, *self._counts])[-min(2, max(1, len(self._counts)))]
 
     def close(self) -> None:
-        """Give the detectors' threads and memory back."""
-        self._open.close()
+        """Give the networks' threads and memory back."""
+        self._networks.close()
         self._past.clear()
 
     def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:  # noqa: ARG002
@@ -93,105 +105,100 @@ class ClipFinder(Detector):
         judged = iter(with_side_judged([hand for frame in self.frames for hand in frame]))
         return [tuple(next(judged) for _ in frame) for frame in self.frames]
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
         """As `Detector.find`; hands that are found in this frame later are told by `completed`."""
         index = len(self.frames)
         self.frames.append(())
-        hands = list(self._following.find(rgb, time))
-        lost = self._update(hands)
-        if rgb is not None:
-            for followed in lost:
-                self._look_for(rgb, followed, hands)
-            if not hands and not self._followed:
-                self._search(rgb, hands)
-        self._followed = [f for f in self._followed if f.tries < MOST_TRIES]
-        self.frames[index] = tuple(hands)
-        for hand in hands:
-            if not any(f.last is hand for f in self._followed):
-                self._followed.append(_Followed(hand))
-        for followed in self._followed:
-            if any(followed.last is hand for hand in hands):
-                if followed.frame != index - 1:
-                    self._look_back(followed.last)
-                followed.frame = index
-        # Only frames that lack a hand can gain one.
-        self._past.append(_PastFrame(index, rgb if len(hands) < self._max_hands else None))
-        while sum(past.rgb.nbytes for past in self._past if past.rgb is not None) > MOST_PAST_BYTES:
+        if rgb is None:
+            return ()
+        lost = self._follow(rgb)
+        new = self._search(rgb, index, bool(lost))
+        self._lost += lost
+        self.frames[index] = tuple(followed.last for followed in self._followed)
+        for hand in new:
+            self._look_back(hand)
+        if self._full:
+            self._past.clear()  # nothing is added to frames in which all that are wanted are seen
+        else:
+            self._past.append((index, rgb))
+        while sum(past.nbytes for _, past in self._past) > MOST_PAST_BYTES:
             self._past.popleft()
         return self.frames[index]
 
-    def _update(self, hands: list[HandDetection]) -> list[_Followed]:
-        """Tell the followed hands what was found; returns those that were not."""
-        pairs = sorted(
-            (
-                (distance(f.last, hand), i, j)
-                for i, f in enumerate(self._followed)
-                for j, hand in enumerate(hands)
-            )
-        )
-        told: set[int] = set()
-        taken: set[int] = set()
-        for apart, i, j in pairs:
-            if apart < 1.0 and i not in told and j not in taken:
-                self._followed[i].seen(hands[j])
-                told.add(i)
-                taken.add(j)
-        return [f for i, f in enumerate(self._followed) if i not in told]
+    @property
+    def _full(self) -> bool:
+        return self._most is not None and len(self._followed) >= self._most
 
-    def _look_for(self, rgb: np.ndarray, followed: _Followed, hands: list[HandDetection]) -> None:
-        if followed.wait > 0:
-            followed.wait -= 1
-            return
-        if len(hands) >= self._max_hands:
-            followed.missed()
-            return
-        again = self._look_at(rgb, followed.last)
-        if again is None or any(distance(again, hand) < SAME_HAND for hand in hands):
-            followed.missed()
-            return
-        followed.seen(again)
-        hands.append(again)
+    def _follow(self, rgb: np.ndarray) -> list[_Followed]:
+        """Look for the followed hands where they should be; returns those that are not there."""
+        lost, self._followed, before = [], [], self._followed
+        for followed in before:
+            hand = self._there(rgb, followed.expected())
+            # Two that cross may lie in one place, but not with all their points.
+            if hand is None or any(distance(hand, other.last) < SAME_HAND for other in self._followed):
+                lost.append(followed)
+            else:
+                followed.seen(hand)
+                self._followed.append(followed)
+        return lost
 
-    def _look_at(self, rgb: np.ndarray, last: HandDetection) -> HandDetection | None:
-        """The hand, near where it was seen last."""
-        if self._of_crops is None:
-            self._of_crops = self._second_look(1)
-        return look_again(rgb, last, self._of_crops)
+    def _there(self, rgb: np.ndarray, keypoints: np.ndarray) -> HandDetection | None:
+        """The hand that is near landmarks (21, 2); looked at once more where it has moved away from them."""
+        look = self._networks.look(rgb, view_of(keypoints))
+        off = np.linalg.norm(look.hand.keypoints_2d - keypoints, axis=-1).mean()
+        if look.presence >= self._threshold and off > ASTRAY * look.hand.extent:
+            look = self._networks.look(rgb, view_of(look.hand.keypoints))
+        return look.hand if look.presence >= self._threshold else None
 
-    def _second_look(self, max_hands: int | None) -> SecondLook:
-        """One that is made when it is first needed: a clip whose hands are always found needs none."""
-        second = SecondLook(self._backend, self._settings, max_hands=max_hands)
-        self._open.callback(second.close)
-        return second
+    def _known(self, hand: HandDetection) -> bool:
+        return any(same_hand(hand, followed.last) for followed in self._followed)
 
-    def _search(self, rgb: np.ndarray, hands: list[HandDetection]) -> None:
-        if self._search_wait > 0:
-            self._search_wait -= 1
-            return
-        if self._of_frames is None:
-            self._of_frames = self._second_look(self._settings.max_hands)
-        hands += search(rgb, self._of_frames, (), self._max_hands)
-        self._searches = 0 if hands else self._searches + 1
-        self._search_wait = min(2**self._searches - 1, LONGEST_WAIT) if self._searches else 0
+    def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[HandDetection]:
+        """Hands that are not followed, which then are: near where some were lost, and anywhere."""
+        new: list[HandDetection] = []
+        for followed in self._lost:
+            if followed.wait > 0:
+                followed.wait -= 1
+            elif not self._full:
+                hand = followed.last
+                centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
+                view = View.of_square(centre, AROUND * max(hand.extent, 8.0), PALM_SIZE)
+                self._take(self._seen_in(rgb, [view]), new)
+                followed.missed()
+        self._lost = [f for f in self._lost if f.tries < MOST_TRIES and not self._known(f.last)]
+        if (lost_one and not self._full) or index % SEARCH_EVERY == 0:
+            height, width = rgb.shape[:2]
+            there = self._seen_in(rgb, list(tiles(width, height, 1)))
+            self._counts.append(len(self._followed) + len(there))
+            self._take(there, new)
+        if not self._followed:
+            if self._search_wait > 0:
+                self._search_wait -= 1
+            else:
+                self._take(self._searching.every_hand(rgb), new)
+                self._searches += 1
+                self._search_wait = min(FIRST_WAIT * 2**self._searches, LONGEST_WAIT)
+        return new
+
+    def _seen_in(self, rgb: np.ndarray, views: list[View]) -> list[HandDetection]:
+        known = [followed.last for followed in self._followed]
+        return self._searching.more_hands(rgb, views, known)
+
+    def _take(self, hands: list[HandDetection], new: list[HandDetection]) -> None:
+        """Follow hands that are not followed, and add them to the new ones."""
+        for hand in hands:
+            if not self._full and not self._known(hand):
+                self._followed.append(_Followed(hand))
+                new.append(hand)
+                self._searches, self._search_wait = 0, FIRST_WAIT
 
     def _look_back(self, hand: HandDetection) -> None:
-        """Look for a hand that turned up in the frames before, back to where it is not seen any more."""
-        gaps = 0
-        for past in reversed(self._past):
-            there = self.frames[past.index]
-            if (
-                past.rgb is None
-                or len(there) >= self._max_hands
-                or any(distance(hand, other) < 1.0 for other in there)
-            ):
+        """Follow a hand that turned up through the frames before, back to where it is not seen any more."""
+        followed = _Followed(hand)
+        for index, rgb in reversed(self._past):
+            there = self.frames[index]
+            before = self._there(rgb, followed.expected())
+            if before is None or any(distance(before, other) < SAME_HAND for other in there):
                 return
-            before = self._look_at(past.rgb, hand)
-            if before is None:
-                gaps += 1
-                if gaps == MOST_GAPS:
-                    return
-                continue
-            if any(distance(before, other) < SAME_HAND for other in there):
-                return
-            self.frames[past.index] = (*there, before)
-            hand = before
+            followed.seen(before)
+            self.frames[index] = (*there, before)

@@ -33,6 +33,11 @@ class Detector:
         ones. Asked once, after the last picture."""
         return found
 
+    @property
+    def most_seen(self) -> int:
+        """The most hands that were seen at once where there were more than are wanted; 0: nobody counted."""
+        return 0
+
     def close(self) -> None:
         """Give memory and threads back."""
 
@@ -56,6 +61,8 @@ class DetectorSettings:
     """How sure a hand must be, 0..1"""
     landmark_model: str | os.PathLike[str] | None = None
     """A model file in place of the backend's own"""
+    first_word: bool = False
+    """Whether one look at the whole picture is enough: faster, and finds less"""
 
 
 @dataclass(frozen=True)
@@ -68,11 +75,14 @@ class Backend:
     fingerprint: Callable[[DetectorSettings], str]
     """Names the packages' versions and the models that decide what is found, so that an evaluation knows
     which detections it may use again"""
-    second_looks: bool = False
-    """Whether it finds more where it is shown parts of a picture again, enlarged, turned and mirrored, and,
-    as the same view several times in a row, follows a hand there: `finder` then does so"""
 
 
 DETECTORS: Final = Registry(
-    "handfit.detectors", "detector", Backend, {"mediapipe": "handfit_core.detect.mediapipe_tasks:MEDIAPIPE"}
+    "handfit.detectors",
+    "detector",
+    Backend,
+    {
+        "direct": "handfit_core.detect.direct:DIRECT",
+        "mediapipe": "handfit_core.detect.mediapipe_tasks:MEDIAPIPE",
+    },
 )

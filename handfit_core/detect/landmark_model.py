@@ -11,6 +11,7 @@ import hashlib
 import os
 import struct
 import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 from handfit_core.errors import LandmarkModelError
@@ -51,6 +52,12 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
         f"MediaPipe's landmark model ({FILE_NAME}) was not found; run scripts/fetch_landmark_model.py "
         "once, or name the file with --landmark-model"
     )
+
+
+def fingerprint(explicit: str | os.PathLike[str] | None = None) -> str:
+    """Names the model file and the MediaPipe that runs it. Raises LandmarkModelError."""
+    model = hashlib.sha256(landmark_model_path(explicit).read_bytes()).hexdigest()
+    return f"{model}|mediapipe {version('mediapipe')}"
 
 
 def cached_path() -> Path:

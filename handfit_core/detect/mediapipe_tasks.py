@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.landmark_model import landmark_model_path
+from handfit_core.detect.landmark_model import fingerprint, landmark_model_path
 from handfit_core.errors import LandmarkModelError
 from handfit_core.skeleton import Side
 
@@ -106,9 +104,4 @@ def _first_line(error: BaseException) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
-def _fingerprint(settings: DetectorSettings) -> str:
-    model = hashlib.sha256(landmark_model_path(settings.landmark_model).read_bytes()).hexdigest()
-    return f"{model}|mediapipe {version('mediapipe')}"
-
-
-MEDIAPIPE = Backend(open=MediaPipeHands, fingerprint=_fingerprint, second_looks=True)
+MEDIAPIPE = Backend(open=MediaPipeHands, fingerprint=lambda settings: fingerprint(settings.landmark_model))

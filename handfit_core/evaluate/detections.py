@@ -20,8 +20,8 @@ import numpy as np
 from handfit_core import detect, media
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
-from handfit_core.detect.finder import open_finder, settings_of
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.opening import open_detector, settings_of
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.labels import Unit
@@ -105,9 +105,9 @@ class UnitDetector:
     def _fresh(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
         if not unit.is_clip:
             if self._stills is None:
-                self._stills = open_finder(self._options)
+                self._stills = open_detector(self._options)
             return _detected(unit, self._stills, on_picture)
-        with open_finder(self._options, video=True) as of_this_clip:
+        with open_detector(self._options, video=True) as of_this_clip:
             return _detected(unit, of_this_clip, on_picture)
 
 

@@ -134,7 +134,7 @@ def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
 def _detector_settings(options: EvaluationOptions) -> CaptureOptions:
     if options.protocol == "paper":
         # The published evaluation looks for one hand, once.
-        return replace(options.detector, max_hands=1, plain_detection=True)
+        return replace(options.detector, max_hands=1, detector="mediapipe")
     return replace(options.detector, max_hands=options.max_hands)
 
 
@@ -224,7 +224,7 @@ def _setup(
         "hand model": options.model or OPEN_HAND,
         "hand model digests": ", ".join(f"{side} {m.digest}" for side, m in sorted(fits.models.items())),
         "detector": options.detector.detector,
-        "detection": "plain" if _detector_settings(options).plain_detection else "with second looks",
+        "detection": _detector_settings(options).detector,
         "detection threshold": f"{options.detector.threshold:g}",
         "detector's models and versions": detector.fingerprint,
         "Python": platform.python_version(),

@@ -99,10 +99,10 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
 
 def blank_picture_hands() -> int:
     """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
-    from handfit_core.detect.finder import open_finder
+    from handfit_core.detect.opening import open_detector
     from handfit_core.options import CaptureOptions
 
-    with open_finder(CaptureOptions(plain_detection=True)) as finder:
+    with open_detector(CaptureOptions(plain_detection=True)) as finder:
         return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, largest_agreement, mean_of, nearest
+from handfit_core.detect.looks import View, distance, mean_of, same_hand
 from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(0, 1, (21, 3))
@@ -20,29 +20,37 @@ def test_distance_is_in_units_of_the_hand() -> None:
     assert distance(hand(0), hand(30), moved=np.array([20.0, 0.0])) == pytest.approx(0.1)
 
 
-def test_nearest_within_a_limit() -> None:
-    near, far = hand(10), hand(50)
-    assert nearest(hand(0), [far, near], 0.2) is near
-    assert nearest(hand(0), [far, near], 0.05) is None
-    assert nearest(hand(0), [], 0.2) is None
-
-
-def test_largest_agreement_takes_one_of_each_look() -> None:
-    looks = [[hand(0), hand(300)], [hand(8), hand(2)], [], [hand(310)], [hand(5)]]
-    assert [h.keypoints[0, 0] - SHAPE[0, 0] for h in largest_agreement(looks)] == pytest.approx([0, 2, 5])
-    assert largest_agreement([[], []]) == []
+@pytest.mark.parametrize(
+    ("x", "scale", "turn", "expected"),
+    [
+        (20.0, 1.0, 0, True),
+        (0.0, 1.0, 2, True),
+        (0.0, 0.8, 1, True),
+        (90.0, 1.0, 0, False),
+        (0.0, 0.3, 0, True),
+    ],
+    ids=["beside", "upside down", "a part of it", "the next one", "a finger of it"],
+)
+def test_of_one_hand_or_of_two(x: float, scale: float, turn: int, expected: bool) -> None:
+    first, keypoints = hand(0), SHAPE.copy()
+    about = keypoints[:, :2] - 50.0
+    for _ in range(turn):
+        about = about @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    keypoints[:, :2] = 50.0 + scale * about + [x, 0.0]
+    second = HandDetection("left", 0.9, keypoints, SHAPE)
+    assert same_hand(first, second) is same_hand(second, first) is expected
 
 
 def test_the_mean_of_looks() -> None:
     looks = [hand(0, "left", 0.6), hand(6, "right", 0.9), hand(12, "left", 0.6)]
-    mean = mean_of(looks, looks=4)
+    mean = mean_of(looks)
     assert mean.side == "left"
-    assert mean.score == pytest.approx(1.2 / 4)  # the fourth saw nothing, the second another side
+    assert mean.score == pytest.approx(1.2 / 3)  # the second saw another side
     np.testing.assert_allclose(mean.keypoints, SHAPE + [6.0, 0.0, 0.0])
     np.testing.assert_allclose(mean.world, SHAPE / 1000 + 6.0)
     assert mean.spread is not None
     np.testing.assert_allclose(mean.spread, np.tile([np.sqrt(24.0), 0.0, 0.0], (21, 1)), atol=1e-9)
-    assert mean_of([hand(0)], looks=1).spread is None
+    assert mean_of([hand(0)]).spread is None
 
 
 SQUARES = [(0.0, False), (np.pi / 2, False), (-np.pi / 4, True), (2.5, True)]

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.detect.finder import open_finder
+from handfit_core.detect.opening import open_detector
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.options import CaptureOptions
 from scripts.benchmark.stills import still_shot
@@ -52,7 +52,7 @@ def test_views_are_turns_and_mirror_images_at_random() -> None:
 @pytest.fixture(scope="module")
 def found() -> tuple[int, list[Sample]]:
     count, all_found = 0, []
-    with open_finder(CaptureOptions(plain_detection=True)) as detector:
+    with open_detector(CaptureOptions(plain_detection=True)) as detector:
         for number in range(6):
             hands, some = samples_of(0, number, detector, 320)
             count += hands

@@ -1,0 +1,216 @@
+"""MediaPipe's palm and landmark networks, run directly on any view of a picture.
+
+The two networks lie in the landmark model file. MediaPipe's own graph shows them crops of its own choice;
+its image embedder runs any network on any picture and returns all of its outputs, which is all that is
+needed here. Crops are MediaPipe's: "MediaPipe Hands: On-device Real-time Hand Tracking" (Zhang et al., 2020).
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, Self
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.landmark_model import landmark_model_path
+from handfit_core.detect.looks import View
+from handfit_core.errors import LandmarkModelError
+from handfit_core.skeleton import NUM_KEYPOINTS
+
+PALM_SIZE: Final = 192
+"""Pixels a side of what the palm network sees"""
+HAND_SIZE: Final = 224
+"""Pixels a side of what the landmark network sees"""
+DEPTH_SCALE: Final = 0.4
+"""The landmark network's depth, in units of what it gives for x and y"""
+
+SAME_PALM: Final = 0.35
+"""Palms of about one size nearer than this, in sides of their boxes, are one"""
+THE_PALM: Final = 0.2
+"""A palm's points are that near to the landmarks of its hand, in sides of its box"""
+_OF_PALM: Final = [0, 5, 9, 13, 17, 1, 2]
+"""The landmarks that are a palm's points"""
+OF_PALM: Final = 2.6
+"""Side of a hand's crop in sides of its palm's box"""
+BEYOND_PALM: Final = 0.5
+"""By so many sides of the box a crop's middle lies towards the fingers"""
+OF_HAND: Final = 2.0
+"""Side of a hand's crop in sides of the box of its landmarks, but for fingertips"""
+BEYOND_HAND: Final = 0.1
+_BOXED: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
+"""Landmarks that the box of a hand is about"""
+
+
+@dataclass(frozen=True, eq=False)
+class Palms:
+    """N palms in pixels of the picture, the surest first."""
+
+    score: np.ndarray
+    """(N,) 0..1"""
+    centre: np.ndarray
+    """(N, 2) of their boxes"""
+    side: np.ndarray
+    """(N,) of their boxes, the longer one"""
+    points: np.ndarray
+    """(N, 7, 2): wrist, knuckles of index, middle, ring and little, thumb's two"""
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    @classmethod
+    def of(cls, parts: Sequence[Palms]) -> Palms:
+        """All palms of several views, the surest first, each once."""
+        whole = [np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__]
+        order = np.argsort(-whole[0], kind="stable")
+        score, centre, side, points = (array[order] for array in whole)
+        kept: list[int] = []
+        for i in range(len(score)):
+            apart = np.linalg.norm(centre[kept] - centre[i], axis=-1) / np.maximum(side[kept], side[i])
+            size = side[kept] / side[i]
+            if not ((apart < SAME_PALM) & (size > 0.6) & (size < 1.0 / 0.6)).any():
+                kept.append(i)
+        return cls(score[kept], centre[kept], side[kept], points[kept])
+
+    def is_of(self, index: int, hand: HandDetection) -> bool:
+        """Whether that palm is a hand's."""
+        off = self.points[index] - hand.keypoints_2d[_OF_PALM]
+        return float(np.linalg.norm(off, axis=-1).mean()) < THE_PALM * float(self.side[index])
+
+    def view(self, index: int) -> View:
+        """The crop in which the landmark network looks for that palm's hand."""
+        points, side = self.points[index], float(self.side[index])
+        up = _unit(points[2] - points[0])
+        centre = self.centre[index] + BEYOND_PALM * side * up
+        return View.of_square(centre, OF_PALM * side, HAND_SIZE, turn=_upright(up))
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What the landmark network makes of one crop."""
+
+    presence: float
+    """How likely it shows a hand, 0..1"""
+    hand: HandDetection
+    """In pixels of the picture; its score is that of the side"""
+
+
+def view_of(keypoints: np.ndarray) -> View:
+    """The crop in which the landmark network finds landmarks (21, 2 or more) again."""
+    points = keypoints[_BOXED, :2]
+    knuckles = (keypoints[5, :2] + keypoints[13, :2]) / 2.0
+    up = _unit((knuckles + keypoints[9, :2]) / 2.0 - keypoints[0, :2])
+    across = np.array([-up[1], up[0]])
+    along = np.stack([points @ across, points @ up])
+    low, high = along.min(axis=1), along.max(axis=1)
+    middle, side = (low + high) / 2.0, float((high - low).max())
+    middle[1] += BEYOND_HAND * (high - low)[1]
+    centre = middle[0] * across + middle[1] * up
+    return View.of_square(centre, OF_HAND * max(side, 1.0), HAND_SIZE, turn=_upright(up))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 0.0 else np.array([0.0, -1.0])
+
+
+def _upright(up: np.ndarray) -> float:
+    """Radians, clockwise as seen, that turn a direction (2,) upwards."""
+    return -float(np.arctan2(up[0], -up[1]))
+
+
+class Networks:
+    """Both networks of a landmark model file. Use as a context manager.
+
+    Raises LandmarkModelError when the file is missing or damaged.
+    """
+
+    def __init__(self, landmark_model: str | os.PathLike[str] | None = None) -> None:
+        path = landmark_model_path(landmark_model)
+        # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
+        os.environ.setdefault("GLOG_minloglevel", "2")
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+        import mediapipe as mp
+
+        self._mp = mp
+        vision = mp.tasks.vision
+        self._open = ExitStack()
+        try:
+            with zipfile.ZipFile(path) as task:
+                self._palms, self._hand = (
+                    self._open.enter_context(
+                        vision.ImageEmbedder.create_from_options(
+                            vision.ImageEmbedderOptions(
+                                mp.tasks.BaseOptions(model_asset_buffer=task.read(name))
+                            )
+                        )
+                    )
+                    for name in ("hand_detector.tflite", "hand_landmarks_detector.tflite")
+                )
+        except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError) as error:
+            self._open.close()
+            raise LandmarkModelError(
+                f"{path}: MediaPipe cannot load this landmark model ({error}); assemble it again with "
+                "scripts/fetch_landmark_model.py --force"
+            ) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give MediaPipe's threads and memory back."""
+        self._open.close()
+
+    def _run(self, network: Any, rgb: np.ndarray) -> Sequence[np.ndarray]:
+        image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=rgb)
+        return [output.embedding for output in network.embed(image).embeddings]
+
+    def palms(self, rgb: np.ndarray, view: View, threshold: float) -> Palms:
+        """The palms of a picture (H, W, 3) uint8 RGB that `view`, `PALM_SIZE` wide, shows; some more than
+        once."""
+        boxes, logits = self._run(self._palms, view.render(rgb))
+        sure = np.flatnonzero(logits >= np.log(threshold / (1.0 - threshold)))
+        sure = sure[np.argsort(-logits[sure], kind="stable")]
+        numbers = boxes.reshape(-1, 9, 2)[sure]
+        numbers[:, 0] += PALM_SIZE * _anchors()[sure]
+        numbers[:, 2:] += PALM_SIZE * _anchors()[sure][:, None]
+        back = np.linalg.inv(view.linear)
+        return Palms(
+            score=1.0 / (1.0 + np.exp(-logits[sure])),
+            centre=(numbers[:, 0] - view.offset) @ back.T,
+            side=numbers[:, 1].max(axis=1) / view.scale,
+            points=(numbers[:, 2:] - view.offset) @ back.T,
+        )
+
+    def look(self, rgb: np.ndarray, view: View) -> Look:
+        """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB."""
+        landmarks, presence, handedness, world = self._run(self._hand, view.render(rgb))
+        keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).copy()
+        keypoints[:, 2] /= DEPTH_SCALE
+        right = float(handedness[0])
+        found = HandDetection(
+            side="right" if right >= 0.5 else "left",
+            score=max(right, 1.0 - right),
+            keypoints=keypoints,
+            world=world.reshape(NUM_KEYPOINTS, 3),
+        )
+        return Look(float(presence[0]), view.to_picture(found))
+
+
+@lru_cache(maxsize=1)
+def _anchors() -> np.ndarray:
+    """(2016, 2) in sides of the picture: two at each place of a 24 x 24 grid, six of a 12 x 12 grid."""
+    grids = []
+    for count, each in ((24, 2), (12, 6)):
+        middles = (np.arange(count) + 0.5) / count
+        grid = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+        grids.append(grid.repeat(each, axis=0))
+    return np.concatenate(grids)

@@ -1,0 +1,21 @@
+"""The detector that a capture's options name."""
+
+from __future__ import annotations
+
+from handfit_core.detect.detector import DETECTORS, Detector, DetectorSettings
+from handfit_core.options import CaptureOptions
+
+
+def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:
+    """What a capture with these options asks of its detector; `video`: of the frames of one clip."""
+    return DetectorSettings(
+        options.max_hands, video, options.threshold, options.landmark_model, options.plain_detection
+    )
+
+
+def open_detector(options: CaptureOptions, *, video: bool = False) -> Detector:
+    """The detector that the options name, for the frames of one clip, or for stills.
+
+    Raises OptionError where there is no such detector, LandmarkModelError.
+    """
+    return DETECTORS.get(options.detector).open(settings_of(options, video=video))

@@ -1,0 +1,189 @@
+"""Every hand of a picture: palms at low scores over the whole and over parts of it, each looked at until the
+landmark network finds it again where it is, and kept if it looks like a hand from all sides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.looks import View, distance, mean_of, same_hand
+from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, Palms, view_of
+
+FIRST_SCORE: Final = 0.05
+"""Of palms that are looked at: far lower than what is believed"""
+
+FIRST_WORD: Final = 0.5
+"""Of those that are looked at where the first word counts"""
+
+HOPELESS: Final = 0.02
+"""Presence at the first look below which there is no second"""
+
+LEAST_PRESENCE: Final = 0.3
+"""After the last look, below which there is no hand"""
+
+PASSES: Final = 3
+"""Looks from crop to crop, each about the landmarks of the one before"""
+
+PARTS: Final = (1, 2, 3)
+"""Tiles are so many times smaller than the picture, and half of one lies over the next"""
+
+WHOLE: Final = (
+    (1.0, 0.0, False),
+    (1.5, 0.0, False),
+    (1.5, np.pi / 2.0, False),
+    (1.5, -np.pi / 2.0, False),
+    (1.5, -np.pi / 4.0, False),
+    (1.5, np.pi / 4.0, True),
+    (2.2, 0.0, False),
+    (2.2, np.pi, False),
+)
+"""Views of the whole picture: side in units of its longer one, turn in radians, mirrored. Hands that fill the
+picture need room around them, and the palm network has its favourite directions"""
+
+LEAST_TILE: Final = 96
+"""Pixels a side"""
+
+SEEN_AT: Final = 8
+"""The palm network sees hands from this part of its picture's side upwards"""
+
+SIZES_APART: Final = 4
+"""Hands of one picture are not expected to differ more than so many times in size"""
+
+SETTLED: Final = 0.15
+"""Landmarks nearer than this, in units of the hand's size, were found already"""
+
+TURNS: Final = (0.0, 0.35, -0.35)
+"""Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
+ALL_LOOKS: Final = 2 * len(TURNS)
+
+OF_PRESENCE, OF_PALM, BIAS = 0.95, 0.75, -1.3
+"""How sure it is that something is a hand: the logit of that by the logits of presence and palm score. In
+photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What may be a hand."""
+
+    hand: HandDetection
+    presence: float
+    """How likely the landmark network takes it for a hand, on average over the looks, 0..1"""
+    palm: float
+    """The best score of its palm, 0..1"""
+
+    @property
+    def certainty(self) -> float:
+        """How sure it is that this is a hand, 0..1."""
+        logit = OF_PRESENCE * _logit(self.presence) + OF_PALM * _logit(self.palm) + BIAS
+        return float(1.0 / (1.0 + np.exp(-logit)))
+
+
+def tiles(width: int, height: int, parts: int) -> Iterator[View]:
+    """Views of a picture for the palm network, each that many times smaller than its longer side."""
+    span = max(width, height) / parts
+    if parts > 1 and span < LEAST_TILE:
+        return
+    columns, rows = (max(1, int(np.ceil(2.0 * (side / span - 1.0) + 1.0 - 1e-6))) for side in (width, height))
+    for y in _middles(height, span, rows):
+        for x in _middles(width, span, columns):
+            yield View.of_square(np.array([x, y]), span, PALM_SIZE)
+
+
+def _middles(side: float, span: float, count: int) -> np.ndarray:
+    return np.linspace(span / 2.0, side - span / 2.0, count) if count > 1 else np.array([side / 2.0])
+
+
+class Search:
+    """Looks for hands with both networks. With `first_word` palms must be sure, only the whole picture is
+    searched, and one look at each hand is enough."""
+
+    def __init__(self, networks: Networks, threshold: float, *, first_word: bool = False) -> None:
+        self._networks = networks
+        self._threshold = threshold
+        self._parts = PARTS[:1] if first_word else PARTS
+        self._palm = FIRST_WORD if first_word else FIRST_SCORE
+        self._looks = 1 if first_word else ALL_LOOKS
+
+    def every_hand(self, rgb: np.ndarray) -> list[HandDetection]:
+        """The hands of a picture (H, W, 3) uint8 RGB, the surest first."""
+        height, width = rgb.shape[:2]
+        found: list[Sighting] = []
+        for parts in self._parts:
+            largest = max((s.hand.extent for s in found if s.certainty >= self._threshold), default=0.0)
+            if largest * SEEN_AT * (parts - 1) > max(width, height) * SIZES_APART:
+                break
+            views = list(tiles(width, height, parts))
+            if parts == 1 and len(self._parts) > 1:
+                middle, side = np.array([width, height]) / 2.0, max(width, height)
+                views = [
+                    View.of_square(middle, span * side, PALM_SIZE, turn=turn, mirrored=mirrored)
+                    for span, turn, mirrored in WHOLE
+                ]
+            if views:
+                found = self._seen_in(rgb, views, found)
+        return [sighting.hand for sighting in found if sighting.certainty >= self._threshold]
+
+    def more_hands(
+        self, rgb: np.ndarray, views: Sequence[View], known: Sequence[HandDetection]
+    ) -> list[HandDetection]:
+        """Those whose palms are in views, `PALM_SIZE` wide, of a picture (H, W, 3) uint8 RGB, but for the
+        known ones."""
+        sure = [Sighting(hand, 1.0, 1.0) for hand in known]
+        found = self._seen_in(rgb, views, sure)
+        return [s.hand for s in found if s.certainty >= self._threshold and s not in sure]
+
+    def _seen_in(self, rgb: np.ndarray, views: Sequence[View], known: Sequence[Sighting]) -> list[Sighting]:
+        """What is known, and what is in those views, each hand once, the surest first."""
+        found = list(known)
+        palms = Palms.of([self._networks.palms(rgb, view, self._palm) for view in views])
+        for i in range(len(palms)):
+            palm = float(palms.score[i])
+            again = next((s for s in found if palms.is_of(i, s.hand)), None)
+            hand = None if again is not None else self._settled(rgb, palms.view(i))
+            if hand is not None:
+                again = next((s for s in found if distance(s.hand, hand) < SETTLED), None)
+            if again is not None and palm > again.palm:
+                found.append(replace(again, palm=palm))
+            elif again is None and hand is not None:
+                found.append(self._sighted(rgb, hand, palm))
+        kept: list[Sighting] = []
+        for sighting in sorted(found, key=lambda s: s.certainty, reverse=True):
+            if not any(same_hand(sighting.hand, other.hand) for other in kept):
+                kept.append(sighting)
+        return kept
+
+    def _settled(self, rgb: np.ndarray, view: View) -> HandDetection | None:
+        """What the landmark network finds in a view, once it finds it again where it was; None: no hand."""
+        look = self._networks.look(rgb, view)
+        for _ in range(PASSES - 1):
+            if look.presence < HOPELESS:
+                return None
+            look = self._networks.look(rgb, view_of(look.hand.keypoints))
+        return look.hand if look.presence >= LEAST_PRESENCE else None
+
+    def _sighted(self, rgb: np.ndarray, hand: HandDetection, palm: float) -> Sighting:
+        """The mean of several looks at a hand that was found through a palm of that score."""
+        views = islice(around(hand.keypoints), self._looks)
+        looks = [self._networks.look(rgb, view) for view in views]
+        presence = float(np.mean([look.presence for look in looks]))
+        return Sighting(mean_of([look.hand for look in looks]), presence, palm)
+
+
+def around(keypoints: np.ndarray) -> Iterator[View]:
+    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
+    upright = view_of(keypoints)
+    centre = np.linalg.inv(upright.linear) @ (HAND_SIZE / 2.0 - upright.offset)
+    span, turn = HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+    for mirrored, upwards in ((False, turn), (True, -turn)):
+        for more in TURNS:
+            yield View.of_square(centre, span, HAND_SIZE, turn=upwards + more, mirrored=mirrored)
+
+
+def _logit(probability: float) -> float:
+    within = min(max(probability, 0.01), 0.99)
+    return float(np.log(within / (1.0 - within)))

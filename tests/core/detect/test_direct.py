@@ -1,0 +1,266 @@
+"""The networks on the bundled sample: as MediaPipe's graph runs them, and where it finds too little."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core import capture
+from handfit_core.detect import clips
+from handfit_core.detect.clips import ClipFinder
+from handfit_core.detect.detector import Detector, DetectorSettings
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.looks import View, distance
+from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
+from handfit_core.detect.opening import open_detector
+from handfit_core.errors import LandmarkModelError
+from handfit_core.media.pictures import read_picture
+from handfit_core.options import CaptureOptions
+from tests.conftest import ROOT
+
+SAMPLE = ROOT / "samples" / "rendered_hand"
+BLACK = np.zeros((480, 640, 3), dtype=np.uint8)
+GRAPH = CaptureOptions(max_hands=1, detector="mediapipe")
+
+
+pytestmark = pytest.mark.usefixtures("landmark_model")
+
+
+@pytest.fixture(scope="module")
+def networks() -> Iterator[Networks]:
+    with Networks() as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
+def stills() -> Iterator[Detector]:
+    with open_detector(CaptureOptions()) as detector:
+        yield detector
+
+
+@pytest.fixture(scope="module")
+def plain() -> Iterator[Detector]:
+    with open_detector(GRAPH) as detector:
+        yield detector
+
+
+def picture(number: int) -> np.ndarray:
+    """Of the 24 of the sample, and then the last again."""
+    return read_picture(SAMPLE / f"hand.{min(number, 24):04}.jpg")[0]
+
+
+def clip_finder(most: int | None = 2) -> ClipFinder:
+    return ClipFinder(DetectorSettings(max_hands=most, video=True))
+
+
+def as_the_graph_cuts(view: View) -> View:
+    """MediaPipe lays the middle of the picture's first pixel onto that of the crop's first one: what it finds
+    is that of this view, half a pixel on."""
+    half = np.array([0.5, 0.5])
+    return View(view.linear, view.offset - view.linear @ half + half, view.size)
+
+
+def test_landmarks_are_those_of_the_graph(networks: Networks) -> None:
+    """It finds them from those of the frame before."""
+    with open_detector(GRAPH, video=True) as graph:
+        (before,) = graph.find(picture(1), 0.0)
+        for number in range(2, 8):
+            rgb = picture(number)
+            (expected,) = graph.find(rgb, number / 25)
+            look = networks.look(rgb, as_the_graph_cuts(view_of(before.keypoints)))
+            found = look.hand.keypoints - [0.5, 0.5, 0.0]
+            found[:, :2] += np.linalg.inv(view_of(before.keypoints).linear) @ [0.5, 0.5]
+            assert np.abs(found - expected.keypoints).max() < 2e-3 * expected.extent
+            assert np.abs(look.hand.world - expected.world).max() < 2e-4  # metres
+            assert look.hand.score == pytest.approx(expected.score, abs=1e-3)
+            assert look.hand.side == expected.side
+            assert look.presence > 0.9
+            before = expected
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0, np.pi, -2.0])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_palm_leads_to_its_hand(networks: Networks, plain: Detector, turn: float, mirrored: bool) -> None:
+    rgb = picture(5)
+    (expected,) = plain.find(rgb)
+    height, width = rgb.shape[:2]
+    whole = View.of_square(
+        np.array([width / 2, height / 2]), 1.3 * width, PALM_SIZE, turn=turn, mirrored=mirrored
+    )
+    palms = networks.palms(rgb, whole, 0.5)
+    assert len(palms) > 0
+    assert palms.is_of(0, expected)
+    assert distance(networks.look(rgb, palms.view(0)).hand, expected) < 0.06
+    assert palms.view(0).size == HAND_SIZE
+
+
+def test_a_damaged_model(tmp_path: Path, landmark_model: Path) -> None:
+    for content in (b"", b"no zip", landmark_model.read_bytes()[:100_000]):
+        (tmp_path / "damaged.task").write_bytes(content)
+        with pytest.raises(LandmarkModelError, match=r"damaged\.task: .* --force"):
+            Networks(tmp_path / "damaged.task")
+
+
+def moved(hand: HandDetection, by: np.ndarray) -> HandDetection:
+    return HandDetection(hand.side, hand.score, hand.keypoints + [*by, 0.0], hand.world)
+
+
+@pytest.mark.parametrize("quarter_turns", range(4))
+def test_a_hand_that_fills_the_picture(stills: Detector, plain: Detector, quarter_turns: int) -> None:
+    rgb = picture(13)
+    (whole,) = plain.find(rgb)
+    start = whole.keypoints_2d.min(axis=0).astype(int)
+    (left, top), (right, bottom) = start, whole.keypoints_2d.max(axis=0).astype(int)
+    cut = np.rot90(rgb[top:bottom, left:right], quarter_turns)
+    assert plain.find(cut) == ()
+    (hand,) = stills.find(cut)
+    assert hand.side == whole.side
+    expected, world = whole.keypoints_2d - start, whole.world.copy()
+    width = right - left
+    for _ in range(quarter_turns):
+        expected = np.stack([expected[:, 1], width - expected[:, 0]], axis=-1)
+        world[:, :2] = np.stack([world[:, 1], -world[:, 0]], axis=-1)
+        width = bottom - top if width == right - left else right - left
+    assert np.linalg.norm(hand.keypoints_2d - expected, axis=-1).mean() < 0.06 * whole.extent
+    assert np.linalg.norm(hand.world - world, axis=-1).mean() < 0.015  # metres
+    assert np.abs(hand.keypoints[:, 2] - whole.keypoints[:, 2]).mean() < 0.1 * whole.extent
+
+
+def test_a_small_hand_in_a_large_picture(stills: Detector, plain: Detector) -> None:
+    small = cv2.resize(picture(1), (160, 120), interpolation=cv2.INTER_AREA)
+    (large_hand,) = plain.find(picture(1))
+    far = np.full((960, 1280, 3), 120, dtype=np.uint8)
+    far[100:220, 900:1060] = small
+    assert plain.find(far) == ()
+    (hand,) = stills.find(far)
+    expected = large_hand.keypoints_2d / 4 + [900, 100]
+    assert np.linalg.norm(hand.keypoints_2d - expected, axis=-1).mean() < 0.06 * large_hand.extent / 4
+
+
+def test_pictures_without_hands(stills: Detector) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (300, 400, 3), dtype=np.uint8)
+    assert stills.find(BLACK) == ()
+    assert stills.find(noise) == ()
+    assert stills.find(None) == ()
+
+
+def test_a_hand_that_is_found_is_looked_at_again(stills: Detector, plain: Detector) -> None:
+    (once,), (mean,) = plain.find(picture(5)), stills.find(picture(5))
+    assert once.spread is None
+    assert mean.spread is not None
+    assert mean.spread.shape == (21, 3)
+    assert 0.0 < mean.spread.mean() < 0.05 * once.extent
+    assert mean.side == once.side
+    assert distance(mean, once) < 0.05
+
+
+def looks_of(finder: ClipFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """How often its networks run."""
+    counts = {"look": 0, "palms": 0}
+    for name in counts:
+        run = getattr(finder._networks, name)
+
+        def counted(*given: object, name: str = name, run=run):
+            counts[name] += 1
+            return run(*given)
+
+        monkeypatch.setattr(finder._networks, name, counted)
+    return counts
+
+
+def test_a_followed_hand_costs_one_look_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    with clip_finder() as finder:
+        finder.find(picture(1))
+        counts = looks_of(finder, monkeypatch)
+        for number in range(2, 1 + clips.SEARCH_EVERY):
+            assert len(finder.find(picture(number))) == 1
+        assert counts == {"look": clips.SEARCH_EVERY - 1, "palms": 0}
+        finder.find(picture(1 + clips.SEARCH_EVERY))
+        assert counts == {"look": clips.SEARCH_EVERY, "palms": 1}
+
+
+def test_a_hand_that_jumps_is_found_again(plain: Detector) -> None:
+    jump = np.array([120, 80])
+    frames = [picture(n) for n in range(1, 8)]
+    truth = [plain.find(rgb)[0] for rgb in frames]
+    for i in (3, 4):
+        frames[i] = np.roll(frames[i], tuple(jump[::-1]), axis=(0, 1))
+        truth[i] = moved(truth[i], jump)
+    with clip_finder() as finder:
+        found = finder.completed([finder.find(rgb) for rgb in frames])
+    assert [len(hands) for hands in found] == [1] * 7
+    assert all(distance(hands[0], expected) < 0.1 for hands, expected in zip(found, truth, strict=True))
+
+
+def test_a_hand_that_turns_up_is_followed_back() -> None:
+    """The second one comes in after the search of the first frame, and before the next."""
+    with_both = [np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.SEARCH_EVERY)]
+    frames = [rgb.copy() for rgb in with_both]
+    for rgb in frames[:4]:
+        rgb[:, 640:] = 0
+    with clip_finder() as finder:
+        found = [finder.find(rgb) for rgb in frames]
+        assert [len(hands) for hands in found] == [1] * clips.SEARCH_EVERY + [2]
+        found = finder.completed(found)
+        assert len(finder._past) <= clips.LOOK_BACK
+    assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.SEARCH_EVERY - 3)
+    for hands in found[4:]:
+        mirrored = hands[1].keypoints_2d * [-1, 1] + [1280, 0]
+        assert np.abs(mirrored - hands[0].keypoints_2d).mean() < 0.06 * hands[0].extent
+        assert {hand.side for hand in hands} == {"left", "right"}
+
+
+def test_a_hand_that_has_left_costs_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    with clip_finder() as finder:
+        finder.find(picture(1))
+        counts = looks_of(finder, monkeypatch)
+        for i in range(1, 80):
+            assert finder.find(BLACK if i % 10 else None) == ()
+        assert counts["palms"] < 130  # of three searches of all parts
+        assert counts["look"] < 20
+        assert not finder._followed
+        assert not finder._lost
+
+
+def test_past_frames_are_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clips, "MOST_PAST_BYTES", 3 * BLACK.nbytes)
+    with clip_finder() as finder:
+        for _ in range(6):
+            finder.find(BLACK)
+        assert len(finder._past) == 3
+
+
+def four_hands() -> np.ndarray:
+    """(960, 1280, 3) uint8 BGR: the rendered right hand, twice, and mirrored, twice."""
+    picture = cv2.imread(str(SAMPLE / "hand.0001.jpg"))
+    assert picture is not None
+    row = np.hstack([picture, picture[:, ::-1]])
+    return np.vstack([row, row])
+
+
+def told(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if "were seen" in record.getMessage()]
+
+
+def test_a_photo_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    cv2.imwrite(str(tmp_path / "four.jpg"), four_hands())
+    with caplog.at_level(logging.WARNING, "handfit"):
+        take = capture(tmp_path / "four.jpg")
+        assert len(take.hands) == 2
+        capture(SAMPLE / "hand.0001.jpg")
+    assert told(caplog) == [
+        "4 hands were seen, and the 2 surest were captured: crop the footage to capture others"
+    ]
+
+
+def test_a_clip_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for number in range(1, 4):
+        cv2.imwrite(str(tmp_path / f"four.{number:04d}.png"), four_hands())
+    with caplog.at_level(logging.WARNING, "handfit"):
+        take = capture(str(tmp_path / "four.%04d.png"))
+    assert len(take.hands) == 2
+    (sentence,) = told(caplog)
+    assert sentence.startswith("4 hands were seen")
