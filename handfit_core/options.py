@@ -27,6 +27,31 @@ Lens = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class Region:
+    """A box in the upright picture in which somebody has seen a hand. Pixels; y grows downwards."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    frame: int | None = None
+    """of the source; None: the first that is used"""
+
+    @classmethod
+    def of(cls, given: Any) -> Region:
+        """From four or five numbers, or a text in which commas separate them. Raises ValueError."""
+        what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME, as in 120,80,60,70"
+        parts = given.split(",") if isinstance(given, str) else given
+        try:
+            *box, frame = _numbers(parts if len(parts) == 5 else [*parts, -1], what, count=5)
+        except TypeError:
+            raise ValueError(what) from None
+        if min(box[2:]) <= 0.0 or not float(frame).is_integer():
+            raise ValueError(what)
+        return cls(*box, frame=None if len(parts) == 4 else int(frame))
+
+
+@dataclass(frozen=True)
 class Option:
     """What one option may be, and what is said of it."""
 
@@ -47,6 +72,8 @@ class Option:
     """How many of the command line's units one of the library's has"""
     by_default: str = ""
     """What help says of a default that explains nothing by itself"""
+    repeated: bool = False
+    """Whether the command line's may be given several times, each with one of its values"""
     called: str = ""
     """What messages call it; empty: by its name"""
     advice: str = ""
@@ -57,7 +84,7 @@ class Option:
     @property
     def flag(self) -> str:
         """Its spelling on the command line."""
-        return "--" + self.name.replace("_", "-")
+        return "--" + self.name.replace("_", "-").removesuffix("s" if self.repeated else "")
 
     def read(self, given: Any) -> Any:
         """What was given, by a program, a message or the command line, as the option's value; None is as good
@@ -95,6 +122,8 @@ class Option:
         text, named = self.help, {}
         if self.choices is not None:
             text, named = f"{text}: %(listed)s", {"action": _Listing, "listed": self.choices}
+        if self.repeated:
+            named |= {"action": "append", "dest": self.name}
         default = self.by_default or f"{self.default * self.units if self.unit else self.default}"
         number = {_number: float, _positive: float, _whole: int}
         parser.add_argument(
@@ -163,8 +192,8 @@ def _frames(given: Any) -> FrameRange:
 def _numbers(given: Any, what: str, count: int) -> tuple[float, ...]:
     """Numbers out of a list, or out of a text in which commas separate them."""
     try:
-        parts = [float(part) for part in given.split(",")] if isinstance(given, str) else list(given)
-        numbers = tuple(_number(part) for part in parts)
+        parts = given.split(",") if isinstance(given, str) else list(given)
+        numbers = tuple(_number(float(part) if isinstance(part, str) else part) for part in parts)
     except (TypeError, ValueError):
         numbers = ()
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
@@ -185,6 +214,12 @@ def _lens(given: Any) -> tuple[float, ...]:
         "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and heights"
     )
     return _numbers(given, what, count=3)
+
+
+def _regions(given: Any) -> tuple[Region, ...]:
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        raise ValueError("a list of regions")
+    return tuple(each if isinstance(each, Region) else Region.of(each) for each in given)
 
 
 def _solvers() -> Iterable[str]:
@@ -223,6 +258,14 @@ class CaptureOptions:
         closed=True,
     )
     max_hands: int = _option(2, _whole, "how many hands to keep at most", "N", least=1, most=200)
+    regions: tuple[Region, ...] = _option(
+        (),
+        _regions,
+        "a box in which there is a hand that was not found, in pixels, and the frame that shows it there",
+        "X,Y,W,H[,FRAME]",
+        repeated=True,
+        by_default="none; the first frame",
+    )
     detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=_detectors)
     threshold: float = _option(
         0.5,
@@ -326,7 +369,9 @@ def _plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, Intrinsics):
         return list(vars(value).values())
-    return list(value) if isinstance(value, tuple) else value
+    if isinstance(value, Region):
+        return [number for number in vars(value).values() if number is not None]
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
 OPTIONS: Final[dict[str, Option]] = {

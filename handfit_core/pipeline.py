@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.batch import spread
-from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.detector import DETECTORS, Detector
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.tracks import link_and_count
@@ -30,7 +30,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Media, Source
-from handfit_core.options import OPTIONS, CaptureOptions, HandChoice
+from handfit_core.options import OPTIONS, CaptureOptions, HandChoice, Region
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import HandTrack, Take
@@ -73,6 +73,7 @@ def capture(
     *,
     frames: FrameRange | str | None = None,
     max_hands: int = 2,
+    regions: Sequence[Region | Sequence[float] | str] = (),
     detector: str = "direct",
     threshold: float = 0.5,
     plain_detection: bool = False,
@@ -136,7 +137,9 @@ def capture_with(
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
-        tracks, seen = link_and_count(found, hands, options.max_hands, _rate(media, numbers), _holes(numbers))
+        tracks, seen = link_and_count(
+            found, hands, max(options.max_hands, len(options.regions)), _rate(media, numbers), _holes(numbers)
+        )
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
@@ -218,6 +221,7 @@ def detect_frames(
     """
     # Two hands are looked for even where one is wanted, so that the surest can be chosen.
     options = replace(options, max_hands=max(options.max_hands, 2))
+    regions = list(options.regions)
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
     video = media.source.kind != "photo"
@@ -234,12 +238,29 @@ def detect_frames(
                 numbers.append(frame.number)
                 with blamed():
                     found.append(detector.find(frame.rgb, frame.time))
+                    for region in [r for r in regions if r.frame in (None, frame.number)]:
+                        regions.remove(region)
+                        found[-1] += _shown(detector, frame.rgb, region)
                 report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
         with blamed():
             found = _finite(detector.completed(found), options.detector)
     if not numbers:
         raise InputError(f"{media.source.files[0]}: no frame could be read from it")
+    for region in regions:
+        log.warning("the region in frame %d was not looked at: that frame is not used", region.frame)
     return numbers, found, detector.most_seen
+
+
+def _shown(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
+    """The hand of a region, if there is one."""
+    box = (region.x, region.y, region.width, region.height)
+    hand = None if rgb is None else detector.look_in(rgb, box)
+    if hand is None:
+        log.warning(
+            "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of it",
+            *box,
+        )
+    return () if hand is None else (hand,)
 
 
 def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import SAME_HAND, View, distance, same_hand
 from handfit_core.detect.networks import PALM_SIZE, Networks, view_of
-from handfit_core.detect.search import Search, tiles
+from handfit_core.detect.search import IN_BOX_PRESENCE, Search, tiles
 
 SEARCH_EVERY = 24
 """Frames from one look for palms in the whole picture to the next, where all hands that were there are
@@ -22,7 +23,8 @@ LOOK_BACK = 24
 """Past frames through which a hand that turns up is followed backwards, at most"""
 
 MOST_PAST_BYTES = 100_000_000
-"""Memory that those frames may take: 4 frames of 3840 x 2160"""
+"""Memory that those frames may take: 4 frames of 3840 x 2160. Where a hand is to be followed back to the
+beginning, frames are kept as JPEG, and may take ten times as much"""
 
 MOST_TRIES = 6
 """Searches around a hand that was lost, 1, 2, 4, ... frames apart: one that left costs no more than these"""
@@ -48,6 +50,8 @@ class _Followed:
     last: HandDetection
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
     """(2,) pixels from frame to frame"""
+    least: float = 0.0
+    """presence that it must have at least"""
     tries: int = 0
     """searches since it was last seen, all in vain"""
     wait: int = 0
@@ -85,7 +89,8 @@ class ClipFinder(Detector):
         self._searching = Search(self._networks, settings.threshold, first_word=settings.first_word)
         self._followed: list[_Followed] = []
         self._lost: list[_Followed] = []
-        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=LOOK_BACK)
+        self._whole_past = settings.whole_past
+        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=None if self._whole_past else LOOK_BACK)
         self._searches = 0
         self._search_wait = 0
         self._counts: list[int] = []
@@ -105,6 +110,20 @@ class ClipFinder(Detector):
         judged = iter(with_side_judged([hand for frame in self.frames for hand in frame]))
         return [tuple(next(judged) for _ in frame) for frame in self.frames]
 
+    def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+        """As `Detector.look_in`."""
+        hand = self._searching.hand_in(rgb, box)
+        if hand is None:
+            return None
+        index = len(self.frames) - 1
+        known = [f for f in self._followed if same_hand(hand, f.last)]
+        self._followed = [f for f in self._followed if f not in known]
+        self._follow_new(hand, IN_BOX_PRESENCE)
+        self.frames[index] = tuple(followed.last for followed in self._followed)
+        if not known:
+            self._look_back(self._followed[-1], before=index)
+        return hand
+
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
         """As `Detector.find`; hands that are found in this frame later are told by `completed`."""
         index = len(self.frames)
@@ -115,13 +134,13 @@ class ClipFinder(Detector):
         new = self._search(rgb, index, bool(lost))
         self._lost += lost
         self.frames[index] = tuple(followed.last for followed in self._followed)
-        for hand in new:
-            self._look_back(hand)
-        if self._full:
+        for followed in new:
+            self._look_back(followed, before=index)
+        if self._full and not self._whole_past:
             self._past.clear()  # nothing is added to frames in which all that are wanted are seen
         else:
-            self._past.append((index, rgb))
-        while sum(past.nbytes for _, past in self._past) > MOST_PAST_BYTES:
+            self._past.append((index, _packed(rgb) if self._whole_past else rgb))
+        while sum(past.nbytes for _, past in self._past) > MOST_PAST_BYTES * (10 if self._whole_past else 1):
             self._past.popleft()
         return self.frames[index]
 
@@ -133,7 +152,7 @@ class ClipFinder(Detector):
         """Look for the followed hands where they should be; returns those that are not there."""
         lost, self._followed, before = [], [], self._followed
         for followed in before:
-            hand = self._there(rgb, followed.expected())
+            hand = self._there(rgb, followed)
             # Two that cross may lie in one place, but not with all their points.
             if hand is None or any(distance(hand, other.last) < SAME_HAND for other in self._followed):
                 lost.append(followed)
@@ -142,20 +161,21 @@ class ClipFinder(Detector):
                 self._followed.append(followed)
         return lost
 
-    def _there(self, rgb: np.ndarray, keypoints: np.ndarray) -> HandDetection | None:
-        """The hand that is near landmarks (21, 2); looked at once more where it has moved away from them."""
-        look = self._networks.look(rgb, view_of(keypoints))
-        off = np.linalg.norm(look.hand.keypoints_2d - keypoints, axis=-1).mean()
-        if look.presence >= self._threshold and off > ASTRAY * look.hand.extent:
+    def _there(self, rgb: np.ndarray, followed: _Followed) -> HandDetection | None:
+        """A followed hand where it should be; looked at once more where it has moved away from there."""
+        expected = followed.expected()
+        look = self._networks.look(rgb, view_of(expected))
+        off = np.linalg.norm(look.hand.keypoints_2d - expected, axis=-1).mean()
+        if look.presence >= followed.least and off > ASTRAY * look.hand.extent:
             look = self._networks.look(rgb, view_of(look.hand.keypoints))
-        return look.hand if look.presence >= self._threshold else None
+        return replace(look.hand, shown=followed.last.shown) if look.presence >= followed.least else None
 
     def _known(self, hand: HandDetection) -> bool:
         return any(same_hand(hand, followed.last) for followed in self._followed)
 
-    def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[HandDetection]:
+    def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[_Followed]:
         """Hands that are not followed, which then are: near where some were lost, and anywhere."""
-        new: list[HandDetection] = []
+        new: list[_Followed] = []
         for followed in self._lost:
             if followed.wait > 0:
                 followed.wait -= 1
@@ -184,21 +204,39 @@ class ClipFinder(Detector):
         known = [followed.last for followed in self._followed]
         return self._searching.more_hands(rgb, views, known)
 
-    def _take(self, hands: list[HandDetection], new: list[HandDetection]) -> None:
+    def _take(self, hands: list[HandDetection], new: list[_Followed]) -> None:
         """Follow hands that are not followed, and add them to the new ones."""
         for hand in hands:
             if not self._full and not self._known(hand):
-                self._followed.append(_Followed(hand))
-                new.append(hand)
+                new.append(self._follow_new(hand, self._threshold))
                 self._searches, self._search_wait = 0, FIRST_WAIT
 
-    def _look_back(self, hand: HandDetection) -> None:
+    def _follow_new(self, hand: HandDetection, least: float) -> _Followed:
+        self._followed.append(_Followed(hand, least=least))
+        return self._followed[-1]
+
+    def _look_back(self, found: _Followed, before: int) -> None:
         """Follow a hand that turned up through the frames before, back to where it is not seen any more."""
-        followed = _Followed(hand)
-        for index, rgb in reversed(self._past):
+        followed = _Followed(found.last, least=found.least)
+        for index, past in reversed(self._past):
+            if index >= before:
+                continue
             there = self.frames[index]
-            before = self._there(rgb, followed.expected())
-            if before is None or any(distance(before, other) < SAME_HAND for other in there):
+            hand = self._there(_unpacked(past) if self._whole_past else past, followed)
+            if hand is None or any(distance(hand, other) < SAME_HAND for other in there):
                 return
-            followed.seen(before)
-            self.frames[index] = (*there, before)
+            followed.seen(hand)
+            self.frames[index] = (*there, hand)
+
+
+def _packed(rgb: np.ndarray) -> np.ndarray:
+    """A picture as JPEG."""
+    import cv2
+
+    return cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+
+
+def _unpacked(jpeg: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED)

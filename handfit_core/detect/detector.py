@@ -7,13 +7,14 @@ their entry points of the group `handfit.detectors` (see `registry`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.errors import OptionError
 from handfit_core.registry import Registry
 
 
@@ -27,6 +28,11 @@ class Detector:
         and so has None, a frame that could not be read.
         """
         raise NotImplementedError
+
+    def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:  # noqa: ARG002
+        """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
+        given last. In a clip it is followed from there, both ways. None: nothing is found there."""
+        raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
     def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:
         """What `find` gave for all pictures, in order, with what later frames of the clip tell about earlier
@@ -61,6 +67,8 @@ class DetectorSettings:
     """How sure a hand must be, 0..1"""
     landmark_model: str | os.PathLike[str] | None = None
     """A model file in place of the backend's own"""
+    whole_past: bool = False
+    """Whether a hand that turns up late is followed back to the clip's beginning, not only for a second"""
     first_word: bool = False
     """Whether one look at the whole picture is enough: faster, and finds less"""
 

@@ -43,6 +43,8 @@ class HandDetection:
     spread: np.ndarray | None = None
     """(21, 3) standard deviation in pixels (x, y, z) of the looks that `keypoints` averages; None after
     a single look"""
+    shown: bool = False
+    """Whether a person has said that it is there"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
     corrected: tuple[Side, Landmarked] | None = None

@@ -9,7 +9,12 @@ from handfit_core.options import CaptureOptions
 def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:
     """What a capture with these options asks of its detector; `video`: of the frames of one clip."""
     return DetectorSettings(
-        options.max_hands, video, options.threshold, options.landmark_model, options.plain_detection
+        options.max_hands,
+        video,
+        options.threshold,
+        options.landmark_model,
+        whole_past=any(region.frame is not None for region in options.regions),
+        first_word=options.plain_detection,
     )
 
 

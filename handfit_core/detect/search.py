@@ -32,6 +32,16 @@ PASSES: Final = 3
 PARTS: Final = (1, 2, 3)
 """Tiles are so many times smaller than the picture, and half of one lies over the next"""
 
+IN_BOX_SPANS: Final = (1.3, 1.8, 2.6)
+IN_BOX_TURNS: Final = 12
+"""Crops about a box in which a person sees a hand: sides in units of its longer one, and how many turns"""
+
+IN_BOX_PRESENCE: Final = 0.1
+"""Where a person says that there is a hand, the network need not be sure"""
+
+IN_BOX_BEST: Final = 4
+"""Hands found from the most crops that are looked at closely"""
+
 WHOLE: Final = (
     (1.0, 0.0, False),
     (1.5, 0.0, False),
@@ -137,6 +147,27 @@ class Search:
         found = self._seen_in(rgb, views, sure)
         return [s.hand for s in found if s.certainty >= self._threshold and s not in sure]
 
+    def hand_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+        """The hand that a person sees in a box (x, y, width, height) of a picture (H, W, 3) uint8 RGB, at
+        whatever angle; None where nothing is found there again and again."""
+        corner, size = np.array(box[:2]), np.array(box[2:])
+        middle, side = corner + size / 2.0, float(size.max())
+        found: list[list[HandDetection]] = []
+        for span in IN_BOX_SPANS:
+            for turn in np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS):
+                view = View.of_square(middle, span * side, HAND_SIZE, turn=turn)
+                hand = self._settled(rgb, view, least=IN_BOX_PRESENCE)
+                if hand is None or not _fills(hand, middle, size):
+                    continue
+                same = next((group for group in found if distance(group[0], hand) < SETTLED), None)
+                found.append([hand]) if same is None else same.append(hand)
+        likely = sorted(found, key=len, reverse=True)[:IN_BOX_BEST]
+        sighted = [(self._sighted(rgb, group[0], 0.5), len(group)) for group in likely]
+        best = max(sighted, key=lambda each: each[0].presence * (1 + each[1]), default=None)
+        if best is None or best[0].presence < IN_BOX_PRESENCE:
+            return None
+        return replace(best[0].hand, shown=True)
+
     def _seen_in(self, rgb: np.ndarray, views: Sequence[View], known: Sequence[Sighting]) -> list[Sighting]:
         """What is known, and what is in those views, each hand once, the surest first."""
         found = list(known)
@@ -157,14 +188,14 @@ class Search:
                 kept.append(sighting)
         return kept
 
-    def _settled(self, rgb: np.ndarray, view: View) -> HandDetection | None:
+    def _settled(self, rgb: np.ndarray, view: View, least: float = LEAST_PRESENCE) -> HandDetection | None:
         """What the landmark network finds in a view, once it finds it again where it was; None: no hand."""
         look = self._networks.look(rgb, view)
         for _ in range(PASSES - 1):
             if look.presence < HOPELESS:
                 return None
             look = self._networks.look(rgb, view_of(look.hand.keypoints))
-        return look.hand if look.presence >= LEAST_PRESENCE else None
+        return look.hand if look.presence >= least else None
 
     def _sighted(self, rgb: np.ndarray, hand: HandDetection, palm: float) -> Sighting:
         """The mean of several looks at a hand that was found through a palm of that score."""
@@ -172,6 +203,13 @@ class Search:
         looks = [self._networks.look(rgb, view) for view in views]
         presence = float(np.mean([look.presence for look in looks]))
         return Sighting(mean_of([look.hand for look in looks]), presence, palm)
+
+
+def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
+    """Whether a hand is in a box, and about as large."""
+    low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
+    off, longer = np.abs((low + high) / 2.0 - middle), float(size.max())
+    return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent / longer < 2.0
 
 
 def around(keypoints: np.ndarray) -> Iterator[View]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from handfit_core.detect.correction.corrected import with_side_judged
@@ -34,3 +36,8 @@ class StillFinder(Detector):
         found = [] if rgb is None else self._search.every_hand(rgb)
         self._counts.append(len(found))
         return tuple(with_side_judged(found[: self._most]))
+
+    def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+        """As `Detector.look_in`, with the side judged."""
+        hand = self._search.hand_in(rgb, box)
+        return None if hand is None else with_side_judged([hand])[0]

@@ -67,6 +67,11 @@ class _OpenTrack:
     def weight(self) -> float:
         return sum(self.side_votes.values())
 
+    @property
+    def shown(self) -> bool:
+        """Whether a person has said that it is there."""
+        return any(detection.shown for detection in self.detections.values())
+
     def add(self, frame: int, detection: HandDetection) -> None:
         self.detections[frame] = detection
         for side, vote in detection.side_votes().items():
@@ -128,7 +133,7 @@ def link_and_count(
             "no hand was found in any frame; try a lower detection threshold, such as 0.3, a larger "
             "or brighter picture, or one where the whole hand is in view"
         )
-    tracks.sort(key=lambda t: t.weight, reverse=True)
+    tracks.sort(key=lambda t: (t.shown, t.weight), reverse=True)
     chosen = _choose(tracks, hands, max_hands)
     if not chosen:
         found = " and ".join(sorted({t.side for t in tracks}))
@@ -140,14 +145,15 @@ def link_and_count(
         DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))), fps, holes)
         for track, side in chosen
     )
-    sure = [t for t in tracks if t.weight >= STRAY_WEIGHT * tracks[0].weight]
+    most = max(t.weight for t in tracks)
+    sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
     return linked, max(len(chosen), sum(hands not in SIDES or t.side == hands for t in sure))
 
 
 def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list[tuple[_OpenTrack, Side]]:
     if hands == "auto":
-        surest = tracks[0]
-        sure = [t for t in tracks if t.weight >= STRAY_WEIGHT * surest.weight]
+        most = max(t.weight for t in tracks)
+        sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
         return [(t, t.side) for t in sure[:max_hands]]
     if hands == "both":
         first = tracks[0]
@@ -173,7 +179,7 @@ def _sureness(track: _OpenTrack) -> float:
 def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
     """One detection of each hand in one picture: the surest."""
     hands: list[HandDetection] = []
-    for candidate in sorted(detections, key=lambda d: d.score, reverse=True):
+    for candidate in sorted(detections, key=lambda d: (d.shown, d.score), reverse=True):
         if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in hands):
             hands.append(candidate)
     return hands
@@ -240,6 +246,8 @@ def _overlap(a: _OpenTrack, b: _OpenTrack) -> bool:
 
 def _is_part_of(part: HandDetection, hand: HandDetection) -> bool:
     """Fingers that were taken for another, smaller hand."""
+    if part.shown:
+        return False
     points, whole = part.keypoints_2d, hand.keypoints_2d
     inside = ((points >= whole.min(axis=0)) & (points <= whole.max(axis=0))).all(axis=-1)
     return part.extent < PART_SIZE * hand.extent and float(inside.mean()) > PART_INSIDE

@@ -14,13 +14,14 @@ from handfit_core import Intrinsics, capture
 from handfit_core.__main__ import _all_parsers, _parser
 from handfit_core.errors import OptionError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import OPTIONS, CaptureOptions, Option, add_options
+from handfit_core.options import OPTIONS, CaptureOptions, Option, Region, add_options
 from tests.conftest import ROOT
 
 GIVEN: dict[str, tuple[Any, str, Any]] = {
     "frames": ("2-10:4", "2-10:4", FrameRange(2, 10, 4)),
     "hands": ("left", "left", "left"),
     "max_hands": (5, "5", 5),
+    "regions": ([[1, 2, 30.5, 40, 7]], "1,2,30.5,40,7", (Region(1.0, 2.0, 30.5, 40.0, 7),)),
     "detector": ("mine", "mine", "mine"),
     "threshold": (1, "1", 1.0),
     "plain_detection": (True, "", True),
@@ -111,6 +112,12 @@ def test_the_docs_tell_of_every_option(page: str, spelled: str) -> None:
         ({"intrinsics": "1,2,x,4"}, "four numbers"),
         ({"intrinsics": [-1, 1, 0, 0]}, "positive, finite focal lengths"),
         ({"lens": [1, True, 0]}, "three numbers"),
+        ({"regions": "1,2,3,4"}, "'regions' must be a list of regions"),
+        ({"regions": [[1, 2, 3]]}, "must be regions X,Y,WIDTH,HEIGHT in pixels"),
+        ({"regions": [["1", "2", "3", "x"]]}, "must be regions X,Y"),
+        ({"regions": [[1, 2, 0, 4]]}, "must be regions X,Y"),
+        ({"regions": [[1, 2, 3, 4, 5.5]]}, "must be regions X,Y"),
+        ({"regions": [7]}, "must be regions X,Y"),
         ({"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}, "as intrinsics or as a lens, not both"),
     ],
     ids=str,

@@ -16,7 +16,7 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import View, distance
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
 from handfit_core.detect.opening import open_detector
-from handfit_core.errors import LandmarkModelError
+from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
 from tests.conftest import ROOT
@@ -264,3 +264,49 @@ def test_a_clip_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) 
     assert len(take.hands) == 2
     (sentence,) = told(caplog)
     assert sentence.startswith("4 hands were seen")
+
+
+def box_around(hand: HandDetection, by: float = 10.0) -> list[float]:
+    low, high = hand.keypoints_2d.min(axis=0) - by, hand.keypoints_2d.max(axis=0) + by
+    return [*low, *(high - low)]
+
+
+def test_a_hand_in_a_box_is_found_however_unsure(plain: Detector, caplog: pytest.LogCaptureFixture) -> None:
+    (expected,) = plain.find(picture(7))
+    photo = SAMPLE / "hand.0007.jpg"
+    with pytest.raises(NoHandFoundError):
+        capture(photo, threshold=1.0)
+    with caplog.at_level(logging.WARNING, "handfit"):
+        take = capture(photo, threshold=1.0, regions=[box_around(expected), (1, 1, 40, 40)])
+    (hand,) = take.hands
+    off = np.linalg.norm(hand.keypoints_2d[0] - expected.keypoints_2d, axis=-1).mean()
+    assert off < 0.06 * expected.extent
+    assert hand.side == expected.side
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.startswith("no hand was found in the region 1,1,40,40: draw the box")
+
+
+def test_a_box_starts_a_track_both_ways(
+    plain: Detector, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also farther back than hands that turn up by themselves are followed."""
+    monkeypatch.setattr(clips, "LOOK_BACK", 4)
+    last = 20
+    (expected,) = plain.find(picture(last))
+    pattern = str(SAMPLE / "hand.%04d.jpg")
+    regions = [[*box_around(expected), last], [*box_around(expected), 400]]
+    with caplog.at_level(logging.WARNING, "handfit"):
+        take = capture(pattern, threshold=1.0, regions=regions)
+    (hand,) = take.hands
+    assert hand.detected.all()
+    for number in (1, 12, last, 24):
+        (seen,) = plain.find(picture(number))
+        off = np.linalg.norm(hand.keypoints_2d[number - 1] - seen.keypoints_2d, axis=-1).mean()
+        assert off < 0.06 * seen.extent
+    said = [record.getMessage() for record in caplog.records]
+    assert said == ["the region in frame 400 was not looked at: that frame is not used"]
+
+
+def test_a_detector_that_cannot_look_into_boxes_says_so() -> None:
+    with pytest.raises(OptionError, match="the detector direct can"):
+        capture(SAMPLE / "hand.0007.jpg", detector="mediapipe", regions=["1,2,30,40"])
