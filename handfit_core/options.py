@@ -26,6 +26,10 @@ HandChoice = Literal["auto", "left", "right", "both"]
 Lens = tuple[float, float, float]
 
 
+FARTHEST: Final = 1e6
+"""pixels; no region lies farther out, or is larger"""
+
+
 @dataclass(frozen=True)
 class Region:
     """A box in the upright picture in which somebody has seen a hand. Pixels; y grows downwards."""
@@ -46,7 +50,7 @@ class Region:
             *box, frame = _numbers(parts if len(parts) == 5 else [*parts, -1], what, count=5)
         except TypeError:
             raise ValueError(what) from None
-        if min(box[2:]) <= 0.0 or not float(frame).is_integer():
+        if min(box[2:]) < 1.0 or max(map(abs, box)) > FARTHEST or not float(frame).is_integer():
             raise ValueError(what)
         return cls(*box, frame=None if len(parts) == 4 else int(frame))
 

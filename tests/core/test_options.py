@@ -117,6 +117,7 @@ def test_the_docs_tell_of_every_option(page: str, spelled: str) -> None:
         ({"regions": [["1", "2", "3", "x"]]}, "must be regions X,Y"),
         ({"regions": [[1, 2, 0, 4]]}, "must be regions X,Y"),
         ({"regions": [[1, 2, 3, 4, 5.5]]}, "must be regions X,Y"),
+        ({"regions": [[0, 0, 1e300, 4]]}, "must be regions X,Y"),
         ({"regions": [7]}, "must be regions X,Y"),
         ({"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}, "as intrinsics or as a lens, not both"),
     ],
