@@ -4,8 +4,8 @@
     python scripts/train_landmarks.py FOLDER                  makes samples (an hour or two), then trains
     python scripts/train_landmarks.py FOLDER --install        and puts the results into the package
 
-Samples are MediaPipe's detections in painted pictures of the open hand, beside the truth. Seeds are 100
-and above; the rendered benchmark's test seed is 0. Needs no Blender. FOLDER keeps the samples: an
+Samples are what MediaPipe's networks see in painted pictures of the open hand, beside the truth. Seeds are
+100 and above; the rendered benchmark's test seed is 0. Needs no Blender. FOLDER keeps the samples: an
 interrupted run goes on where it stopped.
 """
 
@@ -75,17 +75,16 @@ def _asked(text: str) -> list[tuple[int, int]]:
 
 def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
     """Stacked rows of all stills; made where they are not kept."""
-    from handfit_core.detect.opening import open_detector
-    from handfit_core.options import CaptureOptions
+    from handfit_core.detect.networks import Networks
     from scripts.training.samples import samples_of
 
     kept = []
-    with open_detector(CaptureOptions(plain_detection=True)) as detector:
+    with Networks() as networks:
         for first in range(0, stills, CHUNK):
             path = folder / f"samples-{seed}-{first:06d}-{min(first + CHUNK, stills):06d}.npz"
             if not path.is_file():
                 numbers = range(first, min(first + CHUNK, stills))
-                found = [row for number in numbers for row in samples_of(seed, number, detector)[1]]
+                found = [row for number in numbers for row in samples_of(seed, number, networks)[1]]
                 names = found[0] if found else ()
                 columns: dict[str, Any] = {name: np.array([row[name] for row in found]) for name in names}
                 with written_whole(path) as beside, open(beside, "wb") as stream:

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.detect.opening import open_detector
+from handfit_core.detect.networks import Networks
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.options import CaptureOptions
 from scripts.benchmark.stills import still_shot
 from scripts.training import samples
 from scripts.training.samples import Sample, samples_of
@@ -52,9 +51,9 @@ def test_views_are_turns_and_mirror_images_at_random() -> None:
 @pytest.fixture(scope="module")
 def found() -> tuple[int, list[Sample]]:
     count, all_found = 0, []
-    with open_detector(CaptureOptions(plain_detection=True)) as detector:
+    with Networks() as networks:
         for number in range(6):
-            hands, some = samples_of(0, number, detector, 320)
+            hands, some = samples_of(0, number, networks, 320)
             count += hands
             all_found += some
     return count, all_found
