@@ -29,6 +29,9 @@ Lens = tuple[float, float, float]
 FARTHEST: Final = 1e6
 """pixels; no region lies farther out, or is larger"""
 
+CLIP_HANDS: Final = 2
+"""How many hands of a clip are kept where nobody says how many; further ones are not even looked for"""
+
 
 @dataclass(frozen=True)
 class Region:
@@ -261,7 +264,15 @@ class CaptureOptions:
         choices=lambda: ("auto", "left", "right", "both"),
         closed=True,
     )
-    max_hands: int = _option(2, _whole, "how many hands to keep at most", "N", least=1, most=200)
+    max_hands: int | None = _option(
+        None,
+        _whole,
+        "how many hands to keep at most, the surest first",
+        "N",
+        least=1,
+        most=200,
+        by_default=f"all of a photo, {CLIP_HANDS} of a clip",
+    )
     regions: tuple[Region, ...] = _option(
         (),
         _regions,
@@ -351,6 +362,10 @@ class CaptureOptions:
                     f"there is no option {shortly(name)} of a capture; choose from {', '.join(OPTIONS)}"
                 )
         return cls(**options)
+
+    def most_hands(self, *, clip: bool) -> int | None:
+        """How many hands of one picture are wanted, be it of a clip or a photo; None: all."""
+        return CLIP_HANDS if clip and self.max_hands is None else self.max_hands
 
     def to_message(self) -> dict[str, Any]:
         """The `options` of a request to the worker: those that are not the defaults."""

@@ -59,6 +59,15 @@ FARTHEST_FOCAL = 1000.0
 """Times the picture's longer side: a view of 169 degrees, and one of three minutes of arc, as a crop of a
 telescope's picture may have"""
 
+NONE_SEEN = (
+    "no hand was found; draw a box around one that you see (--region on the command line, Find Hands in "
+    "Blender), or try a lower detection threshold, such as 0.3"
+)
+NONE_IN_REGION = (
+    "no hand was found, not in the region that was drawn either; draw the box closer around the hand, or "
+    "over all of it, or lay a hand there yourself with Add Hand in Blender"
+)
+
 LAST_FITS_SECONDS = 0.3
 """What slow solvers get for what was found when detection was stopped. Others get the time that they need,
 since that is a small part of what detecting took."""
@@ -72,7 +81,7 @@ def capture(
     progress: ProgressCallback | None = None,
     *,
     frames: FrameRange | str | None = None,
-    max_hands: int = 2,
+    max_hands: int | None = None,
     regions: Sequence[Region | Sequence[float] | str] = (),
     detector: str = "direct",
     threshold: float = 0.5,
@@ -133,17 +142,19 @@ def capture_with(
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
+    most = options.most_hands(clip=media.source.kind != "photo")
     numbers, found, at_once = detect_frames(media, options, report, stop)
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     try:
         tracks, seen = link_and_count(
-            found, hands, max(options.max_hands, len(options.regions)), _rate(media, numbers), _holes(numbers)
+            found, hands, most and max(most, len(options.regions)), _rate(media, numbers), _holes(numbers)
         )
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
-        raise NoHandFoundError(f"{media.source.name}: {error}") from None
+        seen_none = NONE_IN_REGION if options.regions else NONE_SEEN
+        raise NoHandFoundError(f"{media.source.name}: {error if any(found) else seen_none}") from None
     _tell_of_others(hands, len(tracks), seen if hands in SIDES else max(seen, at_once))
     if stop():
         stop = _after(LAST_FITS_SECONDS) if can.slow else never
@@ -220,7 +231,8 @@ def detect_frames(
     Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
     """
     # Two hands are looked for even where one is wanted, so that the surest can be chosen.
-    options = replace(options, max_hands=max(options.max_hands, 2))
+    if options.max_hands == 1:
+        options = replace(options, max_hands=2)
     regions = list(options.regions)
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
@@ -257,7 +269,8 @@ def _shown(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[
     hand = None if rgb is None else detector.look_in(rgb, box)
     if hand is None:
         log.warning(
-            "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of it",
+            "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of "
+            "it, or lay a hand there yourself with Add Hand in Blender",
             *box,
         )
     return () if hand is None else (hand,)
@@ -284,7 +297,9 @@ def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
         return
     named = f"{seen} {hands} hands" if hands in SIDES else f"{seen} hands"
     kept = "the surest was" if captured == 1 else f"the {captured} surest were"
-    log.warning("%s were seen, and %s captured: crop the footage to capture others", named, kept)
+    others = "draw boxes around others (--region, or Find Hands in Blender), or allow more (--max-hands)"
+    advice = others if hands == "auto" else "take hands 'auto' to capture others"
+    log.warning("%s were seen, and %s captured: %s", named, kept, advice)
 
 
 def _after(seconds: float) -> ShouldStop:

@@ -9,7 +9,7 @@ from handfit_core.options import CaptureOptions
 def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:
     """What a capture with these options asks of its detector; `video`: of the frames of one clip."""
     return DetectorSettings(
-        options.max_hands,
+        options.most_hands(clip=video),
         video,
         options.threshold,
         options.landmark_model,

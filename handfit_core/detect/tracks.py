@@ -102,11 +102,11 @@ class _OpenTrack:
 def link_tracks(
     frames: Sequence[Sequence[HandDetection]],
     hands: HandChoice = "auto",
-    max_hands: int = 2,
+    max_hands: int | None = 2,
     fps: float = 25.0,
     holes: tuple[int, ...] = (),
 ) -> tuple[DetectedTrack, ...]:
-    """Link per-frame detections into at most `max_hands` tracks, the surest first in frame order.
+    """Link per-frame detections into at most `max_hands` tracks (None: all), the surest first in frame order.
 
     `hands`: "auto" keeps whatever was seen, also two left hands; "left" and "right" keep hands of
     that side only; "both" means one left and one right, and overrules the detector if it named
@@ -120,7 +120,7 @@ def link_tracks(
 def link_and_count(
     frames: Sequence[Sequence[HandDetection]],
     hands: HandChoice = "auto",
-    max_hands: int = 2,
+    max_hands: int | None = 2,
     fps: float = 25.0,
     holes: tuple[int, ...] = (),
 ) -> tuple[tuple[DetectedTrack, ...], int]:
@@ -129,10 +129,7 @@ def link_and_count(
     tracks = _merge(tracks, _adjoin)
     tracks = _merge(tracks, _may_return)
     if not tracks:
-        raise NoHandFoundError(
-            "no hand was found in any frame; try a lower detection threshold, such as 0.3, a larger "
-            "or brighter picture, or one where the whole hand is in view"
-        )
+        raise NoHandFoundError("no hand was found in any frame")
     tracks.sort(key=lambda t: (t.shown, t.weight), reverse=True)
     chosen = _choose(tracks, hands, max_hands)
     if not chosen:
@@ -150,7 +147,9 @@ def link_and_count(
     return linked, max(len(chosen), sum(hands not in SIDES or t.side == hands for t in sure))
 
 
-def _choose(tracks: list[_OpenTrack], hands: HandChoice, max_hands: int) -> list[tuple[_OpenTrack, Side]]:
+def _choose(
+    tracks: list[_OpenTrack], hands: HandChoice, max_hands: int | None
+) -> list[tuple[_OpenTrack, Side]]:
     if hands == "auto":
         most = max(t.weight for t in tracks)
         sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]

@@ -72,7 +72,7 @@ ReadUnit = Callable[[Unit], UnitDetections]
 
 
 def rows_of(
-    units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, max_hands: int, camera: str
+    units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, max_hands: int | None, camera: str
 ) -> Rows:
     """Detect and pair with labels. `camera` is `assumed` or `labelled`: what solvers are told."""
     found = Rows()
@@ -142,7 +142,7 @@ def _strict_rows(
     frames: Sequence[Frame],
     detections: UnitDetections,
     intrinsics: Intrinsics,
-    max_hands: int,
+    max_hands: int | None,
     found: Rows,
 ) -> None:
     """Tracks as a capture makes them; every labelled hand is a row, found or not."""

@@ -142,7 +142,7 @@ def _detected_rows(
     units: Sequence[Unit],
     detector: UnitDetector,
     options: EvaluationOptions,
-    max_hands: int,
+    max_hands: int | None,
     progress: ReportProgress,
 ) -> Rows:
     total, done = sum(len(unit.entries) for unit in units), count(1)

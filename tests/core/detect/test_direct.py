@@ -248,11 +248,14 @@ def told(caplog: pytest.LogCaptureFixture) -> list[str]:
 def test_a_photo_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     cv2.imwrite(str(tmp_path / "four.jpg"), four_hands())
     with caplog.at_level(logging.WARNING, "handfit"):
-        take = capture(tmp_path / "four.jpg")
-        assert len(take.hands) == 2
-        capture(SAMPLE / "hand.0001.jpg")
+        assert len(capture(tmp_path / "four.jpg").hands) == 4
+        assert not told(caplog)
+        assert len(capture(tmp_path / "four.jpg", max_hands=3).hands) == 3
+        assert len(capture(tmp_path / "four.jpg", "left").hands) == 1
     assert told(caplog) == [
-        "4 hands were seen, and the 2 surest were captured: crop the footage to capture others"
+        "4 hands were seen, and the 3 surest were captured: draw boxes around others (--region, or Find "
+        "Hands in Blender), or allow more (--max-hands)",
+        "2 left hands were seen, and the surest was captured: take hands 'auto' to capture others",
     ]
 
 
@@ -274,15 +277,17 @@ def box_around(hand: HandDetection, by: float = 10.0) -> list[float]:
 def test_a_hand_in_a_box_is_found_however_unsure(plain: Detector, caplog: pytest.LogCaptureFixture) -> None:
     (expected,) = plain.find(picture(7))
     photo = SAMPLE / "hand.0007.jpg"
-    with pytest.raises(NoHandFoundError):
+    with pytest.raises(NoHandFoundError, match=r"draw a box .*--region.* Find Hands"):
         capture(photo, threshold=1.0)
+    with pytest.raises(NoHandFoundError, match=r"not in the region .* Add Hand"):
+        capture(photo, threshold=1.0, regions=[(1, 1, 40, 40)])
     with caplog.at_level(logging.WARNING, "handfit"):
         take = capture(photo, threshold=1.0, regions=[box_around(expected), (1, 1, 40, 40)])
     (hand,) = take.hands
     off = np.linalg.norm(hand.keypoints_2d[0] - expected.keypoints_2d, axis=-1).mean()
     assert off < 0.06 * expected.extent
     assert hand.side == expected.side
-    (said,) = [record.getMessage() for record in caplog.records]
+    *_, said = [record.getMessage() for record in caplog.records]
     assert said.startswith("no hand was found in the region 1,1,40,40: draw the box")
 
 

@@ -179,7 +179,7 @@ def test_tracks_know_the_clips_rate() -> None:
 
 
 def test_nothing_found() -> None:
-    with pytest.raises(NoHandFoundError, match="threshold"):
+    with pytest.raises(NoHandFoundError, match="in any frame"):
         link_tracks([[], []])
     with pytest.raises(NoHandFoundError, match="only a left one"):
         link_tracks([[hand(1, "left")]], "right")
