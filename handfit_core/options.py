@@ -297,6 +297,15 @@ class CaptureOptions:
     landmark_model: str | None = _option(
         None, _path, "MediaPipe's hand_landmarker.task", "PATH", by_default="the one that was fetched"
     )
+    processes: int | None = _option(
+        None,
+        _whole,
+        "how many processes find the hands of a clip; its result is the same",
+        "N",
+        least=1,
+        most=64,
+        by_default="all cores but one, at most 8",
+    )
     solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=_solvers)
     model: str | None = _option(
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"

@@ -15,9 +15,10 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.batch import spread
-from handfit_core.detect.detector import DETECTORS, Detector
+from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.opening import open_detector
+from handfit_core.detect.regions import looked_at
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
@@ -86,6 +87,7 @@ def capture(
     detector: str = "direct",
     threshold: float = 0.5,
     plain_detection: bool = False,
+    processes: int | None = None,
     landmark_model: str | os.PathLike[str] | None = None,
     smoothing: float = 1.0,
     hand_length: float | None = None,
@@ -143,19 +145,21 @@ def capture_with(
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
     most = options.most_hands(clip=media.source.kind != "photo")
-    numbers, found, at_once = detect_frames(media, options, report, stop)
+    seen = detect_frames(media, options, report, stop)
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
+    numbers, found = seen.numbers, seen.frames
+    holes = sorted({*_holes(numbers), *(row - 1 for row in seen.cuts)})
     try:
-        tracks, seen = link_and_count(
-            found, hands, most and max(most, len(options.regions)), _rate(media, numbers), _holes(numbers)
+        tracks, count = link_and_count(
+            found, hands, most and max(most, len(options.regions)), _rate(media, numbers), tuple(holes)
         )
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
         seen_none = NONE_IN_REGION if options.regions else NONE_SEEN
         raise NoHandFoundError(f"{media.source.name}: {error if any(found) else seen_none}") from None
-    _tell_of_others(hands, len(tracks), seen if hands in SIDES else max(seen, at_once))
+    _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
     if stop():
         stop = _after(LAST_FITS_SECONDS) if can.slow else never
 
@@ -222,9 +226,8 @@ def detect_frames(
     options: CaptureOptions,
     report: ProgressCallback = lambda _: None,
     should_stop: ShouldStop = never,
-) -> tuple[list[int], list[tuple[HandDetection, ...]], int]:
-    """Frame numbers, the hands found in each frame, and how many were seen at once where there were more than
-    are looked for, else 0; an unreadable frame has none.
+) -> Detected:
+    """The hands of a source's frames.
 
     `should_stop` is asked before every frame; the frames before that are returned.
 
@@ -233,47 +236,50 @@ def detect_frames(
     # Two hands are looked for even where one is wanted, so that the surest can be chosen.
     if options.max_hands == 1:
         options = replace(options, max_hands=2)
-    regions = list(options.regions)
+    clip = None if media.source.kind == "photo" else DETECTORS.get(options.detector).clip
+
+    def on_progress(done: int) -> None:
+        report(Progress("detect", done, max(media.expected_frames, done)))
+
+    blamed = partial(DETECTORS.blamed, options.detector)
+    if clip is None:
+        seen = _one_by_one(media, options, on_progress, should_stop, blamed)
+    else:
+        with blamed():
+            seen = clip(media, options, on_progress, should_stop)
+    if not seen.numbers:
+        if should_stop():
+            raise Cancelled(f"{media.source.name}: stopped before a hand was found")
+        raise InputError(f"{media.source.files[0]}: no frame could be read from it")
+    for region in options.regions:
+        if region.frame is not None and region.frame not in seen.numbers:
+            log.warning("the region in frame %d was not looked at: that frame is not used", region.frame)
+    with blamed():
+        return replace(seen, frames=_finite(seen.frames, options.detector))
+
+
+def _one_by_one(
+    media: Media,
+    options: CaptureOptions,
+    on_progress: Callable[[int], None],
+    should_stop: ShouldStop,
+    blamed: Callable[[], contextlib.AbstractContextManager[None]],
+) -> Detected:
+    """What a detector finds in one frame after another."""
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
-    video = media.source.kind != "photo"
-    blamed = partial(DETECTORS.blamed, options.detector)
     with contextlib.ExitStack() as opened:
         with blamed():
-            detector = opened.enter_context(open_detector(options, video=video))
+            detector = opened.enter_context(open_detector(options, video=media.source.kind != "photo"))
         with contextlib.closing(read_ahead(media.frames())) as frames:
             for frame in frames:
                 if should_stop():
-                    if not numbers:
-                        raise Cancelled(f"{media.source.name}: stopped before a hand was found")
                     break
-                numbers.append(frame.number)
                 with blamed():
-                    found.append(detector.find(frame.rgb, frame.time))
-                    for region in [r for r in regions if r.frame in (None, frame.number)]:
-                        regions.remove(region)
-                        found[-1] += _shown(detector, frame.rgb, region)
-                report(Progress("detect", len(numbers), max(media.expected_frames, len(numbers))))
-        with blamed():
-            found = _finite(detector.completed(found), options.detector)
-    if not numbers:
-        raise InputError(f"{media.source.files[0]}: no frame could be read from it")
-    for region in regions:
-        log.warning("the region in frame %d was not looked at: that frame is not used", region.frame)
-    return numbers, found, detector.most_seen
-
-
-def _shown(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
-    """The hand of a region, if there is one."""
-    box = (region.x, region.y, region.width, region.height)
-    hand = None if rgb is None else detector.look_in(rgb, box)
-    if hand is None:
-        log.warning(
-            "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of "
-            "it, or lay a hand there yourself with Add Hand in Blender",
-            *box,
-        )
-    return () if hand is None else (hand,)
+                    found.append(looked_at(detector, frame, options.regions, first=not numbers))
+                numbers.append(frame.number)
+                on_progress(len(numbers))
+    return Detected(numbers, found, detector.most_seen)
 
 
 def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:

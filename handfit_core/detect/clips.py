@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
-from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.cuts import Glance
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import SAME_HAND, View, distance, same_hand
@@ -44,7 +45,7 @@ slower ones are where they were, and guesses would only make them tremble"""
 
 
 @dataclass(eq=False)
-class _Followed:
+class Followed:
     """A hand that was seen."""
 
     last: HandDetection
@@ -57,7 +58,14 @@ class _Followed:
     wait: int = 0
     """frames until the next one"""
 
+    @classmethod
+    def of(cls, hand: HandDetection, threshold: float, velocity: np.ndarray | None = None) -> Followed:
+        """A hand that was found, where so much presence was asked of one."""
+        least = IN_BOX_PRESENCE if hand.shown else threshold
+        return cls(hand, np.zeros(2) if velocity is None else velocity, least)
+
     def seen(self, hand: HandDetection) -> None:
+        """Take in where it is now."""
         self.velocity = hand.keypoints_2d.mean(axis=0) - self.last.keypoints_2d.mean(axis=0)
         self.last = hand
 
@@ -68,47 +76,39 @@ class _Followed:
         return self.last.keypoints_2d + carried * self.velocity
 
     def missed(self) -> None:
+        """Take in that it was searched in vain."""
         self.velocity = np.zeros(2)
         self.tries += 1
         self.wait = 2**self.tries - 1
 
 
 class ClipFinder(Detector):
-    """Finds the hands of one clip, frame by frame.
+    """Finds the hands of consecutive frames of one clip.
 
-    A hand that turns up is followed backwards too, so that `frames` is final only `LOOK_BACK` frames back.
-    Raises LandmarkModelError when the model file is missing or damaged.
+    A hand that turns up is followed backwards too: `frames` is final only at the end.
     """
 
-    def __init__(self, settings: DetectorSettings) -> None:
+    def __init__(self, settings: DetectorSettings, networks: Networks, *, whole_past: bool = False) -> None:
+        """`whole_past`: a hand that turns up is followed back to the first frame, not only for a second."""
         self.frames: list[tuple[HandDetection, ...]] = []
         """The hands of every frame so far"""
+        self.cuts: list[int] = []
+        """Which of them begin another shot"""
+        self.counts: list[int] = []
+        """How many hands were seen at once, where that was looked for"""
+        self.glances: list[Glance] = []
+        """At the first and the last of the frames that could be read"""
+        self.followed: list[Followed] = []
+        """The hands that were seen last"""
         self._threshold = settings.threshold
         self._most = settings.max_hands
-        self._networks = Networks(settings.landmark_model)
+        self._networks = networks
         self._searching = Search(self._networks, settings.threshold, first_word=settings.first_word)
-        self._followed: list[_Followed] = []
-        self._lost: list[_Followed] = []
-        self._whole_past = settings.whole_past
-        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=None if self._whole_past else LOOK_BACK)
+        self._lost: list[Followed] = []
+        self._whole_past = whole_past
+        self._past = Packed() if whole_past else Past()
         self._searches = 0
         self._search_wait = 0
-        self._counts: list[int] = []
-
-    @property
-    def most_seen(self) -> int:
-        """As `Detector.most_seen`; at least twice, since one picture may show what only looks like a hand."""
-        return sorted([0, *self._counts])[-min(2, max(1, len(self._counts)))]
-
-    def close(self) -> None:
-        """Give the networks' threads and memory back."""
-        self._networks.close()
-        self._past.clear()
-
-    def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:  # noqa: ARG002
-        """The hands of all frames, those that were found afterwards included, with sides judged."""
-        judged = iter(with_side_judged([hand for frame in self.frames for hand in frame]))
-        return [tuple(next(judged) for _ in frame) for frame in self.frames]
 
     def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
         """As `Detector.look_in`."""
@@ -116,66 +116,62 @@ class ClipFinder(Detector):
         if hand is None:
             return None
         index = len(self.frames) - 1
-        known = [f for f in self._followed if same_hand(hand, f.last)]
-        self._followed = [f for f in self._followed if f not in known]
-        self._follow_new(hand, IN_BOX_PRESENCE)
-        self.frames[index] = tuple(followed.last for followed in self._followed)
+        known = [f for f in self.followed if same_hand(hand, f.last)]
+        self.followed = [f for f in self.followed if f not in known]
+        self._follow_new(hand)
+        self.frames[index] = tuple(followed.last for followed in self.followed)
         if not known:
-            self._look_back(self._followed[-1], before=index)
+            self._look_back(self.followed[-1], index, islice(self._past.backwards(), 1, None))
         return hand
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
-        """As `Detector.find`; hands that are found in this frame later are told by `completed`."""
+        """As `Detector.find`; hands that are found in it later are told by `frames`."""
         index = len(self.frames)
         self.frames.append(())
         if rgb is None:
+            self._past.append(None)
             return ()
+        glance = Glance.at(rgb)
+        cut = bool(self.glances) and glance.is_cut_from(self.glances[-1])
+        self.glances[1:] = [glance]
+        if cut:
+            self.cuts.append(index)
+            self.followed, self._lost, self._search_wait = [], [], 0
+            self._past.clear()
         lost = self._follow(rgb)
-        new = self._search(rgb, index, bool(lost))
+        new = self._search(rgb, index, bool(lost) or cut)
         self._lost += lost
-        self.frames[index] = tuple(followed.last for followed in self._followed)
+        self.frames[index] = tuple(followed.last for followed in self.followed)
         for followed in new:
-            self._look_back(followed, before=index)
+            self._look_back(followed, index, self._past.backwards())
         if self._full and not self._whole_past:
             self._past.clear()  # nothing is added to frames in which all that are wanted are seen
         else:
-            self._past.append((index, _packed(rgb) if self._whole_past else rgb))
-        while sum(past.nbytes for _, past in self._past) > MOST_PAST_BYTES * (10 if self._whole_past else 1):
-            self._past.popleft()
+            self._past.append(rgb)
         return self.frames[index]
 
     @property
     def _full(self) -> bool:
-        return self._most is not None and len(self._followed) >= self._most
+        return self._most is not None and len(self.followed) >= self._most
 
-    def _follow(self, rgb: np.ndarray) -> list[_Followed]:
+    def _follow(self, rgb: np.ndarray) -> list[Followed]:
         """Look for the followed hands where they should be; returns those that are not there."""
-        lost, self._followed, before = [], [], self._followed
+        lost, self.followed, before = [], [], self.followed
         for followed in before:
-            hand = self._there(rgb, followed)
-            # Two that cross may lie in one place, but not with all their points.
-            if hand is None or any(distance(hand, other.last) < SAME_HAND for other in self._followed):
+            hand = there(self._networks, rgb, followed)
+            if hand is None or meets(hand, [other.last for other in self.followed]):
                 lost.append(followed)
             else:
                 followed.seen(hand)
-                self._followed.append(followed)
+                self.followed.append(followed)
         return lost
 
-    def _there(self, rgb: np.ndarray, followed: _Followed) -> HandDetection | None:
-        """A followed hand where it should be; looked at once more where it has moved away from there."""
-        expected = followed.expected()
-        look = self._networks.look(rgb, view_of(expected))
-        off = np.linalg.norm(look.hand.keypoints_2d - expected, axis=-1).mean()
-        if look.presence >= followed.least and off > ASTRAY * look.hand.extent:
-            look = self._networks.look(rgb, view_of(look.hand.keypoints))
-        return replace(look.hand, shown=followed.last.shown) if look.presence >= followed.least else None
-
     def _known(self, hand: HandDetection) -> bool:
-        return any(same_hand(hand, followed.last) for followed in self._followed)
+        return any(same_hand(hand, followed.last) for followed in self.followed)
 
-    def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[_Followed]:
+    def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[Followed]:
         """Hands that are not followed, which then are: near where some were lost, and anywhere."""
-        new: list[_Followed] = []
+        new: list[Followed] = []
         for followed in self._lost:
             if followed.wait > 0:
                 followed.wait -= 1
@@ -189,9 +185,9 @@ class ClipFinder(Detector):
         if (lost_one and not self._full) or index % SEARCH_EVERY == 0:
             height, width = rgb.shape[:2]
             there = self._seen_in(rgb, list(tiles(width, height, 1)))
-            self._counts.append(len(self._followed) + len(there))
+            self.counts.append(len(self.followed) + len(there))
             self._take(there, new)
-        if not self._followed:
+        if not self.followed:
             if self._search_wait > 0:
                 self._search_wait -= 1
             else:
@@ -201,42 +197,104 @@ class ClipFinder(Detector):
         return new
 
     def _seen_in(self, rgb: np.ndarray, views: list[View]) -> list[HandDetection]:
-        known = [followed.last for followed in self._followed]
+        known = [followed.last for followed in self.followed]
         return self._searching.more_hands(rgb, views, known)
 
-    def _take(self, hands: list[HandDetection], new: list[_Followed]) -> None:
+    def _take(self, hands: list[HandDetection], new: list[Followed]) -> None:
         """Follow hands that are not followed, and add them to the new ones."""
         for hand in hands:
             if not self._full and not self._known(hand):
-                new.append(self._follow_new(hand, self._threshold))
+                new.append(self._follow_new(hand))
                 self._searches, self._search_wait = 0, FIRST_WAIT
 
-    def _follow_new(self, hand: HandDetection, least: float) -> _Followed:
-        self._followed.append(_Followed(hand, least=least))
-        return self._followed[-1]
+    def _follow_new(self, hand: HandDetection) -> Followed:
+        self.followed.append(Followed.of(hand, self._threshold))
+        return self.followed[-1]
 
-    def _look_back(self, found: _Followed, before: int) -> None:
+    def _look_back(self, found: Followed, before: int, past: Iterable[np.ndarray | None]) -> None:
         """Follow a hand that turned up through the frames before, back to where it is not seen any more."""
-        followed = _Followed(found.last, least=found.least)
-        for index, past in reversed(self._past):
-            if index >= before:
-                continue
-            there = self.frames[index]
-            hand = self._there(_unpacked(past) if self._whole_past else past, followed)
-            if hand is None or any(distance(hand, other) < SAME_HAND for other in there):
+        followed = Followed.of(found.last, self._threshold)
+        for row, rgb in zip(range(before - 1, -1, -1), past, strict=False):
+            if rgb is not None and not goes_on(self._networks, followed, rgb, row, self.frames):
                 return
-            followed.seen(hand)
-            self.frames[index] = (*there, hand)
 
 
-def _packed(rgb: np.ndarray) -> np.ndarray:
-    """A picture as JPEG."""
-    import cv2
+def there(networks: Networks, rgb: np.ndarray, followed: Followed) -> HandDetection | None:
+    """A followed hand where it should be; looked at once more where it has moved away from there."""
+    expected = followed.expected()
+    look = networks.look(rgb, view_of(expected))
+    off = np.linalg.norm(look.hand.keypoints_2d - expected, axis=-1).mean()
+    if look.presence >= followed.least and off > ASTRAY * look.hand.extent:
+        look = networks.look(rgb, view_of(look.hand.keypoints))
+    return replace(look.hand, shown=followed.last.shown) if look.presence >= followed.least else None
 
-    return cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+
+def meets(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
+    """Whether it lies where another one is: two that cross may lie in one place, but not with all their
+    points."""
+    return any(distance(hand, other) < SAME_HAND for other in others)
 
 
-def _unpacked(jpeg: np.ndarray) -> np.ndarray:
-    import cv2
+def goes_on(
+    networks: Networks,
+    followed: Followed,
+    rgb: np.ndarray,
+    row: int,
+    frames: list[tuple[HandDetection, ...]],
+) -> bool:
+    """Look for a hand in the picture of a frame, and add it to the frame's hands; whether it is there, and is
+    none of them."""
+    hand = there(networks, rgb, followed)
+    if hand is None or meets(hand, frames[row]):
+        return False
+    followed.seen(hand)
+    frames[row] = (*frames[row], hand)
+    return True
 
-    return cv2.imdecode(jpeg, cv2.IMREAD_UNCHANGED)
+
+class Past:
+    """The frames before one: so many of them, as memory holds."""
+
+    def __init__(self) -> None:
+        self._kept: deque[np.ndarray | None] = deque(maxlen=LOOK_BACK)
+        self._most_bytes = MOST_PAST_BYTES
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def append(self, rgb: np.ndarray | None) -> None:
+        """Keep (H, W, 3) uint8 RGB, or None for a frame that could not be read; the first ones go."""
+        self._kept.append(rgb)
+        while sum(past.nbytes for past in self._kept if past is not None) > self._most_bytes:
+            self._kept.popleft()
+
+    def clear(self) -> None:
+        """Forget them."""
+        self._kept.clear()
+
+    def backwards(self) -> Iterator[np.ndarray | None]:
+        """The kept pictures, the last first."""
+        return reversed(self._kept)
+
+
+class Packed(Past):
+    """The same as JPEGs: ten times as much memory, and a hundred times as many frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._kept = deque()
+        self._most_bytes = 10 * MOST_PAST_BYTES
+
+    def append(self, rgb: np.ndarray | None) -> None:
+        """As `Past.append`."""
+        import cv2
+
+        packed = None if rgb is None else cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+        super().append(packed)
+
+    def backwards(self) -> Iterator[np.ndarray | None]:
+        """As `Past.backwards`."""
+        import cv2
+
+        for packed in super().backwards():
+            yield None if packed is None else cv2.imdecode(packed, cv2.IMREAD_UNCHANGED)

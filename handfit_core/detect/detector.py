@@ -34,11 +34,6 @@ class Detector:
         given last. In a clip it is followed from there, both ways. None: nothing is found there."""
         raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
-    def completed(self, found: list[tuple[HandDetection, ...]]) -> list[tuple[HandDetection, ...]]:
-        """What `find` gave for all pictures, in order, with what later frames of the clip tell about earlier
-        ones. Asked once, after the last picture."""
-        return found
-
     @property
     def most_seen(self) -> int:
         """The most hands that were seen at once where there were more than are wanted; 0: nobody counted."""
@@ -54,6 +49,20 @@ class Detector:
         self.close()
 
 
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """What was found in the T frames of a source."""
+
+    numbers: list[int]
+    """(T) of the frames"""
+    frames: list[tuple[HandDetection, ...]]
+    """(T) the hands of each; an unreadable frame has none"""
+    most_seen: int = 0
+    """The most hands that were seen at once where there were more than are wanted; 0: nobody counted"""
+    cuts: tuple[int, ...] = ()
+    """Rows that begin another shot"""
+
+
 @dataclass(frozen=True)
 class DetectorSettings:
     """What a detector is made for."""
@@ -67,8 +76,6 @@ class DetectorSettings:
     """How sure a hand must be, 0..1"""
     landmark_model: str | os.PathLike[str] | None = None
     """A model file in place of the backend's own"""
-    whole_past: bool = False
-    """Whether a hand that turns up late is followed back to the clip's beginning, not only for a second"""
     first_word: bool = False
     """Whether one look at the whole picture is enough: faster, and finds less"""
 
@@ -83,6 +90,10 @@ class Backend:
     fingerprint: Callable[[DetectorSettings], str]
     """Names the packages' versions and the models that decide what is found, so that an evaluation knows
     which detections it may use again"""
+    clip: Callable[..., Detected] | None = None
+    """Finds the hands of a whole clip, where its frames need not be looked at one after another. Takes the
+    opened `Media`, the `CaptureOptions`, a function that is told how many frames are done, and one that says
+    whether to stop"""
 
 
 DETECTORS: Final = Registry(

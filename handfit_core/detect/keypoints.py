@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.batch import Batch
-from handfit_core.skeleton import Side, other_side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,45 @@ class HandDetection:
     def extent(self) -> float:
         """Size of the hand in the picture: the longer side of its keypoints' box, pixels."""
         return float(np.max(np.ptp(self.keypoints_2d, axis=0)))
+
+
+_COLUMNS: Final[dict[str, tuple[int, ...]]] = {
+    "score": (),
+    "right_side": (),
+    "shown": (),
+    "keypoints": (NUM_KEYPOINTS, 3),
+    "world": (NUM_KEYPOINTS, 3),
+    "spread": (NUM_KEYPOINTS, 3),
+}
+"""Fields of a detection that are kept, and their shapes; NaN stands for None"""
+
+
+def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.ndarray]:
+    """The hands of T frames as arrays: `counts` (T,) per frame, and a row per hand of the others."""
+    hands = [hand for frame in frames for hand in frame]
+
+    def column(name: str, shape: tuple[int, ...]) -> np.ndarray:
+        values = [getattr(hand, name) for hand in hands]
+        return np.array([np.full(shape, np.nan) if v is None else v for v in values], dtype=np.float64)
+
+    return {
+        "counts": np.array([len(frame) for frame in frames], dtype=np.int64),
+        "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
+        **{name: column(name, shape).reshape(-1, *shape) for name, shape in _COLUMNS.items()},
+    }
+
+
+def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetection, ...]]:
+    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError and ValueError where they do not fit."""
+    hands = []
+    for i, side in enumerate(arrays["sides"]):
+        known: dict[str, Any] = {}
+        for name, shape in _COLUMNS.items():
+            if np.isfinite(value := arrays[name][i]).all():
+                known[name] = value if shape else float(value)
+        hands.append(HandDetection(SIDES[side], **{**known, "shown": bool(known.get("shown"))}))
+    ends = np.cumsum(arrays["counts"])
+    return [tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)

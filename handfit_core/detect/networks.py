@@ -193,14 +193,14 @@ class Networks:
     def look(self, rgb: np.ndarray, view: View) -> Look:
         """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB."""
         landmarks, presence, handedness, world = self._run(self._hand, view.render(rgb))
-        keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).copy()
+        keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
         keypoints[:, 2] /= DEPTH_SCALE
         right = float(handedness[0])
         found = HandDetection(
             side="right" if right >= 0.5 else "left",
             score=max(right, 1.0 - right),
             keypoints=keypoints,
-            world=world.reshape(NUM_KEYPOINTS, 3),
+            world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
         )
         return Look(float(presence[0]), view.to_picture(found))
 

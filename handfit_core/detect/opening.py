@@ -13,7 +13,6 @@ def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSett
         video,
         options.threshold,
         options.landmark_model,
-        whole_past=any(region.frame is not None for region in options.regions),
         first_word=options.plain_detection,
     )
 

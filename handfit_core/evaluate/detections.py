@@ -9,26 +9,26 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from handfit_core import detect, media
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
 from handfit_core.detect.opening import open_detector, settings_of
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
-from handfit_core.evaluate.labels import Unit
+from handfit_core.evaluate.labels import Entry, Unit
 from handfit_core.files import cache_dir
 from handfit_core.media.pictures import read_picture
+from handfit_core.media.source import Frame, Media, Source
 from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.pipeline import detect_frames
 
 UNREADABLE = (0, 0)
 
@@ -107,65 +107,65 @@ class UnitDetector:
             if self._stills is None:
                 self._stills = open_detector(self._options)
             return _detected(unit, self._stills, on_picture)
-        with open_detector(self._options, video=True) as of_this_clip:
-            return _detected(unit, of_this_clip, on_picture)
+        clip = _Clip(unit, on_picture)
+        started = time.perf_counter()
+        found = detect_frames(clip, self._options)
+        each = 1000 * (time.perf_counter() - started) / len(unit.entries)
+        return UnitDetections(tuple(found.frames), np.array(clip.sizes), np.full(len(unit.entries), each))
 
 
 def _detected(unit: Unit, finder: Detector, on_picture: Callable[[], None]) -> UnitDetections:
     frames: list[tuple[HandDetection, ...]] = []
     sizes, spent = [], []
     for entry in unit.entries:
-        rgb, size = None, UNREADABLE
-        try:
-            rgb, _ = read_picture(entry.picture, as_stored=True)
-            size = (rgb.shape[1], rgb.shape[0])
-        except InputError:
-            pass
+        rgb, size = _read(entry)
         started = time.perf_counter()
         frames.append(finder.find(rgb, entry.time))
         sizes.append(size)
         spent.append(1000 * (time.perf_counter() - started))
         on_picture()
-    if unit.is_clip:  # stills share a finder, which nothing completes
-        frames = finder.completed(frames)
     return UnitDetections(tuple(frames), np.array(sizes), np.array(spent))
 
 
-_ARRAYS = {
-    "scores": ("score", ()),
-    "right_side": ("right_side", ()),
-    "keypoints": ("keypoints", (NUM_KEYPOINTS, 3)),
-    "world": ("world", (NUM_KEYPOINTS, 3)),
-    "spread": ("spread", (NUM_KEYPOINTS, 3)),
-}
-"""In the file -> field of `HandDetection` and its shape; NaN in the file is None"""
+class _Clip(Media):
+    """A unit's pictures as one clip."""
+
+    def __init__(self, unit: Unit, on_picture: Callable[[], None]) -> None:
+        self._entries, self._on_picture = unit.entries, on_picture
+        self.expected_frames = len(unit.entries)
+        self.sizes: list[tuple[int, int]] = []
+        self.source = Source("sequence", tuple(str(entry.picture) for entry in unit.entries))
+
+    def numbers(self, first: int = 0, count: int | None = None) -> range:
+        """As `Media.numbers`: the pictures are counted."""
+        return range(len(self._entries))[first:][:count]
+
+    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+        """As `Media.frames`."""
+        for row in self.numbers(first, count):
+            rgb, size = _read(self._entries[row])
+            if row == len(self.sizes):  # some are read once more
+                self.sizes.append(size)
+                self._on_picture()
+            yield Frame(row, self._entries[row].time, rgb)
+
+
+def _read(entry: Entry) -> tuple[np.ndarray | None, tuple[int, int]]:
+    """A picture, (H, W, 3) uint8 RGB, and its size."""
+    try:
+        rgb, _ = read_picture(entry.picture, as_stored=True)
+    except InputError:
+        return None, UNREADABLE
+    return rgb, (rgb.shape[1], rgb.shape[0])
 
 
 def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
-    hands = [hand for frame in found.frames for hand in frame]
-
-    def column(field: str, shape: tuple[int, ...]) -> np.ndarray:
-        values = [getattr(hand, field) for hand in hands]
-        nothing = np.full(shape, np.nan)
-        return np.array([nothing if v is None else v for v in values], dtype=float).reshape(-1, *shape)
-
     return {
         "sizes": found.sizes,
         "milliseconds": found.milliseconds,
-        "counts": np.array([len(frame) for frame in found.frames]),
-        "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
-        **{name: column(*what) for name, what in _ARRAYS.items()},
+        **hands_to_arrays(found.frames),
     }
 
 
 def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
-    hands = []
-    for i, side in enumerate(arrays["sides"]):
-        known: dict[str, Any] = {}
-        for name, (field, shape) in _ARRAYS.items():
-            if np.isfinite(value := arrays[name][i]).all():
-                known[field] = value if shape else float(value)
-        hands.append(HandDetection(SIDES[side], **known))
-    ends = np.cumsum(arrays["counts"])
-    frames = tuple(tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True))
-    return UnitDetections(frames, arrays["sizes"], arrays["milliseconds"])
+    return UnitDetections(tuple(hands_from_arrays(arrays)), arrays["sizes"], arrays["milliseconds"])

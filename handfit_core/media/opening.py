@@ -47,10 +47,14 @@ def open_media(
     wanted = Wanted(frames or FrameRange(), max_megapixels)
     try:
         if not isinstance(source, str | os.PathLike):
-            return _open_pictures([_path_of(p) for p in source], wanted, "the list of pictures")
+            media = _open_pictures([_path_of(p) for p in source], wanted, "the list of pictures")
+            media.given = [str(p) for p in source]
+            return media
         if not str(source):
             raise InputError("no input was given; name a photo, a folder of photos or a video")
-        return _open_path(_path_of(source), wanted)
+        media = _open_path(_path_of(source), wanted)
+        media.given = str(source)
+        return media
     except OSError as error:  # a folder that may not be read, a name that is too long
         what = shown(error.filename) if isinstance(error.filename, str) else "the input"
         raise InputError(f"{what}: cannot be opened ({why(error)}); choose another file") from error

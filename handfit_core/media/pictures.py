@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -119,9 +119,13 @@ class Pictures(Media):
                 errors.append(error)
         raise errors[0]
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the pictures in order. Raises InputError for one of another size."""
-        for number, file in zip(self._numbers, self._files, strict=True):
+    def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
+        """As `Media.numbers`."""
+        return self._numbers[first:][:count]
+
+    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+        """As `Media.frames`. Raises InputError for a picture of another size."""
+        for number, file in zip(self.numbers(first, count), self._files[first:][:count], strict=True):
             # Taken out, so that it does not stay in memory.
             rgb = self._read_already.pop(file, None)
             try:

@@ -7,7 +7,7 @@ names. Pictures come out upright, as (H, W, 3) uint8 RGB, whatever they were on 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -80,12 +80,23 @@ class Media:
     expected_frames: int
     """How many frames `frames()` will yield, for progress; a video's own header may lie about it"""
 
+    given: str | list[str] | None = None
+    """What it was opened from: with the same frames asked for, `open_media` opens it again. None: with that
+    it cannot be"""
+
     first_and_last: tuple[int, int]
     """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the frames in order."""
+    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+        """Yield the frames in order: from the `first`-th on, counted from 0, and `count` of them at most."""
         raise NotImplementedError
+
+    def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
+        """Their numbers, as far as they are known without reading: a video may have fewer."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Let go of the file. What is read afterwards opens it again."""
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -62,29 +63,53 @@ class Video(Media):
         self.expected_frames = len(used)
         self.first_and_last = (used[0], used[-1]) if used else (1, 1)
         self._count = count
+        self._reading: tuple[Any, int] | None = None
+        """Where somebody has read a part: OpenCV's, and the number of the frame that it gave last"""
         self.source = Source(kind="video", files=(str(path.resolve()),))
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the frames in order; a video that breaks off is told in a warning."""
+    def numbers(self, first: int = 0, count: int | None = None) -> range:
+        """As `Media.numbers`."""
+        return self._range.within(1, sys.maxsize)[first:][:count]
+
+    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+        """As `Media.frames`; a video that breaks off there is told in a warning.
+
+        Whoever reads on behind what was read before has the file read on, and not from its beginning: that is
+        the only way to find a frame by its number that can be trusted.
+        """
         import cv2
 
-        capture = cv2.VideoCapture(self._name)
-        number = 0
+        wanted = self.numbers(first, count)
+        capture, number = self._reading or (cv2.VideoCapture(self._name), 0)
+        self._reading = None
+        if not wanted or number >= wanted[0]:
+            capture.release()
+            capture, number = cv2.VideoCapture(self._name), 0
+        there = True
         try:
-            while not self._range.is_past(number + 1) and capture.grab():
+            while wanted and number < wanted[-1] and (there := capture.grab()):
                 number += 1
-                if number not in self._range:
+                if number not in wanted:
                     continue
                 ok, bgr = capture.retrieve()
                 rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok else None
                 yield Frame(number, (number - 1) / self.fps, rgb)
         finally:
-            capture.release()
-        stopped_early = number + 1 < self._count and not self._range.is_past(number + 1)
-        if stopped_early:
+            if there and count is not None:
+                self._reading = capture, number
+            else:
+                capture.release()
+        within = not first or number >= wanted[0] - wanted.step
+        if not there and within and number + 1 < self._count:
             log.warning(
                 "%s: the video breaks off after frame %d of %d; the rest is missing",
                 self._path,
                 number,
                 self._count,
             )
+
+    def close(self) -> None:
+        """As `Media.close`."""
+        if self._reading is not None:
+            self._reading[0].release()
+            self._reading = None

@@ -25,6 +25,10 @@ def answer(
             return edit.answer(message, should_stop)
         case "probe":
             return probe(message)
+        case "stretch":
+            from handfit_core.detect import processes
+
+            return processes.answer(message, should_stop, on_progress)
         case "warm":
             from handfit_core.worker import checking
 

@@ -20,7 +20,7 @@ from handfit_core.errors import ProtocolError
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
 
-JOBS: Final = ("capture", "probe", "refit", "warm", "check")
+JOBS: Final = ("capture", "probe", "refit", "stretch", "warm", "check")
 """Requests that are done one at a time, in order, and answered by `done` or `error`"""
 
 REQUESTS: Final = (*JOBS, "cancel", "end")

@@ -124,7 +124,7 @@ class Hand:
 def find_hand(source: str, frames: FrameRange | None = None, model: str | None = None) -> Hand:
     """Detect an input's hands and keep the one seen most. Raises HandfitError."""
     media = open_media(source, frames)
-    _, found, _ = detect_frames(media, CaptureOptions())
+    found = detect_frames(media, CaptureOptions(processes=1)).frames
     track = max(link_tracks(found), key=lambda t: int(t.detected.sum()))
     return Hand(
         model=load_model(model, track.side),
@@ -179,7 +179,7 @@ def time_pipeline(
 
     def detect(_: int) -> int:
         media = open_media(source, frames)
-        return len(detect_frames(media, CaptureOptions())[0])
+        return len(detect_frames(media, CaptureOptions(processes=1)).numbers)
 
     def whole(_: int) -> object:
         return capture(source, model=model, frames=frames)

@@ -1,0 +1,234 @@
+"""A clip's stretches, shared between this process and some more."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any, Final
+
+from handfit_core.detect.detector import Detected
+from handfit_core.detect.stretches import STRETCH, ClipDetector, Stretch
+from handfit_core.doors.values import Unfit, shortly, whole
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.media.opening import open_media
+from handfit_core.media.source import Media
+from handfit_core.options import CaptureOptions
+from handfit_core.worker.client import Worker
+from handfit_core.worker.runner import OnProgress, WorkerError, as_error
+
+log = logging.getLogger("handfit")
+
+MOST: Final = 8
+"""Processes that nobody asked for: each decodes a video for itself, and more would do little else"""
+
+_PAUSE: Final = 0.02
+"""seconds between two looks at the other processes, where this one has nothing to do"""
+
+
+def detect_clip(
+    media: Media,
+    options: CaptureOptions,
+    on_progress: Callable[[int], None],
+    should_stop: Callable[[], bool],
+) -> Detected:
+    """The hands of a clip, found by as many processes as the options say; the same ones, however many.
+
+    `on_progress` gets the count of the frames that are done. Where it is stopped, what was found from the
+    beginning on without a gap is returned.
+    """
+    with ClipDetector(media, options) as detector:
+        stretches = _Shared(detector, options, on_progress, should_stop).stretches()
+        frames, cuts = detector.joined(stretches)
+    # At least twice, since one picture may show what only looks like a hand.
+    counts = sorted(count for stretch in stretches for count in stretch.counts)
+    return Detected(
+        numbers=[number for stretch in stretches for number in stretch.numbers],
+        frames=frames,
+        most_seen=counts[-min(2, len(counts))] if counts else 0,
+        cuts=tuple(cuts),
+    )
+
+
+def usable_processes(asked: int | None, frames: int) -> int:
+    """How many look at a clip of that many frames (0: nobody knows). Not asked: all cores but one."""
+    free = getattr(os, "sched_getaffinity", None)
+    cores = len(free(0)) if free else os.cpu_count() or 1
+    wanted = min(cores - 1, MOST) if asked is None else asked
+    return max(1, min(wanted, -(-frames // STRETCH)) if frames else wanted)
+
+
+@dataclass
+class _Helper:
+    """Another process."""
+
+    worker: Worker
+    able: bool = False
+    """Whether it has ever started"""
+    stretch: int | None = None
+    """Which it is at"""
+    request: int = 0
+    done: int = 0
+    """Frames of that"""
+
+
+class _Shared:
+    """All stretches of a clip, of which each process takes the next as soon as it is free."""
+
+    def __init__(
+        self,
+        detector: ClipDetector,
+        options: CaptureOptions,
+        on_progress: Callable[[int], None],
+        should_stop: Callable[[], bool],
+    ) -> None:
+        self._detector, self._options = detector, options
+        self._on_progress, self._should_stop = on_progress, should_stop
+        self._found: dict[int, Stretch] = {}
+        self._next = 0
+        self._end: int | None = None
+        """The first stretch that has less frames than it could have"""
+        self._again: list[int] = []
+        """Stretches at which a process has died: they are for other ones alone, since this one is to live"""
+        self._died: set[int] = set()
+        media = detector.media
+        count = usable_processes(options.processes, media.expected_frames) if media.given is not None else 1
+        self._helpers = [_Helper(Worker(sys.executable, threads=1)) for _ in range(count - 1)]
+
+    def stretches(self) -> list[Stretch]:
+        """Look at all of them, or at as many as there is time for; those from the beginning on that follow
+        each other."""
+        with ExitStack() as opened:
+            for helper in self._helpers:
+                opened.enter_context(helper.worker)
+            self._look_around(0)
+            while not self._should_stop():
+                if (index := self._taken()) is not None:
+                    self._take(index, self._detector.stretch(index, self._look_around, self._should_stop))
+                elif self._again or any(helper.stretch is not None for helper in self._helpers):
+                    self._look_around(0)
+                    time.sleep(_PAUSE)
+                else:
+                    break
+        found = []
+        while len(found) in self._found and (not found or len(found[-1].numbers) == STRETCH):
+            found.append(self._found[len(found)])
+        return [stretch for stretch in found if stretch.numbers]
+
+    def _taken(self, *, most: int | None = None) -> int | None:
+        """The next stretch that nobody is at; None: there is none, or none below `most`."""
+        if self._next in (self._end, most) or (self._end is not None and self._next > self._end):
+            return None
+        self._next += 1
+        return self._next - 1
+
+    def _take(self, index: int, stretch: Stretch) -> None:
+        self._found[index] = stretch
+        if len(stretch.numbers) < STRETCH:
+            self._end = index if self._end is None else min(index, self._end)
+
+    def _look_around(self, done: int) -> None:
+        """Hear from the other processes and give those that are free something to do; `done`: frames that
+        this one has looked at in its stretch."""
+        for helper in list(self._helpers):
+            try:
+                self._hear(helper)
+                if helper.stretch is None:
+                    self._occupy(helper)
+            except WorkerError as error:
+                self._lost(helper, error)
+        if not self._helpers:
+            for index in self._again:
+                self._give_up(index, "no other process could be started")
+            self._again = []
+        done += sum(len(stretch.numbers) for stretch in self._found.values())
+        self._on_progress(done + sum(helper.done for helper in self._helpers))
+
+    def _occupy(self, helper: _Helper) -> None:
+        """Give a process the next stretch, of those that the clip is expected to have. Raises WorkerError."""
+        expected = -(-self._detector.media.expected_frames // STRETCH)
+        index = self._again.pop() if self._again else self._taken(most=expected or None)
+        if index is not None:
+            helper.stretch, helper.done = index, 0
+            helper.request = helper.worker.submit(
+                "stretch",
+                input=self._detector.media.given,
+                options=self._options.to_message(),
+                index=index,
+            )
+
+    def _hear(self, helper: _Helper) -> None:
+        """Take in what a process has said. Raises WorkerError where it died, and what the stretch raised."""
+        if helper.stretch is None:
+            return
+        for event in helper.worker.events(helper.request):
+            helper.able = True
+            if event["event"] == "progress":
+                helper.done = event["done"]
+            elif event["event"] == "warning":
+                log.warning("%s", event["message"])
+            elif event["event"] == "error":
+                raise as_error(event)
+            else:
+                index, helper.stretch, helper.done = helper.stretch, None, 0
+                self._take(index, Stretch.of_message(event, self._options.threshold))
+
+    def _lost(self, helper: _Helper, error: HandfitError) -> None:
+        """A process has died. One that worked before is replaced once for each stretch."""
+        index, helper.stretch, helper.done = helper.stretch, None, 0
+        if not helper.able and helper.worker.ready is None:
+            log.info("no other process helps with detection: %s", error)
+            self._helpers.remove(helper)
+        if index is None:
+            return
+        if index in self._died:
+            self._give_up(index, str(error))
+        else:
+            self._died.add(index)
+            self._again.append(index)
+
+    def _give_up(self, index: int, why: str) -> None:
+        """Count the frames of a stretch as not seen."""
+        media = self._detector.media
+        left = max(media.expected_frames - index * STRETCH, 0) if media.expected_frames else STRETCH
+        numbers = list(media.numbers(index * STRETCH, min(left, STRETCH)))
+        log.warning(
+            "frames %d to %d count as not seen: the process that looked at them ended, twice (%s)",
+            numbers[0],
+            numbers[-1],
+            why,
+        )
+        self._take(index, Stretch(numbers, [()] * len(numbers), [], [], [], None, None))
+
+
+_open: dict[str, ClipDetector] = {}
+"""The clip that this process helps with, by what was asked"""
+
+
+def answer(
+    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
+) -> dict[str, Any]:
+    """Look at one stretch for another process: the `done` event of a request `stretch`."""
+    given, options, index = message.get("input"), message.get("options"), message.get("index")
+    if (
+        not isinstance(given, list | str)
+        or isinstance(index, bool)
+        or not isinstance(index, int)
+        or index < 0
+    ):
+        raise OptionError("a stretch needs the input of a capture, and its index, which counts from 0")
+    asked = repr((given, options))
+    if asked not in _open:
+        for detector in _open.values():
+            detector.close()
+        _open.clear()
+        known = CaptureOptions.of_message(options or {})
+        media = open_media(given, known.frames, max_megapixels=known.max_megapixels)
+        _open[asked] = ClipDetector(media, known)
+    detector = _open[asked]
+    found = detector.stretch(index, lambda done: on_progress("detect", done, STRETCH), should_stop)
+    return found.to_message()
