@@ -45,6 +45,10 @@ class HandDetection:
     a single look"""
     shown: bool = False
     """Whether a person has said that it is there"""
+    given_side: Side | None = None
+    """Which hand it is, where a person has said so"""
+    certainty: float | None = None
+    """How sure it is that this is a hand, of whatever side, 0..1; None: the detector does not tell"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
     corrected: tuple[Side, Landmarked] | None = None
