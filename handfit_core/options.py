@@ -21,6 +21,7 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
+from handfit_core.skeleton import SIDES, Side
 
 HandChoice = Literal["auto", "left", "right", "both"]
 Lens = tuple[float, float, float]
@@ -32,10 +33,15 @@ FARTHEST: Final = 1e6
 CLIP_HANDS: Final = 2
 """How many hands of a clip are kept where nobody says how many; further ones are not even looked for"""
 
+CROWD: Final = 10
+"""More hands than this are not built without asking: each is a rig"""
+
 
 @dataclass(frozen=True)
 class Region:
-    """A box in the upright picture in which somebody has seen a hand. Pixels; y grows downwards."""
+    """A box in the upright picture in which somebody has seen a hand. Pixels; y grows downwards.
+
+    The box of a hand that is found anyway, drawn about its landmarks, means that hand."""
 
     x: float
     y: float
@@ -43,19 +49,23 @@ class Region:
     height: float
     frame: int | None = None
     """of the source; None: the first that is used"""
+    side: Side | None = None
+    """which hand it is, as somebody says; None: as it is judged"""
 
     @classmethod
     def of(cls, given: Any) -> Region:
-        """From four or five numbers, or a text in which commas separate them. Raises ValueError."""
-        what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME, as in 120,80,60,70"
-        parts = given.split(",") if isinstance(given, str) else given
+        """From four or five numbers and perhaps a side, or a text in which commas separate them. Raises
+        ValueError."""
+        what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME and left or right, as in 120,80,60,70"
         try:
+            parts = given.split(",") if isinstance(given, str) else list(given)
+            side: Side | None = parts.pop() if parts and parts[-1] in SIDES else None  # type: ignore
             *box, frame = _numbers(parts if len(parts) == 5 else [*parts, -1], what, count=5)
         except TypeError:
             raise ValueError(what) from None
         if min(box[2:]) < 1.0 or max(map(abs, box)) > FARTHEST or not float(frame).is_integer():
             raise ValueError(what)
-        return cls(*box, frame=None if len(parts) == 4 else int(frame))
+        return cls(*box, frame=None if len(parts) == 4 else int(frame), side=side)
 
 
 @dataclass(frozen=True)
@@ -276,11 +286,13 @@ class CaptureOptions:
     regions: tuple[Region, ...] = _option(
         (),
         _regions,
-        "a box in which there is a hand that was not found, in pixels, and the frame that shows it there",
-        "X,Y,W,H[,FRAME]",
+        "a box in which there is a hand that was not found, in pixels, the frame that shows it there, and "
+        "which hand it is",
+        "X,Y,W,H[,FRAME][,SIDE]",
         repeated=True,
-        by_default="none; the first frame",
+        by_default="none; the first frame; as it looks",
     )
+    only_regions: bool = _option(False, _flag, "keep the hands of the regions, and no others")
     detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=_detectors)
     threshold: float = _option(
         0.5,
@@ -398,7 +410,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Intrinsics):
         return list(vars(value).values())
     if isinstance(value, Region):
-        return [number for number in vars(value).values() if number is not None]
+        return [part for part in vars(value).values() if part is not None]
     return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 

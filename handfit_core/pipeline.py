@@ -17,8 +17,9 @@ import numpy as np
 from handfit_core.batch import spread
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.looks import same_hand
 from handfit_core.detect.opening import open_detector
-from handfit_core.detect.regions import looked_at
+from handfit_core.detect.regions import looked_at, shown_in
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
@@ -30,8 +31,8 @@ from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
-from handfit_core.media.source import Media, Source
-from handfit_core.options import OPTIONS, CaptureOptions, HandChoice, Region
+from handfit_core.media.source import Frame, Media, Source
+from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, Region
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import HandTrack, Take
@@ -83,7 +84,8 @@ def capture(
     *,
     frames: FrameRange | str | None = None,
     max_hands: int | None = None,
-    regions: Sequence[Region | Sequence[float] | str] = (),
+    regions: Sequence[Region | Sequence[float | str] | str] = (),
+    only_regions: bool = False,
     detector: str = "direct",
     threshold: float = 0.5,
     plain_detection: bool = False,
@@ -129,6 +131,8 @@ def capture_with(
     solve = get_solver(solver, options.smoothing, hand_length)
     can = SOLVERS.get(solver)
     DETECTORS.get(options.detector)  # before any picture is read, as with the solver
+    if options.only_regions and not options.regions:
+        raise OptionError("only the hands of regions are to be kept, and there are none: give a region")
     if hand_length is not None and not can.takes_hand_length:
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
@@ -152,14 +156,27 @@ def capture_with(
     holes = sorted({*_holes(numbers), *(row - 1 for row in seen.cuts)})
     try:
         tracks, count = link_and_count(
-            found, hands, most and max(most, len(options.regions)), _rate(media, numbers), tuple(holes)
+            found,
+            hands,
+            most and max(most, len(options.regions)),
+            _rate(media, numbers),
+            tuple(holes),
+            only_shown=options.only_regions,
         )
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
+        there = any(hand.shown or not options.only_regions for hands in found for hand in hands)
         seen_none = NONE_IN_REGION if options.regions else NONE_SEEN
-        raise NoHandFoundError(f"{media.source.name}: {error if any(found) else seen_none}") from None
-    _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
+        raise NoHandFoundError(f"{media.source.name}: {error if there else seen_none}") from None
+    if not options.only_regions:
+        _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
+    if most is None and len(tracks) > CROWD and not options.only_regions:
+        log.warning(
+            "%d hands are captured, and building so many takes long: --max-hands %d keeps the surest",
+            len(tracks),
+            CROWD,
+        )
     if stop():
         stop = _after(LAST_FITS_SECONDS) if can.slow else never
 
@@ -280,6 +297,25 @@ def _one_by_one(
                 numbers.append(frame.number)
                 on_progress(len(numbers))
     return Detected(numbers, found, detector.most_seen)
+
+
+def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, tuple[HandDetection, ...]]:
+    """The first used frame of a source, and all its hands, the surest first: what somebody can choose from.
+
+    Hands of `regions` are among them; with `only_regions` they are all. Raises what `capture` raises before
+    it fits, but for NoHandFoundError: there may be none.
+    """
+    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    frame = next(media.frames(), None)
+    if frame is None or frame.rgb is None:
+        raise InputError(f"{media.source.files[0]}: this frame could not be read; choose another one")
+    options = replace(options, max_hands=None)
+    with DETECTORS.blamed(options.detector), open_detector(options) as detector:
+        found = () if options.only_regions else detector.find(frame.rgb, frame.time)
+        shown = [hand for region in options.regions for hand in shown_in(detector, frame.rgb, region)]
+        others = [hand for hand in found if not any(same_hand(hand, other) for other in shown)]
+        (hands,) = _finite([(*shown, *others)], options.detector)
+    return frame, hands
 
 
 def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:

@@ -12,9 +12,10 @@ import numpy as np
 from handfit_core.detect.cuts import Glance
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import SAME_HAND, View, distance, same_hand
+from handfit_core.detect.looks import SAME_HAND, View, distance, hand_of_box, same_hand
 from handfit_core.detect.networks import PALM_SIZE, Networks, view_of
 from handfit_core.detect.search import IN_BOX_PRESENCE, Search, tiles
+from handfit_core.skeleton import Side
 
 SEARCH_EVERY = 24
 """Frames from one look for palms in the whole picture to the next, where all hands that were there are
@@ -110,13 +111,17 @@ class ClipFinder(Detector):
         self._searches = 0
         self._search_wait = 0
 
-    def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+    def look_in(
+        self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
+    ) -> HandDetection | None:
         """As `Detector.look_in`."""
-        hand = self._searching.hand_in(rgb, box)
+        followed = hand_of_box((f.last for f in self.followed), box)
+        hand = followed or self._searching.hand_in(rgb, box)
         if hand is None:
             return None
+        hand = replace(hand, shown=True, given_side=side)
         index = len(self.frames) - 1
-        known = [f for f in self.followed if same_hand(hand, f.last)]
+        known = [f for f in self.followed if f.last is followed or same_hand(hand, f.last)]
         self.followed = [f for f in self.followed if f not in known]
         self._follow_new(hand)
         self.frames[index] = tuple(followed.last for followed in self.followed)

@@ -16,6 +16,7 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.registry import Registry
+from handfit_core.skeleton import Side
 
 
 class Detector:
@@ -29,9 +30,15 @@ class Detector:
         """
         raise NotImplementedError
 
-    def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:  # noqa: ARG002
+    def look_in(
+        self,
+        rgb: np.ndarray,  # noqa: ARG002
+        box: Sequence[float],  # noqa: ARG002
+        side: Side | None = None,  # noqa: ARG002
+    ) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
-        given last. In a clip it is followed from there, both ways. None: nothing is found there."""
+        given last: the one about whose points the box is drawn, or what is found by looking there. `side` is
+        the person's word. In a clip it is followed from there, both ways. None: nothing is found there."""
         raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
     @property

@@ -47,6 +47,10 @@ class HandDetection:
     a single look"""
     shown: bool = False
     """Whether a person has said that it is there"""
+    given_side: Side | None = None
+    """Which hand it is, where a person has said so"""
+    certainty: float | None = None
+    """How sure it is that this is a hand, of whatever side, 0..1; None: the detector does not tell"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
     corrected: tuple[Side, Landmarked] | None = None
@@ -77,6 +81,7 @@ class HandDetection:
 _COLUMNS: Final[dict[str, tuple[int, ...]]] = {
     "score": (),
     "right_side": (),
+    "certainty": (),
     "shown": (),
     "keypoints": (NUM_KEYPOINTS, 3),
     "world": (NUM_KEYPOINTS, 3),
@@ -96,6 +101,7 @@ def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.n
     return {
         "counts": np.array([len(frame) for frame in frames], dtype=np.int64),
         "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
+        "given": np.array([SIDES.index(h.given_side) if h.given_side else -1 for h in hands], dtype=np.int64),
         **{name: column(name, shape).reshape(-1, *shape) for name, shape in _COLUMNS.items()},
     }
 
@@ -108,7 +114,8 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
         for name, shape in _COLUMNS.items():
             if np.isfinite(value := arrays[name][i]).all():
                 known[name] = value if shape else float(value)
-        hands.append(HandDetection(SIDES[side], **{**known, "shown": bool(known.get("shown"))}))
+        known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
+        hands.append(HandDetection(SIDES[side], **known))
     ends = np.cumsum(arrays["counts"])
     return [tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True)]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,9 @@ SAME_PALM = 0.25
 
 SAME_BOX = 0.5
 """So are those whose boxes share more than this part of what they cover together."""
+
+ITS_BOX = 0.9
+"""A box that shares more than this part with that of a hand's points was drawn about that very hand."""
 
 SAME_HAND = 0.25
 """Two detections of one picture nearer than this (see `distance`) are looks at one hand."""
@@ -36,11 +39,24 @@ def same_hand(a: HandDetection, b: HandDetection) -> bool:
     apart = a.keypoints_2d[_PALM].mean(axis=0) - b.keypoints_2d[_PALM].mean(axis=0)
     if float(np.linalg.norm(apart)) < SAME_PALM * max(a.extent, b.extent):
         return True
-    low = np.maximum(a.keypoints_2d.min(axis=0), b.keypoints_2d.min(axis=0))
-    high = np.minimum(a.keypoints_2d.max(axis=0), b.keypoints_2d.max(axis=0))
+    return _shared(a.keypoints_2d, b.keypoints_2d) > SAME_BOX
+
+
+def hand_of_box(hands: Iterable[HandDetection], box: Sequence[float]) -> HandDetection | None:
+    """The one about whose points a box (x, y, width, height) was drawn; None: it is of none of them."""
+    x, y, width, height = box
+    corners = np.array([[x, y], [x + width, y + height]])
+    shared = [(_shared(hand.keypoints_2d, corners), hand) for hand in hands]
+    share, hand = max(shared, key=lambda each: each[0], default=(0.0, None))
+    return hand if share > ITS_BOX else None
+
+
+def _shared(a: np.ndarray, b: np.ndarray) -> float:
+    """The part that the boxes of two sets of points (N, 2) share of what they cover together."""
+    low, high = np.maximum(a.min(axis=0), b.min(axis=0)), np.minimum(a.max(axis=0), b.max(axis=0))
     common = float(np.clip(high - low, 0.0, None).prod())
-    both = sum(float(np.ptp(hand.keypoints_2d, axis=0).prod()) for hand in (a, b))
-    return common > SAME_BOX * (both - common)
+    both = sum(float(np.ptp(points, axis=0).prod()) for points in (a, b))
+    return common / max(both - common, 1e-9)
 
 
 def mean_of(hands: Sequence[HandDetection]) -> HandDetection:

@@ -213,14 +213,13 @@ def answer(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
     """Look at one stretch for another process: the `done` event of a request `stretch`."""
-    given, options, index = message.get("input"), message.get("options"), message.get("index")
-    if (
-        not isinstance(given, list | str)
-        or isinstance(index, bool)
-        or not isinstance(index, int)
-        or index < 0
-    ):
-        raise OptionError("a stretch needs the input of a capture, and its index, which counts from 0")
+    given, options = message.get("input"), message.get("options")
+    if not isinstance(given, list | str):
+        raise OptionError(f"a stretch needs the input of a capture, not {shortly(given)}")
+    try:
+        index = whole("index", message.get("index"), 0)
+    except Unfit as error:
+        raise OptionError(f"of a stretch, {error}") from error
     asked = repr((given, options))
     if asked not in _open:
         for detector in _open.values():

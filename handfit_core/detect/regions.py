@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
+import numpy as np
+
 from handfit_core.detect.detector import Detector
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.media.source import Frame
@@ -21,14 +23,18 @@ def looked_at(
     found = detector.find(frame.rgb, frame.time)
     for region in regions:
         if region.frame == frame.number or (first and region.frame is None):
-            box = (region.x, region.y, region.width, region.height)
-            hand = None if frame.rgb is None else detector.look_in(frame.rgb, box)
-            if hand is None:
-                log.warning(
-                    "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all "
-                    "of it, or lay a hand there yourself with Add Hand in Blender",
-                    *box,
-                )
-            else:
-                found = (*found, hand)
+            found = (*found, *shown_in(detector, frame.rgb, region))
     return found
+
+
+def shown_in(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
+    """The hand of a region, if there is one; where there is none, that is told."""
+    box = (region.x, region.y, region.width, region.height)
+    hand = None if rgb is None else detector.look_in(rgb, box, region.side)
+    if hand is None:
+        log.warning(
+            "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of "
+            "it, or lay a hand there yourself with Add Hand in Blender",
+            *box,
+        )
+    return () if hand is None else (hand,)

@@ -136,7 +136,11 @@ class Search:
                 ]
             if views:
                 found = self._seen_in(rgb, views, found)
-        return [sighting.hand for sighting in found if sighting.certainty >= self._threshold]
+        return [
+            replace(sighting.hand, certainty=sighting.certainty)
+            for sighting in found
+            if sighting.certainty >= self._threshold
+        ]
 
     def more_hands(
         self, rgb: np.ndarray, views: Sequence[View], known: Sequence[HandDetection]
@@ -166,7 +170,7 @@ class Search:
         best = max(sighted, key=lambda each: each[0].presence * (1 + each[1]), default=None)
         if best is None or best[0].presence < IN_BOX_PRESENCE:
             return None
-        return replace(best[0].hand, shown=True)
+        return replace(best[0].hand, certainty=best[0].certainty)
 
     def _seen_in(self, rgb: np.ndarray, views: Sequence[View], known: Sequence[Sighting]) -> list[Sighting]:
         """What is known, and what is in those views, each hand once, the surest first."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.looks import hand_of_box
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.search import Search
+from handfit_core.skeleton import Side
 
 
 class StillFinder(Detector):
@@ -21,6 +24,8 @@ class StillFinder(Detector):
         self._networks = Networks(settings.landmark_model)
         self._search = Search(self._networks, settings.threshold, first_word=settings.first_word)
         self._counts = [0]
+        self._last: list[HandDetection] = []
+        """All hands of the last picture"""
 
     def close(self) -> None:
         """Give the networks' threads and memory back."""
@@ -33,11 +38,15 @@ class StillFinder(Detector):
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
         """As `Detector.find`, with sides judged."""
-        found = [] if rgb is None else self._search.every_hand(rgb)
-        self._counts.append(len(found))
-        return tuple(with_side_judged(found[: self._most]))
+        self._last = [] if rgb is None else self._search.every_hand(rgb)
+        self._counts.append(len(self._last))
+        return tuple(with_side_judged(self._last[: self._most]))
 
-    def look_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+    def look_in(
+        self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
+    ) -> HandDetection | None:
         """As `Detector.look_in`, with the side judged."""
-        hand = self._search.hand_in(rgb, box)
-        return None if hand is None else with_side_judged([hand])[0]
+        hand = hand_of_box(self._last, box) or self._search.hand_in(rgb, box)
+        if hand is None:
+            return None
+        return replace(with_side_judged([hand])[0], shown=True, given_side=side)

@@ -60,8 +60,13 @@ class _OpenTrack:
     side_votes: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
 
     @property
+    def given_side(self) -> Side | None:
+        """The side that a person has named."""
+        return next((d.given_side for d in self.detections.values() if d.given_side is not None), None)
+
+    @property
     def side(self) -> Side:
-        return max(SIDES, key=lambda s: self.side_votes[s])
+        return self.given_side or max(SIDES, key=lambda s: self.side_votes[s])
 
     @property
     def weight(self) -> float:
@@ -123,11 +128,18 @@ def link_and_count(
     max_hands: int | None = 2,
     fps: float = 25.0,
     holes: tuple[int, ...] = (),
+    *,
+    only_shown: bool = False,
 ) -> tuple[tuple[DetectedTrack, ...], int]:
-    """`link_tracks`, and among how many hands of the whole clip (of that side) it chose."""
+    """`link_tracks`, and among how many hands of the whole clip (of that side) it chose. `only_shown`: among
+    those that a person has said to be there."""
     tracks = _merge(_link([without_duplicates(frame) for frame in frames]), _overlap)
     tracks = _merge(tracks, _adjoin)
     tracks = _merge(tracks, _may_return)
+    if only_shown:
+        tracks = [track for track in tracks if track.shown]
+        if not tracks:
+            raise NoHandFoundError("no hand was found in any region")
     if not tracks:
         raise NoHandFoundError("no hand was found in any frame")
     tracks.sort(key=lambda t: (t.shown, t.weight), reverse=True)
@@ -171,7 +183,9 @@ def _choose(
 
 
 def _sureness(track: _OpenTrack) -> float:
-    """Mean confidence of the detections that agree with the track's side."""
+    """Mean confidence of the detections that agree with the track's side; nothing outweighs a person."""
+    if track.given_side is not None:
+        return np.inf
     return track.side_votes[track.side] / len(track.detections)
 
 

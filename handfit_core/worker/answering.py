@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
+from handfit_core.files import written_whole
+from handfit_core.worker.protocol import pack
 from handfit_core.worker.runner import OnProgress
 
 if TYPE_CHECKING:
     from handfit_core.pipeline import Progress
+
+LONGEST_SHOWN: Final = 4096
+"""pixels a side of a picture that people look at"""
 
 
 def answer(
@@ -29,6 +37,8 @@ def answer(
             from handfit_core.detect import processes
 
             return processes.answer(message, should_stop, on_progress)
+        case "find":
+            return find(message)
         case "warm":
             from handfit_core.worker import checking
 
@@ -84,6 +94,46 @@ def probe(message: Mapping[str, Any]) -> dict[str, Any]:
         "first": first,
         "last": last,
     }
+
+
+def find(message: Mapping[str, Any]) -> dict[str, Any]:
+    """All hands of the first used frame, and a copy of that frame for people to look at. Raises what
+    `pipeline.find_in_frame` raises, and OutputError."""
+    from handfit_core.options import CaptureOptions
+    from handfit_core.pipeline import find_in_frame
+
+    picture = message.get("picture")
+    if picture is not None and (not isinstance(picture, str) or not picture):
+        raise OptionError(f"the picture must be the path of a JPEG file to write; got {shortly(picture)}")
+    frame, hands = find_in_frame(_source(message), CaptureOptions.of_message(message.get("options") or {}))
+    assert frame.rgb is not None
+    if picture is not None:
+        _write_picture(frame.rgb, picture)
+    return {
+        "frame": frame.number,
+        "width": frame.rgb.shape[1],
+        "height": frame.rgb.shape[0],
+        "hands": [
+            {
+                "side": hand.given_side or hand.likely_side,
+                "certainty": hand.score if hand.certainty is None else hand.certainty,
+                "keypoints": pack(hand.keypoints_2d.astype("float32")),
+            }
+            for hand in hands
+        ],
+    }
+
+
+def _write_picture(rgb: np.ndarray, path: str) -> None:
+    """Write a picture (H, W, 3) as JPEG, with at most `LONGEST_SHOWN` pixels a side. Raises OutputError."""
+    import cv2
+
+    smaller = LONGEST_SHOWN / max(rgb.shape)
+    if smaller < 1.0:
+        rgb = cv2.resize(rgb, None, fx=smaller, fy=smaller, interpolation=cv2.INTER_AREA)
+    bgr = np.ascontiguousarray(rgb[..., ::-1])
+    with written_whole(path) as beside:
+        beside.write_bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
 
 
 def _source(message: Mapping[str, Any]) -> str | list[str]:

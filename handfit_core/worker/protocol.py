@@ -16,11 +16,12 @@ import numpy as np
 
 from handfit_core.doors.values import Unfit, number, shortly, text, whole
 from handfit_core.errors import ProtocolError
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
 
-JOBS: Final = ("capture", "probe", "refit", "stretch", "warm", "check")
+JOBS: Final = ("capture", "probe", "find", "refit", "stretch", "warm", "check")
 """Requests that are done one at a time, in order, and answered by `done` or `error`"""
 
 REQUESTS: Final = (*JOBS, "cancel", "end")
@@ -134,6 +135,20 @@ def _count(name: str, value: Any) -> int:
     return whole(name, value, 0)
 
 
+def _hands(name: str, value: Any) -> list[Any]:
+    """Hands that were found, each with its points unpacked later."""
+    if not isinstance(value, list):
+        raise Unfit(f"{name} must be a list, not {shortly(value)}")
+    for hand in value:
+        if not isinstance(hand, dict) or hand.get("side") not in SIDES:
+            raise Unfit(f"{name} must have a side each, left or right")
+        number("certainty", hand.get("certainty"))
+        points = unpack(hand.get("keypoints"))
+        if points.shape != (NUM_KEYPOINTS, 2) or not np.isfinite(points).all():
+            raise Unfit(f"{name} must have {NUM_KEYPOINTS} finite keypoints each, x and y")
+    return value
+
+
 def _flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise Unfit(f"{name} must be true or false, not {shortly(value)}")
@@ -161,6 +176,7 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
         "first": whole,
         "last": whole,
     },
+    "find": {"frame": whole, "width": _count, "height": _count, "hands": _hands},
     "refit": {"seconds": number},
     "warm": {},
     "check": {"report": _text, "ok": _flag},

@@ -21,7 +21,12 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "frames": ("2-10:4", "2-10:4", FrameRange(2, 10, 4)),
     "hands": ("left", "left", "left"),
     "max_hands": (5, "5", 5),
-    "regions": ([[1, 2, 30.5, 40, 7]], "1,2,30.5,40,7", (Region(1.0, 2.0, 30.5, 40.0, 7),)),
+    "regions": (
+        [[1, 2, 30.5, 40, 7, "left"]],
+        "1,2,30.5,40,7,left",
+        (Region(1.0, 2.0, 30.5, 40.0, 7, "left"),),
+    ),
+    "only_regions": (True, "", True),
     "detector": ("mine", "mine", "mine"),
     "threshold": (1, "1", 1.0),
     "plain_detection": (True, "", True),
@@ -119,6 +124,9 @@ def test_the_docs_tell_of_every_option(page: str, spelled: str) -> None:
         ({"regions": [[1, 2, 3, 4, 5.5]]}, "must be regions X,Y"),
         ({"regions": [[0, 0, 1e300, 4]]}, "must be regions X,Y"),
         ({"regions": [7]}, "must be regions X,Y"),
+        ({"regions": [[1, 2, 3, 4, "both"]]}, "must be regions X,Y"),
+        ({"regions": [["left", 1, 2, 3, 4]]}, "must be regions X,Y"),
+        ({"only_regions": "yes"}, "'only_regions' must be true or false"),
         ({"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}, "as intrinsics or as a lens, not both"),
     ],
     ids=str,
@@ -127,6 +135,14 @@ def test_what_cannot_be_meant_is_said_in_a_sentence(given: Any, said: str) -> No
     with pytest.raises(OptionError) as caught:
         CaptureOptions.of_message(given)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [[1, 2, 3, 4], [1, 2, 3, 4, "right"], [1, 2, 3, 4, 9], "1,2,3,4,9,left"])
+def test_regions_come_back_as_they_were_given(given: Any) -> None:
+    options = CaptureOptions(regions=(given,))
+    (sent,) = options.to_message()["regions"]
+    assert sent == ([1, 2, 3, 4, 9, "left"] if isinstance(given, str) else given)
+    assert CaptureOptions.of_message({"regions": [sent]}) == options
 
 
 def test_programs_may_give_the_forms_that_they_have() -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core import capture
+from handfit_core import capture, pipeline
 from handfit_core.detect import clips
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.detector import Detector, DetectorSettings
@@ -17,8 +17,11 @@ from handfit_core.detect.looks import View, distance
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
 from handfit_core.detect.opening import open_detector
 from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import find_in_frame
+from handfit_core.skeleton import other_side
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -259,6 +262,18 @@ def test_a_photo_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture)
     ]
 
 
+def test_a_crowd_is_captured_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "CROWD", 3)
+    cv2.imwrite(str(tmp_path / "four.jpg"), four_hands())
+    with caplog.at_level(logging.WARNING, "handfit"):
+        assert len(capture(tmp_path / "four.jpg").hands) == 4
+        capture(tmp_path / "four.jpg", max_hands=4)
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said == "4 hands are captured, and building so many takes long: --max-hands 3 keeps the surest"
+
+
 def test_a_clip_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for number in range(1, 4):
         cv2.imwrite(str(tmp_path / f"four.{number:04d}.png"), four_hands())
@@ -289,6 +304,55 @@ def test_a_hand_in_a_box_is_found_however_unsure(plain: Detector, caplog: pytest
     assert hand.side == expected.side
     *_, said = [record.getMessage() for record in caplog.records]
     assert said.startswith("no hand was found in the region 1,1,40,40: draw the box")
+
+
+def test_chosen_hands_and_no_others_are_captured(tmp_path: Path) -> None:
+    """Boxes about hands that are found mean those hands, wherever they are in the ranking, and a side that
+    somebody gives is believed."""
+    photo = tmp_path / "four.jpg"
+    cv2.imwrite(str(photo), four_hands())
+    _, hands = find_in_frame(photo, CaptureOptions())
+    assert len(hands) == 4
+    certain = [hand.certainty or 0.0 for hand in hands]
+    assert certain == sorted(certain, reverse=True)
+    chosen = hands[1:]
+    regions = [[*box_around(hand, 0.0), hand.likely_side] for hand in chosen]
+    wrong = other_side(chosen[0].likely_side)
+    regions[0][-1] = wrong
+    take = capture(photo, regions=regions, only_regions=True)
+    assert len(take.hands) == 3
+    for hand, side in zip(chosen, [wrong, *(hand.likely_side for hand in chosen[1:])], strict=True):
+        (same,) = [t for t in take.hands if np.allclose(t.keypoints_2d[0], hand.keypoints_2d, atol=1e-3)]
+        assert same.side == side
+    # A box that was drawn by hand about another place is one more look.
+    _, shown = find_in_frame(photo, CaptureOptions(regions=(box_around(hands[0]),), only_regions=True))
+    assert [distance(hand, hands[0]) < 0.06 for hand in shown] == [True]
+
+
+def test_where_no_region_has_a_hand_nothing_is_captured() -> None:
+    photo = SAMPLE / "hand.0007.jpg"
+    with pytest.raises(NoHandFoundError, match="not in the region that was drawn either"):
+        capture(photo, regions=[(1, 1, 40, 40)], only_regions=True)
+    assert find_in_frame(photo, CaptureOptions(regions=((1, 1, 40, 40),), only_regions=True))[1] == ()
+    with pytest.raises(OptionError, match="give a region"):
+        capture(photo, only_regions=True)
+
+
+def test_a_followed_hand_is_chosen_in_any_frame(tmp_path: Path) -> None:
+    """Of two hands in a clip, the one whose box is given; the frame is searched as a photo is."""
+    for number in range(1, 8):
+        two = np.hstack([picture(number), picture(number)[:, ::-1]])
+        cv2.imwrite(str(tmp_path / f"two.{number:04d}.png"), two[..., ::-1])
+    pattern = str(tmp_path / "two.%04d.png")
+    frame, hands = find_in_frame(pattern, CaptureOptions(frames=FrameRange(4, 4)))
+    assert (frame.number, len(hands)) == (4, 2)
+    left = min(hands, key=lambda hand: hand.keypoints_2d[:, 0].mean())
+    given = other_side(left.likely_side)
+    take = capture(pattern, regions=[[*box_around(left, 0.0), 4, given]], only_regions=True)
+    (hand,) = take.hands
+    assert hand.side == given
+    assert hand.detected.all()
+    assert (hand.keypoints_2d[..., 0] < 640).all()
 
 
 def test_a_box_starts_a_track_both_ways(

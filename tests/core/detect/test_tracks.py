@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.tracks import link_tracks
+from handfit_core.detect.tracks import link_and_count, link_tracks
 from handfit_core.errors import NoHandFoundError
 from handfit_core.skeleton import Side
 
@@ -52,6 +52,16 @@ def test_duplicates_of_one_hand_are_merged() -> None:
 def test_two_hands_of_one_side_stay_two() -> None:
     frame = [hand(100, "left", 0.97), hand(500, "left", 0.96)]
     assert [t.side for t in link_tracks([frame])] == ["left", "left"]
+
+
+def test_a_side_that_a_person_has_given_is_believed() -> None:
+    told = replace(hand(120, "left", 0.1), shown=True, given_side="right")
+    frames = [[hand(100 + 10 * t, "left"), hand(600, "left")] if t != 2 else [told] for t in range(5)]
+    assert [t.side for t in link_tracks(frames)] == ["right", "left"]
+    assert [t.side for t in link_tracks(frames, "both")] == ["right", "left"]
+    (only,), seen = link_and_count(frames, only_shown=True)
+    assert (only.side, seen) == ("right", 1)
+    assert only.detected.all()
 
 
 def test_hand_choice() -> None:

@@ -121,6 +121,9 @@ def test_a_shape_is_a_short_list_of_whole_numbers(shape: object) -> None:
         unpack({**pack(np.zeros(2)), "shape": shape})
 
 
+HAND = {"side": "left", "certainty": 0.5, "keypoints": pack(np.zeros((21, 2)))}
+NOT_FINITE = pack(np.full((21, 2), np.nan))
+FOUND = {"frame": 1, "width": 4, "height": 3, "hands": [HAND]}
 PROBED = {"kind": "photo", "width": 4, "height": 3, "fps": 24.0, "frames": 1, "first": 1, "last": 1}
 
 
@@ -132,6 +135,7 @@ PROBED = {"kind": "photo", "width": 4, "height": 3, "fps": 24.0, "frames": 1, "f
         ({"event": "error", "type": "InputError", "message": "no"}, "probe"),
         ({"event": "done", **PROBED, "newer": [1]}, "probe"),
         ({"event": "done", "stopped": True}, "capture"),
+        ({"event": "done", **FOUND}, "find"),
         ({"event": "newer", "done": "x"}, "capture"),
     ],
     ids=str,
@@ -154,6 +158,19 @@ def test_events_that_are_of_the_protocol(message: dict[str, Any], request_kind: 
         ({"event": "done", **PROBED, "fps": "24"}, "probe", "fps must be a finite number"),
         ({"event": "done", **PROBED, "width": True}, "probe", "width must be a whole number"),
         ({"event": "done", "kind": "photo"}, "probe", "width must be a whole number"),
+        ({"event": "done", **FOUND, "hands": {}}, "find", "hands must be a list"),
+        ({"event": "done", **FOUND, "hands": [{"side": []}]}, "find", "a side each, left or right"),
+        (
+            {"event": "done", **FOUND, "hands": [{"side": "left"}]},
+            "find",
+            "certainty must be a finite number",
+        ),
+        ({"event": "done", **FOUND, "hands": [{**HAND, "keypoints": 1}]}, "find", "dtype, shape and data"),
+        (
+            {"event": "done", **FOUND, "hands": [{**HAND, "keypoints": NOT_FINITE}]},
+            "find",
+            "finite keypoints",
+        ),
         ({"event": "done", "seconds": []}, "refit", "seconds must be a finite number"),
         ({"event": "done", "report": {}}, "check", "report must be a text"),
     ],

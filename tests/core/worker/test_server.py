@@ -16,8 +16,9 @@ import pytest
 
 from handfit_core import Take
 from handfit_core.fit_quality import mean_relative_error
+from handfit_core.media.pictures import read_picture
 from handfit_core.version import __version__
-from handfit_core.worker.protocol import PROTOCOL, decode, encode
+from handfit_core.worker.protocol import PROTOCOL, decode, encode, unpack
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "samples" / "rendered_hand"
@@ -153,6 +154,27 @@ def test_tells_what_an_input_is(warm: Worker) -> None:
         "no more than 0.01 are read" in warm.ask(151, "probe", input=[PHOTO], max_megapixels=0.01)["message"]
     )
     assert warm.ask(152, "probe", input=[PHOTO], max_megapixels="9")["type"] == "OptionError"
+
+
+def test_finds_what_can_be_chosen(warm: Worker, tmp_path: Path) -> None:
+    path = tmp_path / "frame.jpg"
+    found = warm.ask(160, "find", input=[PATTERN], options={"frames": "7-7"}, picture=str(path))
+    assert (found["frame"], found["width"], found["height"]) == (7, 640, 480)
+    (hand,) = found["hands"]
+    assert hand["side"] == "right"
+    assert 0.5 < hand["certainty"] <= 1.0
+    points = unpack(hand["keypoints"])
+    assert points.shape == (21, 2)
+    shown, true = (read_picture(p)[0].astype(int) for p in (path, FOLDER / "hand.0007.jpg"))
+    assert np.abs(shown - true).mean() < 3
+    box = [*points.min(axis=0).tolist(), *np.ptp(points, axis=0).tolist()]
+    for regions, count in (([box], 1), ([[1, 1, 30, 30]], 0)):
+        options = {"regions": regions, "only_regions": True}
+        assert len(warm.ask(161, "find", input=[PHOTO], options=options)["hands"]) == count
+    assert warm.ask(162, "find", input=[PHOTO], picture=3)["type"] == "OptionError"
+    assert warm.ask(163, "find", input=["/nowhere/a.png"])["type"] == "InputError"
+    nowhere = str(tmp_path / "frame.jpg" / "b.jpg")
+    assert warm.ask(164, "find", input=[PHOTO], picture=nowhere)["type"] == "OutputError"
 
 
 def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:
