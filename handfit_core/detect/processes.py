@@ -163,7 +163,7 @@ class _Shared:
 
     def _hear(self, helper: _Helper) -> None:
         """Take in what a process has said. Raises WorkerError where it died, and what the stretch raised."""
-        if helper.stretch is None:
+        if (index := helper.stretch) is None:
             return
         for event in helper.worker.events(helper.request):
             helper.able = True
@@ -174,7 +174,7 @@ class _Shared:
             elif event["event"] == "error":
                 raise as_error(event)
             else:
-                index, helper.stretch, helper.done = helper.stretch, None, 0
+                helper.stretch, helper.done = None, 0
                 self._take(index, Stretch.of_message(event, self._options.threshold))
 
     def _lost(self, helper: _Helper, error: HandfitError) -> None:

@@ -55,8 +55,8 @@ def picture(number: int) -> np.ndarray:
     return read_picture(SAMPLE / f"hand.{min(number, 24):04}.jpg")[0]
 
 
-def clip_finder(most: int | None = 2) -> ClipFinder:
-    return ClipFinder(DetectorSettings(max_hands=most, video=True))
+def clip_finder(networks: Networks, most: int | None = 2) -> ClipFinder:
+    return ClipFinder(DetectorSettings(max_hands=most, video=True), networks)
 
 
 def as_the_graph_cuts(view: View) -> View:
@@ -174,8 +174,10 @@ def looks_of(finder: ClipFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, i
     return counts
 
 
-def test_a_followed_hand_costs_one_look_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    with clip_finder() as finder:
+def test_a_followed_hand_costs_one_look_a_frame(
+    networks: Networks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with clip_finder(networks) as finder:
         finder.find(picture(1))
         counts = looks_of(finder, monkeypatch)
         for number in range(2, 1 + clips.SEARCH_EVERY):
@@ -185,29 +187,30 @@ def test_a_followed_hand_costs_one_look_a_frame(monkeypatch: pytest.MonkeyPatch)
         assert counts == {"look": clips.SEARCH_EVERY, "palms": 1}
 
 
-def test_a_hand_that_jumps_is_found_again(plain: Detector) -> None:
+def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -> None:
     jump = np.array([120, 80])
     frames = [picture(n) for n in range(1, 8)]
     truth = [plain.find(rgb)[0] for rgb in frames]
     for i in (3, 4):
         frames[i] = np.roll(frames[i], tuple(jump[::-1]), axis=(0, 1))
         truth[i] = moved(truth[i], jump)
-    with clip_finder() as finder:
-        found = finder.completed([finder.find(rgb) for rgb in frames])
+    with clip_finder(networks) as finder:
+        for rgb in frames:
+            finder.find(rgb)
+        found = finder.frames
     assert [len(hands) for hands in found] == [1] * 7
     assert all(distance(hands[0], expected) < 0.1 for hands, expected in zip(found, truth, strict=True))
 
 
-def test_a_hand_that_turns_up_is_followed_back() -> None:
+def test_a_hand_that_turns_up_is_followed_back(networks: Networks) -> None:
     """The second one comes in after the search of the first frame, and before the next."""
     with_both = [np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.SEARCH_EVERY)]
     frames = [rgb.copy() for rgb in with_both]
     for rgb in frames[:4]:
-        rgb[:, 640:] = 0
-    with clip_finder() as finder:
-        found = [finder.find(rgb) for rgb in frames]
-        assert [len(hands) for hands in found] == [1] * clips.SEARCH_EVERY + [2]
-        found = finder.completed(found)
+        rgb[:, 640:] = rgb.mean(axis=(0, 1))
+    with clip_finder(networks) as finder:
+        assert [len(finder.find(rgb)) for rgb in frames] == [1] * clips.SEARCH_EVERY + [2]
+        found = finder.frames
         assert len(finder._past) <= clips.LOOK_BACK
     assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.SEARCH_EVERY - 3)
     for hands in found[4:]:
@@ -216,21 +219,21 @@ def test_a_hand_that_turns_up_is_followed_back() -> None:
         assert {hand.side for hand in hands} == {"left", "right"}
 
 
-def test_a_hand_that_has_left_costs_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    with clip_finder() as finder:
+def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
+    with clip_finder(networks) as finder:
         finder.find(picture(1))
         counts = looks_of(finder, monkeypatch)
         for i in range(1, 80):
             assert finder.find(BLACK if i % 10 else None) == ()
         assert counts["palms"] < 130  # of three searches of all parts
         assert counts["look"] < 20
-        assert not finder._followed
+        assert not finder.followed
         assert not finder._lost
 
 
-def test_past_frames_are_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_past_frames_are_bounded_in_bytes(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clips, "MOST_PAST_BYTES", 3 * BLACK.nbytes)
-    with clip_finder() as finder:
+    with clip_finder(networks) as finder:
         for _ in range(6):
             finder.find(BLACK)
         assert len(finder._past) == 3
