@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from handfit_core.batch import spread
-from handfit_core.detect.detector import DETECTORS, Detected
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.looks import same_hand
-from handfit_core.detect.opening import open_detector
-from handfit_core.detect.regions import looked_at, shown_in
+from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.detect.tracks import link_and_count
-from handfit_core.errors import Cancelled, HandModelError, InputError, NoHandFoundError, OptionError
+from handfit_core.detection import detect_frames
+from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
 from handfit_core.fit_quality import mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
@@ -30,8 +26,7 @@ from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media
-from handfit_core.media.read_ahead import read_ahead
-from handfit_core.media.source import Frame, Media, Source
+from handfit_core.media.source import Media, Source
 from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, Region
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
@@ -148,8 +143,11 @@ def capture_with(
     if model is not None:
         _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
+    def on_frame(done: int) -> None:
+        report(Progress("detect", done, max(media.expected_frames, done)))
+
     most = options.most_hands(clip=media.source.kind != "photo")
-    seen = detect_frames(media, options, report, stop)
+    seen = detect_frames(media, options, on_frame, stop)
     if intrinsics is None:
         intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     numbers, found = seen.numbers, seen.frames
@@ -236,101 +234,6 @@ def capture_to_file(
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
     }
-
-
-def detect_frames(
-    media: Media,
-    options: CaptureOptions,
-    report: ProgressCallback = lambda _: None,
-    should_stop: ShouldStop = never,
-) -> Detected:
-    """The hands of a source's frames.
-
-    `should_stop` is asked before every frame; the frames before that are returned.
-
-    Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
-    """
-    # Two hands are looked for even where one is wanted, so that the surest can be chosen.
-    if options.max_hands == 1:
-        options = replace(options, max_hands=2)
-    clip = None if media.source.kind == "photo" else DETECTORS.get(options.detector).clip
-
-    def on_progress(done: int) -> None:
-        report(Progress("detect", done, max(media.expected_frames, done)))
-
-    blamed = partial(DETECTORS.blamed, options.detector)
-    if clip is None:
-        seen = _one_by_one(media, options, on_progress, should_stop, blamed)
-    else:
-        with blamed():
-            seen = clip(media, options, on_progress, should_stop)
-    if not seen.numbers:
-        if should_stop():
-            raise Cancelled(f"{media.source.name}: stopped before a hand was found")
-        raise InputError(f"{media.source.files[0]}: no frame could be read from it")
-    for region in options.regions:
-        if region.frame is not None and region.frame not in seen.numbers:
-            log.warning("the region in frame %d was not looked at: that frame is not used", region.frame)
-    with blamed():
-        return replace(seen, frames=_finite(seen.frames, options.detector))
-
-
-def _one_by_one(
-    media: Media,
-    options: CaptureOptions,
-    on_progress: Callable[[int], None],
-    should_stop: ShouldStop,
-    blamed: Callable[[], contextlib.AbstractContextManager[None]],
-) -> Detected:
-    """What a detector finds in one frame after another."""
-    numbers: list[int] = []
-    found: list[tuple[HandDetection, ...]] = []
-    with contextlib.ExitStack() as opened:
-        with blamed():
-            detector = opened.enter_context(open_detector(options, video=media.source.kind != "photo"))
-        with contextlib.closing(read_ahead(media.frames())) as frames:
-            for frame in frames:
-                if should_stop():
-                    break
-                with blamed():
-                    found.append(looked_at(detector, frame, options.regions, first=not numbers))
-                numbers.append(frame.number)
-                on_progress(len(numbers))
-    return Detected(numbers, found, detector.most_seen)
-
-
-def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, tuple[HandDetection, ...]]:
-    """The first used frame of a source, and all its hands, the surest first: what somebody can choose from.
-
-    Hands of `regions` are among them; with `only_regions` they are all. Raises what `capture` raises before
-    it fits, but for NoHandFoundError: there may be none.
-    """
-    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
-    frame = next(media.frames(), None)
-    if frame is None or frame.rgb is None:
-        raise InputError(f"{media.source.files[0]}: this frame could not be read; choose another one")
-    options = replace(options, max_hands=None)
-    with DETECTORS.blamed(options.detector), open_detector(options) as detector:
-        found = () if options.only_regions else detector.find(frame.rgb, frame.time)
-        shown = [hand for region in options.regions for hand in shown_in(detector, frame.rgb, region)]
-        others = [hand for hand in found if not any(same_hand(hand, other) for other in shown)]
-        (hands,) = _finite([(*shown, *others)], options.detector)
-    return frame, hands
-
-
-def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:
-    """Without the hands that are no hands to anybody after the detector: one of them would take its whole
-    track with it. Raises ValueError for arrays of another shape."""
-    kept = [
-        tuple(h for h in hands if np.isfinite(np.append((h.keypoints, h.world), h.score)).all())
-        for hands in found
-    ]
-    dropped = sum(map(len, found)) - sum(map(len, kept))
-    if dropped:
-        log.warning(
-            "%d hands of the detector %s have numbers that are not finite: left out", dropped, detector
-        )
-    return kept
 
 
 def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -97,10 +97,9 @@ class Backend:
     fingerprint: Callable[[DetectorSettings], str]
     """Names the packages' versions and the models that decide what is found, so that an evaluation knows
     which detections it may use again"""
-    clip: Callable[..., Detected] | None = None
-    """Finds the hands of a whole clip, where its frames need not be looked at one after another. Takes the
-    opened `Media`, the `CaptureOptions`, a function that is told how many frames are done, and one that says
-    whether to stop"""
+    clip: Callable[..., Any] | None = None
+    """Makes what finds the hands of a whole clip, where frames need not be looked at one after another: a
+    `stretches.ClipDetector`, of an opened `Media` and the `CaptureOptions`"""
 
 
 DETECTORS: Final = Registry(

@@ -7,27 +7,25 @@ both: so a clip's hands are the same whichever processes looked at its stretches
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from handfit_core.detect.clips import LOOK_BACK, ClipFinder, Followed, Packed, Past, goes_on
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.cuts import Glance
-from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import same_hand
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.opening import settings_of
 from handfit_core.detect.regions import looked_at
-from handfit_core.errors import ProtocolError
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame, Media
 from handfit_core.options import CaptureOptions
-from handfit_core.worker.protocol import pack, unpack
 
 STRETCH = 96
 """Frames; a stretch begins with a search for palms, as every 24th frame has one"""
@@ -55,38 +53,6 @@ class Stretch:
         """What was found in the frames of these numbers."""
         first, last = (finder.glances[0], finder.glances[-1]) if finder.glances else (None, None)
         return cls(numbers, finder.frames, finder.followed, finder.counts, finder.cuts, first, last)
-
-    def to_message(self) -> dict[str, Any]:
-        """It as JSON can hold it."""
-        arrays = hands_to_arrays([*self.frames, [hand.last for hand in self.followed]])
-        arrays["velocity"] = np.array([hand.velocity for hand in self.followed]).reshape(-1, 2)
-        arrays |= {
-            name: look.pixels
-            for name, look in (("first", self.first), ("last", self.last))
-            if look is not None
-        }
-        return {
-            "numbers": self.numbers,
-            "seen": self.counts,
-            "cuts": self.cuts,
-            **{name: pack(array) for name, array in arrays.items()},
-        }
-
-    @classmethod
-    def of_message(cls, message: Mapping[str, Any], threshold: float) -> Stretch:
-        """The inverse of `to_message`. Raises ProtocolError."""
-        try:
-            lists = [[int(number) for number in message[name]] for name in ("numbers", "seen", "cuts")]
-            arrays = {name: unpack(value) for name, value in message.items() if isinstance(value, dict)}
-            *frames, ends = hands_from_arrays(arrays)
-            followed = [
-                Followed.of(hand, threshold, velocity)
-                for hand, velocity in zip(ends, arrays["velocity"], strict=True)
-            ]
-        except (KeyError, IndexError, TypeError, ValueError) as error:
-            raise ProtocolError(f"what came is no stretch of frames: {error}") from error
-        first, last = (Glance(arrays[name]) if name in arrays else None for name in ("first", "last"))
-        return cls(lists[0], frames, followed, lists[1], lists[2], first, last)
 
 
 class ClipDetector:

@@ -21,6 +21,7 @@ from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
 from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
 from handfit_core.detect.opening import open_detector, settings_of
+from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.labels import Entry, Unit
@@ -28,7 +29,6 @@ from handfit_core.files import cache_dir
 from handfit_core.media.pictures import read_picture
 from handfit_core.media.source import Frame, Media, Source
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import detect_frames
 
 UNREADABLE = (0, 0)
 

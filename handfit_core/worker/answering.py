@@ -34,9 +34,9 @@ def answer(
         case "probe":
             return probe(message)
         case "stretch":
-            from handfit_core.detect import processes
+            from handfit_core.worker import sharing
 
-            return processes.answer(message, should_stop, on_progress)
+            return sharing.answer(message, should_stop, on_progress)
         case "find":
             return find(message)
         case "warm":
@@ -98,9 +98,9 @@ def probe(message: Mapping[str, Any]) -> dict[str, Any]:
 
 def find(message: Mapping[str, Any]) -> dict[str, Any]:
     """All hands of the first used frame, and a copy of that frame for people to look at. Raises what
-    `pipeline.find_in_frame` raises, and OutputError."""
+    `detection.find_in_frame` raises, and OutputError."""
+    from handfit_core.detection import find_in_frame
     from handfit_core.options import CaptureOptions
-    from handfit_core.pipeline import find_in_frame
 
     picture = message.get("picture")
     if picture is not None and (not isinstance(picture, str) or not picture):

@@ -11,13 +11,14 @@ import numpy as np
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import link_tracks
+from handfit_core.detection import detect_frames
 from handfit_core.fit.fast import fit_frames
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture, detect_frames
+from handfit_core.pipeline import capture
 from handfit_core.solvers import get_solver
 
 _CALLS = 20

@@ -31,6 +31,7 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "threshold": (1, "1", 1.0),
     "plain_detection": (True, "", True),
     "landmark_model": ("l.task", "l.task", "l.task"),
+    "processes": (3, "3", 3),
     "solver": ("paper-a", "paper-a", "paper-a"),
     "model": ("m.pkl", "m.pkl", "m.pkl"),
     "smoothing": (0.5, "0.5", 0.5),

@@ -16,11 +16,11 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import View, distance
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
 from handfit_core.detect.opening import open_detector
+from handfit_core.detection import find_in_frame
 from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import find_in_frame
 from handfit_core.skeleton import other_side
 from tests.conftest import ROOT
 
@@ -174,9 +174,7 @@ def looks_of(finder: ClipFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, i
     return counts
 
 
-def test_a_followed_hand_costs_one_look_a_frame(
-    networks: Networks, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_followed_hand_costs_one_look_a_frame(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
     with clip_finder(networks) as finder:
         finder.find(picture(1))
         counts = looks_of(finder, monkeypatch)

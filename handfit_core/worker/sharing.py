@@ -11,14 +11,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final
 
-from handfit_core.detect.detector import Detected
+import numpy as np
+
+from handfit_core.detect.clips import Followed
+from handfit_core.detect.cuts import Glance
+from handfit_core.detect.keypoints import hands_from_arrays, hands_to_arrays
 from handfit_core.detect.stretches import STRETCH, ClipDetector, Stretch
 from handfit_core.doors.values import Unfit, shortly, whole
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.errors import HandfitError, OptionError, ProtocolError
 from handfit_core.media.opening import open_media
-from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.client import Worker
+from handfit_core.worker.protocol import pack, unpack
 from handfit_core.worker.runner import OnProgress, WorkerError, as_error
 
 log = logging.getLogger("handfit")
@@ -30,28 +34,19 @@ _PAUSE: Final = 0.02
 """seconds between two looks at the other processes, where this one has nothing to do"""
 
 
-def detect_clip(
-    media: Media,
+def shared(
+    detector: ClipDetector,
     options: CaptureOptions,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
-) -> Detected:
-    """The hands of a clip, found by as many processes as the options say; the same ones, however many.
+) -> list[Stretch]:
+    """All stretches of a clip, looked at by as many processes as the options say: the same, however many.
 
     `on_progress` gets the count of the frames that are done. Where it is stopped, what was found from the
-    beginning on without a gap is returned.
+    beginning on without a gap is returned. A process that dies is replaced once; after a second time, the
+    frames that it was at count as not seen, and are told of.
     """
-    with ClipDetector(media, options) as detector:
-        stretches = _Shared(detector, options, on_progress, should_stop).stretches()
-        frames, cuts = detector.joined(stretches)
-    # At least twice, since one picture may show what only looks like a hand.
-    counts = sorted(count for stretch in stretches for count in stretch.counts)
-    return Detected(
-        numbers=[number for stretch in stretches for number in stretch.numbers],
-        frames=frames,
-        most_seen=counts[-min(2, len(counts))] if counts else 0,
-        cuts=tuple(cuts),
-    )
+    return _Shared(detector, options, on_progress, should_stop).stretches()
 
 
 def usable_processes(asked: int | None, frames: int) -> int:
@@ -95,6 +90,7 @@ class _Shared:
         self._again: list[int] = []
         """Stretches at which a process has died: they are for other ones alone, since this one is to live"""
         self._died: set[int] = set()
+        self._told = 0
         media = detector.media
         count = usable_processes(options.processes, media.expected_frames) if media.given is not None else 1
         self._helpers = [_Helper(Worker(sys.executable, threads=1)) for _ in range(count - 1)]
@@ -146,7 +142,10 @@ class _Shared:
                 self._give_up(index, "no other process could be started")
             self._again = []
         done += sum(len(stretch.numbers) for stretch in self._found.values())
-        self._on_progress(done + sum(helper.done for helper in self._helpers))
+        done += sum(helper.done for helper in self._helpers)
+        if done > self._told:
+            self._told = done
+            self._on_progress(done)
 
     def _occupy(self, helper: _Helper) -> None:
         """Give a process the next stretch, of those that the clip is expected to have. Raises WorkerError."""
@@ -175,7 +174,7 @@ class _Shared:
                 raise as_error(event)
             else:
                 helper.stretch, helper.done = None, 0
-                self._take(index, Stretch.of_message(event, self._options.threshold))
+                self._take(index, of_message(event, self._options.threshold))
 
     def _lost(self, helper: _Helper, error: HandfitError) -> None:
         """A process has died. One that worked before is replaced once for each stretch."""
@@ -230,4 +229,32 @@ def answer(
         _open[asked] = ClipDetector(media, known)
     detector = _open[asked]
     found = detector.stretch(index, lambda done: on_progress("detect", done, STRETCH), should_stop)
-    return found.to_message()
+    return to_message(found)
+
+
+def to_message(stretch: Stretch) -> dict[str, Any]:
+    """What was found in a stretch, as JSON can hold it."""
+    arrays = hands_to_arrays([*stretch.frames, [hand.last for hand in stretch.followed]])
+    arrays["velocity"] = np.array([hand.velocity for hand in stretch.followed]).reshape(-1, 2)
+    looks = {"first": stretch.first, "last": stretch.last}
+    arrays |= {name: look.pixels for name, look in looks.items() if look is not None}
+    return {
+        "numbers": stretch.numbers,
+        "seen": stretch.counts,
+        "cuts": stretch.cuts,
+        **{name: pack(array) for name, array in arrays.items()},
+    }
+
+
+def of_message(message: Mapping[str, Any], threshold: float) -> Stretch:
+    """The inverse of `to_message`. Raises ProtocolError."""
+    try:
+        lists = [[int(number) for number in message[name]] for name in ("numbers", "seen", "cuts")]
+        arrays = {name: unpack(value) for name, value in message.items() if isinstance(value, dict)}
+        *frames, ends = hands_from_arrays(arrays)
+        velocities = arrays["velocity"]
+        followed = [Followed.of(hand, threshold, v) for hand, v in zip(ends, velocities, strict=True)]
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ProtocolError(f"what came is no stretch of frames: {error}") from error
+    first, last = (Glance(arrays[name]) if name in arrays else None for name in ("first", "last"))
+    return Stretch(lists[0], frames, followed, lists[1], lists[2], first, last)
