@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -11,8 +11,6 @@ import numpy as np
 from handfit_core.options import CROWD, HandChoice, Region
 from handfit_core.skeleton import SIDES, Side, other_side
 from handfit_core.worker.protocol import unpack
-
-from ..screen import Box
 
 SAME: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
@@ -143,18 +141,18 @@ class Sight:
         """Show all of it."""
         self._zoom, self._centre = 1.0, self.size / 2.0
 
-    def scale(self, free: Box) -> float:
-        """Pixels of the region for one of the picture; `free` is where it fits in."""
+    def scale(self, free: Sequence[float]) -> float:
+        """Pixels of the region for one of the picture; `free` (left, bottom, right, top) is where it fits in."""
         room = np.maximum([free[2] - free[0], free[3] - free[1]], 1.0)
         return float((room / self.size).min()) * self._zoom
 
-    def matrix(self, free: Box) -> np.ndarray:
+    def matrix(self, free: Sequence[float]) -> np.ndarray:
         """(3, 3) from pixels of the picture to those of the region, whose y grows upwards."""
         scale, middle = self.scale(free), np.array([free[0] + free[2], free[1] + free[3]]) / 2.0
         x, y = middle - self._centre * [scale, -scale]
         return np.array([[scale, 0.0, x], [0.0, -scale, y], [0.0, 0.0, 1.0]])
 
-    def zoom(self, factor: float, place: np.ndarray, free: Box) -> None:
+    def zoom(self, factor: float, place: np.ndarray, free: Sequence[float]) -> None:
         """Enlarge by a factor about a place (2,) in the picture."""
         before = self._zoom
         most = MOST_ZOOM * self._zoom / self.scale(free)
@@ -162,7 +160,7 @@ class Sight:
         self._centre = place + (self._centre - place) * before / self._zoom
         self._keep()
 
-    def move(self, by: np.ndarray, free: Box) -> None:
+    def move(self, by: np.ndarray, free: Sequence[float]) -> None:
         """Push the picture by (2,) pixels of the region."""
         self._centre = self._centre - by * [1.0, -1.0] / self.scale(free)
         self._keep()
