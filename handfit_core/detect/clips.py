@@ -30,6 +30,12 @@ beginning, frames are kept as JPEG, and may take ten times as much"""
 MOST_TRIES = 6
 """Searches around a hand that was lost, 1, 2, 4, ... frames apart: one that left costs no more than these"""
 
+BESIDE = 1.0
+"""A hand that was lost nearer than this to another, in units of their size, is most likely behind it"""
+
+TRIES_BESIDE, WAIT_BESIDE = 32, 2
+"""It is searched for so often, and so many frames apart at most, which costs less than to follow it"""
+
 FIRST_WAIT, LONGEST_WAIT = 8, 128
 """Frames between two searches of parts of the picture in a clip in which no hand is followed"""
 
@@ -57,6 +63,8 @@ class _Followed:
     """searches since it was last seen, all in vain"""
     wait: int = 0
     """frames until the next one"""
+    beside: bool = False
+    """Whether it was lost where another hand is"""
 
     def seen(self, hand: HandDetection) -> None:
         self.velocity = hand.keypoints_2d.mean(axis=0) - self.last.keypoints_2d.mean(axis=0)
@@ -71,7 +79,12 @@ class _Followed:
     def missed(self) -> None:
         self.velocity = np.zeros(2)
         self.tries += 1
-        self.wait = 2**self.tries - 1
+        self.wait = min(2**self.tries - 1, WAIT_BESIDE if self.beside else LONGEST_WAIT)
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it is not searched for any more."""
+        return self.tries >= (TRIES_BESIDE if self.beside else MOST_TRIES)
 
 
 class ClipFinder(Detector):
@@ -164,6 +177,8 @@ class ClipFinder(Detector):
             else:
                 followed.seen(hand)
                 self._followed.append(followed)
+        for followed in lost:
+            followed.beside = any(distance(followed.last, other.last) < BESIDE for other in self._followed)
         return lost
 
     def _there(self, rgb: np.ndarray, followed: _Followed) -> HandDetection | None:
@@ -190,7 +205,7 @@ class ClipFinder(Detector):
                 view = View.of_square(centre, AROUND * max(hand.extent, 8.0), PALM_SIZE)
                 self._take(self._seen_in(rgb, [view]), new)
                 followed.missed()
-        self._lost = [f for f in self._lost if f.tries < MOST_TRIES and not self._known(f.last)]
+        self._lost = [f for f in self._lost if not (f.hopeless or (self._known(f.last) and not f.beside))]
         if (lost_one and not self._full) or index % SEARCH_EVERY == 0:
             height, width = rgb.shape[:2]
             there = self._seen_in(rgb, list(tiles(width, height, 1)))
@@ -215,6 +230,10 @@ class ClipFinder(Detector):
             if not self._full and not self._known(hand):
                 new.append(self._follow_new(hand, self._threshold))
                 self._searches, self._search_wait = 0, FIRST_WAIT
+                # The nearest of those that may be behind another hand is not behind it any more.
+                beside = [f for f in self._lost if f.beside]
+                if beside:
+                    self._lost.remove(min(beside, key=lambda f: distance(f.last, hand)))
 
     def _follow_new(self, hand: HandDetection, least: float) -> _Followed:
         self._followed.append(_Followed(hand, least=least))
