@@ -153,6 +153,10 @@ class ClipFinder(Detector):
         self._lost += lost
         self.frames[index] = tuple(followed.last for followed in self._followed)
         for followed in new:
+            hand = followed.last
+            behind = [f for f in self._lost if f.beside]
+            if behind:  # the nearest of them is behind another hand no more
+                self._lost.remove(min(behind, key=lambda f: distance(f.last, hand)))
             self._look_back(followed, before=index)
         if self._full and not self._whole_past:
             self._past.clear()  # nothing is added to frames in which all that are wanted are seen
@@ -230,10 +234,6 @@ class ClipFinder(Detector):
             if not self._full and not self._known(hand):
                 new.append(self._follow_new(hand, self._threshold))
                 self._searches, self._search_wait = 0, FIRST_WAIT
-                # The nearest of those that may be behind another hand is not behind it any more.
-                beside = [f for f in self._lost if f.beside]
-                if beside:
-                    self._lost.remove(min(beside, key=lambda f: distance(f.last, hand)))
 
     def _follow_new(self, hand: HandDetection, least: float) -> _Followed:
         self._followed.append(_Followed(hand, least=least))
