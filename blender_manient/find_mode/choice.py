@@ -142,7 +142,7 @@ class Sight:
         self._zoom, self._centre = 1.0, self.size / 2.0
 
     def scale(self, free: Sequence[float]) -> float:
-        """Pixels of the region for one of the picture; `free` (left, bottom, right, top) is where it fits in."""
+        """Pixels of the region for one of the picture, which fits into `free`: left, bottom, right, top."""
         room = np.maximum([free[2] - free[0], free[3] - free[1]], 1.0)
         return float((room / self.size).min()) * self._zoom
 
