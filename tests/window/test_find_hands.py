@@ -12,8 +12,6 @@ import pytest
 from tests.window.inputs import RENDERED_HAND
 
 PAINTING = RENDERED_HAND.parent / "mona_lisa" / "mona_lisa.jpg"
-HER_LEFT_HAND = [60, 885, 200, 135]
-"""x, y, width and height in pixels of the painting"""
 
 _WRITE_FOUR = """
 import sys, cv2, numpy as np
@@ -48,7 +46,7 @@ def test_hands_are_chosen_turned_and_thrown_out(blender, four_hands):
 def test_a_box_around_a_missed_hand_finds_it(blender, rendered_hand, tmp_path):
     """The painting's left hand is half hidden: nothing but the box finds it."""
     source = shutil.copy(PAINTING, tmp_path / "painting.jpg")
-    played = blender.play("finding.boxed_hand", source=source, box=HER_LEFT_HAND, timeout=300).value
+    played = blender.play("finding.boxed_hand", source=source, timeout=300).value
     assert played["found"] == [["right", True]]
     assert sorted(played["with_box"]) == [["left", True], ["right", True]]
     assert played["built"] == ["left", "right"]

@@ -7,6 +7,8 @@ import numpy as np
 
 from scenarios.capturing import done, finish, hands, jobs, part
 
+HER_LEFT_HAND = (60, 885, 200, 135)
+"""x, y, width and height in pixels of samples/mona_lisa"""
 FOUND = 120.0
 """seconds that a cold worker may take to find the hands of a picture"""
 
@@ -40,13 +42,13 @@ def chosen(stage, source):
     return {**answer, **(yield from captured(stage, "find-captured"))}
 
 
-def boxed_hand(stage, source, box):
+def boxed_hand(stage, source):
     """A hand that is not found by itself is found in a box that is dragged around it, and both are
     captured."""
     yield from stage.open_sidebar()
     yield from begun(stage, source)
     answer = {"found": described()}
-    x, y, width, height = box
+    x, y, width, height = HER_LEFT_HAND
     yield from boxed(stage, (x, y), (x + width, y + height), shot="find-box")
     answer["with_box"] = described()
     return {**answer, **(yield from captured(stage, "find-box-captured"))}
@@ -165,7 +167,7 @@ def boxed(stage, start, stop, shot=""):
     yield from stage.drag([in_window(place) for place in path], pause=0.05)
     if shot:
         yield 0.05
-        stage.screenshot_now(f"{shot}-looking")
+        stage.screenshot_now(shot)
     yield from stage.until(lambda: not mode().busy, FOUND, "a look into a box")
     yield 0.2
     if shot:
