@@ -20,7 +20,7 @@ import numpy as np
 
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
 from handfit_core.media.source import Source
-from handfit_core.options import CaptureOptions
+from handfit_core.options import CROWD, CaptureOptions
 from handfit_core.slices import retold, slice_clock
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
@@ -66,6 +66,10 @@ class Job:
     files: tuple[str, ...]
     options: CaptureOptions
     building: Building
+    asks: bool = False
+    """Whether more than a few hands are not built before somebody has chosen among them"""
+    crowd: int = 0
+    """How many hands were found where there were too many to build without asking"""
     state: State = "waiting"
     stage: str = ""
     done: int = 0
@@ -265,6 +269,9 @@ def _follow(job: Job) -> bool:
         elif kind == "done":
             job.stopped = bool(event.get("stopped"))
             job.state, job.fraction = "building", 0.9
+            if job.asks and len(event.get("hands", ())) > CROWD:
+                job.crowd = len(event["hands"])
+                job.state, job.message = "cancelled", f"{job.crowd} hands: choose those to build"
     return changed
 
 

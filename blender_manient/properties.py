@@ -128,7 +128,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     hands: EnumProperty(  # type: ignore
         name="Hands",
         items=(
-            ("auto", "Auto", "All hands that are found, up to two"),
+            ("auto", "Auto", "All hands that are found in a photo, up to two in a clip"),
             ("left", "Left", "The person's left hand only"),
             ("right", "Right", "The person's right hand only"),
             ("both", "Both", "One left and one right hand"),

@@ -66,6 +66,30 @@ def draw_shape(kind: str, points: np.ndarray, colors: np.ndarray, line_width: fl
     )
 
 
+def texture_of(path: str) -> gpu.types.GPUTexture:
+    """A picture file as a texture, for `draw_texture`. Raises RuntimeError where Blender cannot read it."""
+    image = bpy.data.images.load(path)
+    try:
+        return gpu.texture.from_image(image)
+    finally:
+        bpy.data.images.remove(image)
+
+
+def draw_texture(texture: gpu.types.GPUTexture, box: Box) -> None:
+    """Draw a texture into a box of the current region."""
+    try:
+        shader = gpu.shader.from_builtin("IMAGE_SCENE_LINEAR_TO_REC709_SRGB")
+    except ValueError:  # before Blender 5.0, where that is done for all shaders
+        shader = gpu.shader.from_builtin("IMAGE")
+    left, bottom, right, top = box
+    corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
+    places = {"pos": corners, "texCoord": [(0, 0), (1, 0), (1, 1), (0, 1)]}
+    batch = batch_for_shader(shader, "TRI_FAN", places)
+    shader.bind()
+    shader.uniform_sampler("image", texture)
+    batch.draw(shader)
+
+
 def look_through_camera(context: bpy.types.Context) -> None:
     """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the
     whole picture in it."""

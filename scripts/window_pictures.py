@@ -27,7 +27,7 @@ SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PICTURES = ("empty", "capturing", "captured", "keypoints")
+PICTURES = ("empty", "capturing", "captured", "keypoints", "find", "found")
 
 
 def main() -> int:
@@ -39,9 +39,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         shots = Path(folder) / "shots"
         shutil.copytree(ROOT / "samples" / "rendered_hand", Path(folder) / "wave")
+        shutil.copy(ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg", folder)
         window = BlenderWindow(chroot, Path(folder) / "run", shots, SIZE, reachable=Path(folder))
         try:
             window.play("pictures.tour", folder=folder, source="wave", timeout=300)
+            window.play("pictures.choosing", folder=folder, source="mona_lisa.jpg", timeout=300)
         finally:
             window.stop()
         for name in PICTURES:

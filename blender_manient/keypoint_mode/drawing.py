@@ -11,7 +11,7 @@ import numpy as np
 
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, NUM_KEYPOINTS, PALM_KEYPOINTS
 
-from ..screen import draw_shape, ui_scale
+from ..screen import Box, draw_shape, ui_scale
 
 FINGER_COLORS: Final = {
     "thumb": (1.00, 0.42, 0.33),
@@ -25,6 +25,8 @@ PIN_COLOR: Final = (1.0, 1.0, 1.0)
 DARK: Final = (0.05, 0.05, 0.05)
 DOUBT_COLOR: Final = (1.0, 0.55, 0.15)
 
+LETTERS: Final = 13.0
+"""size of text, at a user interface scale of 1"""
 RADIUS: Final = 5.0
 """pixels of a handle, at a user interface scale of 1"""
 
@@ -76,15 +78,15 @@ def draw(picture: Picture) -> None:
     _draw_name(picture, scale)
     if picture.text:
         shade = DOUBT_COLOR if picture.warning else WRIST_COLOR
-        _write(picture.text, *picture.corner, shade, scale)
+        write(picture.text, *picture.corner, shade, scale)
 
 
 def _draw_skeleton(picture: Picture, scale: float) -> None:
-    ends = picture.places[_LINES]  # (20, 2, 2)
+    ends = picture.places[LINES]  # (20, 2, 2)
     there = np.isfinite(ends).all(axis=(1, 2))
     if not there.any():
         return
-    draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(_LINE_COLORS[there], 2, axis=0), 2.0 * scale)
+    draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(LINE_COLORS[there], 2, axis=0), 2.0 * scale)
 
 
 def _draw_handles(picture: Picture, scale: float) -> None:
@@ -119,12 +121,13 @@ def _draw_name(picture: Picture, scale: float) -> None:
         return
     x, y = picture.places[keypoint] + (RADIUS + 8.0) * scale
     pinned = keypoint in picture.pinned and picture.dragged is None
-    _write(title(keypoint) + ("  (pinned)" if pinned else ""), x, y, PIN_COLOR, scale)
+    write(title(keypoint) + ("  (pinned)" if pinned else ""), x, y, PIN_COLOR, scale)
 
 
-def _write(text: str, x: float, y: float, shade: tuple[float, float, float], scale: float) -> None:
+def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float) -> None:
+    """Write a line in the current region, its lower left at (x, y) pixels."""
     font = 0
-    blf.size(font, 13.0 * scale)
+    blf.size(font, LETTERS * scale)
     blf.enable(font, blf.SHADOW)
     blf.shadow(font, 5, 0.0, 0.0, 0.0, 0.9)
     blf.shadow_offset(font, 1, -1)
@@ -132,6 +135,35 @@ def _write(text: str, x: float, y: float, shade: tuple[float, float, float], sca
     blf.position(font, x, y, 0.0)
     blf.draw(font, text)
     blf.disable(font, blf.SHADOW)
+
+
+def tag_box(text: str, x: float, y: float, scale: float) -> Box:
+    """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region."""
+    blf.size(0, LETTERS * scale)
+    return (x, y, x + blf.dimensions(0, text)[0] + 12.0 * scale, y + 20.0 * scale)
+
+
+def draw_tag(text: str, box: Box, fill: tuple[float, ...], shade: tuple[float, ...], scale: float) -> None:
+    """Draw a tag: a text on a ground of its own, which is read over any picture."""
+    fill_box(box, fill)
+    write(text, box[0] + 6.0 * scale, box[1] + 5.5 * scale, shade, scale)
+
+
+def fill_box(box: Box, fill: tuple[float, ...]) -> None:
+    """Fill a box of the region with a colour and its alpha."""
+    corners = _corners(box)[[0, 1, 2, 0, 2, 3]]
+    draw_shape("TRIS", corners, np.tile(fill, (6, 1)))
+
+
+def frame_box(box: Box, shade: tuple[float, ...], width: float) -> None:
+    """Draw the edges of a box of the region."""
+    corners = _corners(box)[[0, 1, 1, 2, 2, 3, 3, 0]]
+    draw_shape("LINES", corners, np.tile(shade, (8, 1)), width)
+
+
+def _corners(box: Box) -> np.ndarray:
+    left, bottom, right, top = box
+    return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
 
 
 def _fan(sides: int) -> np.ndarray:
@@ -143,8 +175,8 @@ def _fan(sides: int) -> np.ndarray:
 
 _DISC: Final = _fan(20)
 _DIAMOND: Final = _fan(4)
-_LINES: Final = np.array([(KEYPOINT_PARENTS[k], k) for k in range(1, NUM_KEYPOINTS)])
+LINES: Final = np.array([(KEYPOINT_PARENTS[k], k) for k in range(1, NUM_KEYPOINTS)])
 # The palm's lines stay behind: there are five from the wrist.
-_LINE_COLORS: Final = np.array(
+LINE_COLORS: Final = np.array(
     [(*color(k), 0.45 if k in PALM_KEYPOINTS else 0.85) for k in range(1, NUM_KEYPOINTS)], dtype=np.float32
 )

@@ -9,7 +9,7 @@ import bpy
 from handfit_core.errors import InputError, OptionError
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import CaptureOptions
+from handfit_core.options import CaptureOptions, Region
 from handfit_core.worker.runner import WorkerError
 
 from .. import jobs, preferences, screen, shared_worker, source_info
@@ -65,7 +65,7 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
         if not self.queued:
-            jobs.submit(new_job(context, only_frame=self.only_frame))
+            jobs.submit(new_job(context, only_frame=self.only_frame, asks=True))
         if MANIENT_OT_capture._ticking:
             self.report({"INFO"}, "It is captured after the one before")
             return {"FINISHED"}
@@ -124,6 +124,8 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
                 self._report(job)
                 if job.state == "done" and job.matched:
                     screen.look_through_camera(context)
+                if job.crowd and not jobs.busy():
+                    bpy.ops.manient.find_hands("INVOKE_DEFAULT")
 
     def _report(self, job: jobs.Job) -> None:
         for warning in job.warnings:
@@ -172,8 +174,11 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
-    """The capture that the panel's settings describe. Raises HandfitError in the artist's words."""
+def new_job(
+    context: bpy.types.Context, *, only_frame: bool, regions: tuple[Region, ...] = (), asks: bool = False
+) -> jobs.Job:
+    """The capture that the panel's settings describe; with `regions`, of the hands in them and no others.
+    `asks`: as of a job. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
     if sentence := shared_worker.capture_sentence():
         raise WorkerError(sentence)
@@ -189,7 +194,9 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
         files=source.files,
         options=CaptureOptions(
             frames=_frames(settings, source, scene.frame_current if only_frame else None),
-            hands=settings.hands,
+            hands="auto" if regions else settings.hands,
+            regions=regions,
+            only_regions=bool(regions),
             detector=settings.detector or CaptureOptions.detector,
             solver=settings.experiment
             if settings.preset == "PAPER"
@@ -212,6 +219,7 @@ def new_job(context: bpy.types.Context, *, only_frame: bool) -> jobs.Job:
             render_setup=settings.render_setup,
             camera=Remembered.of("objects", camera) if camera else None,
         ),
+        asks=asks and source.kind == "photo" and settings.target == "NEW",
     )
 
 

@@ -7,9 +7,11 @@ import bpy
 from handfit_core.options import OPTIONS
 
 from .. import jobs, shared_worker, source_info
+from ..find_mode import mode as find_mode
 from ..scene.matching import said
 from ..scene.store import active_hand
 from ..section import Section, fitted, sentence, split
+from ..wording import counted
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 
@@ -41,8 +43,14 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
         row = buttons.row(align=True)
         row.scale_y = 1.5
-        row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
-        if info.files is not None and info.files.kind != "photo":
+        choosing = find_mode.current
+        if choosing is not None:
+            count = counted(len(choosing.choice.chosen), "Hand")
+            row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
+        else:
+            row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
+            buttons.operator("manient.find_hands", icon="VIEWZOOM")
+        if info.files is not None and info.files.kind != "photo" and choosing is None:
             # Only what is not said above.
             if text and not text.startswith(own := _becomes(context.scene, info, only_frame=True)):
                 sentence(buttons, context, own, "SCENE_DATA")

@@ -31,6 +31,12 @@ beginning, frames are kept as JPEG, and may take ten times as much"""
 MOST_TRIES = 6
 """Searches around a hand that was lost, 1, 2, 4, ... frames apart: one that left costs no more than these"""
 
+BESIDE = 1.0
+"""A hand that was lost nearer than this to another, in units of their size, is most likely behind it"""
+
+TRIES_BESIDE, WAIT_BESIDE = 32, 2
+"""It is searched for so often, and so many frames apart at most, which costs less than to follow it"""
+
 FIRST_WAIT, LONGEST_WAIT = 8, 128
 """Frames between two searches of parts of the picture in a clip in which no hand is followed"""
 
@@ -58,6 +64,8 @@ class Followed:
     """searches since it was last seen, all in vain"""
     wait: int = 0
     """frames until the next one"""
+    beside: bool = False
+    """Whether it was lost where another hand is"""
 
     @classmethod
     def of(cls, hand: HandDetection, threshold: float, velocity: np.ndarray | None = None) -> Followed:
@@ -80,7 +88,12 @@ class Followed:
         """Take in that it was searched in vain."""
         self.velocity = np.zeros(2)
         self.tries += 1
-        self.wait = 2**self.tries - 1
+        self.wait = min(2**self.tries - 1, WAIT_BESIDE if self.beside else LONGEST_WAIT)
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it is not searched for any more."""
+        return self.tries >= (TRIES_BESIDE if self.beside else MOST_TRIES)
 
 
 class ClipFinder(Detector):
@@ -148,6 +161,10 @@ class ClipFinder(Detector):
         self._lost += lost
         self.frames[index] = tuple(followed.last for followed in self.followed)
         for followed in new:
+            hand = followed.last
+            behind = [f for f in self._lost if f.beside]
+            if behind:  # the nearest of them is behind another hand no more
+                self._lost.remove(min(behind, key=lambda f: distance(f.last, hand)))
             self._look_back(followed, index, self._past.backwards())
         if self._full and not self._whole_past:
             self._past.clear()  # nothing is added to frames in which all that are wanted are seen
@@ -169,6 +186,8 @@ class ClipFinder(Detector):
             else:
                 followed.seen(hand)
                 self.followed.append(followed)
+        for followed in lost:
+            followed.beside = any(distance(followed.last, other.last) < BESIDE for other in self.followed)
         return lost
 
     def _known(self, hand: HandDetection) -> bool:
@@ -186,7 +205,7 @@ class ClipFinder(Detector):
                 view = View.of_square(centre, AROUND * max(hand.extent, 8.0), PALM_SIZE)
                 self._take(self._seen_in(rgb, [view]), new)
                 followed.missed()
-        self._lost = [f for f in self._lost if f.tries < MOST_TRIES and not self._known(f.last)]
+        self._lost = [f for f in self._lost if not (f.hopeless or (self._known(f.last) and not f.beside))]
         if (lost_one and not self._full) or index % SEARCH_EVERY == 0:
             height, width = rgb.shape[:2]
             there = self._seen_in(rgb, list(tiles(width, height, 1)))

@@ -78,8 +78,8 @@ def _core_folder() -> Path:
 
 
 def _core_is_among_packages() -> bool:
-    """Whether the Python that runs here finds handfit_core by its own path. Where it does not, the launcher has
-    started it with packages of its own, which those beside handfit_core must not shadow."""
+    """Whether the Python that runs here finds handfit_core by its own path. Where it does not, the launcher
+    has started it with packages of its own, which those beside handfit_core must not shadow."""
     folder = _core_folder().parent
     return any(Path(path).resolve() == folder for path in sys.path)
 

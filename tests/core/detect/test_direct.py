@@ -217,6 +217,23 @@ def test_a_hand_that_turns_up_is_followed_back(networks: Networks) -> None:
         assert {hand.side for hand in hands} == {"left", "right"}
 
 
+def test_a_hand_behind_another_is_found_as_soon_as_that_one_has_passed(networks: Networks) -> None:
+    """The mirror image moves over the hand, covers it, and goes on."""
+    width, step = 640, 80
+    frames = []
+    for i, left in enumerate([*range(width, 0, -step), 0, 0, *range(-step, -width, -step)]):
+        frame = np.hstack([picture(i + 1)] * 3)
+        frame[:, :width] = frame[:, 2 * width :] = picture(1)[:, :1]
+        frame[:, width + left : 2 * width + left] = picture(i + 1)[:, ::-1]
+        frames.append(frame)
+    with clip_finder(networks) as finder:
+        found = [len(finder.find(rgb)) for rgb in frames]
+        behind = found.index(1)
+        assert behind < clips.SEARCH_EVERY - 8
+        assert found[behind + 2 :].index(2) < 8
+        assert [len(hands) for hands in finder.frames[:behind]] == [2] * behind
+
+
 def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
     with clip_finder(networks) as finder:
         finder.find(picture(1))

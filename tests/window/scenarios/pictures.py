@@ -9,6 +9,7 @@ import bpy
 from stage import ADDON
 
 from scenarios.capturing import begin, done, finish, hands
+from scenarios.finding import HER_LEFT_HAND, begun, boxed, captured
 from scenarios.panels import sections
 from scenarios.refine import INDEX_TIP, places, state
 
@@ -45,6 +46,16 @@ def tour(stage, folder, source, edited_frame=12):
     yield 0.3
     yield from _drag_a_fingertip(stage)
     return {"hands": len(hands())}
+
+
+def choosing(stage, folder, source):
+    """The painting's hands: one is found, a box is drawn around the other, and both are captured."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/painting.blend")
+    yield from stage.open_sidebar()
+    yield from begun(stage, f"//{source}")
+    x, y, width, height = HER_LEFT_HAND
+    yield from boxed(stage, (x, y), (x + width, y + height), shot="find")
+    yield from captured(stage, "found")
 
 
 def _drag_a_fingertip(stage):

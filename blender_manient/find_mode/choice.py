@@ -1,0 +1,170 @@
+"""Which hands of a picture are chosen, and where the picture lies in the view; nothing here draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.options import CROWD, HandChoice, Region
+from handfit_core.skeleton import SIDES, Side, other_side
+from handfit_core.worker.protocol import unpack
+
+SAME: Final = 0.25
+"""Hands whose points are nearer than this, in units of their size, are one"""
+NEAR: Final = 0.3
+"""A hand is pointed at within this part of its size from one of its points"""
+MOST_ZOOM: Final = 64.0
+"""pixels of the region for one of the picture"""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One hand of the picture."""
+
+    points: np.ndarray
+    """(21, 2) pixels of the upright picture"""
+    certainty: float
+    judged: Side
+    """Which hand it looks like"""
+    side: Side
+    """Which hand it is to be"""
+    box: tuple[float, ...]
+    """x, y, width and height in pixels by which a capture finds it again: about its points, or as the artist
+    has drawn it"""
+    chosen: bool = False
+
+    @classmethod
+    def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> Found:
+        """One of a worker's answer; `drawn`: the box in which it was looked for."""
+        points = unpack(hand["keypoints"]).astype(np.float64)
+        low = points.min(axis=0)
+        box = drawn or (*low.tolist(), *np.maximum(points.max(axis=0) - low, 1.0).tolist())
+        return cls(points, float(hand["certainty"]), hand["side"], hand["side"], box, drawn is not None)
+
+    @property
+    def extent(self) -> float:
+        """The longer side of the box of its points, pixels of the picture."""
+        return float(np.ptp(self.points, axis=0).max())
+
+    def is_one_with(self, other: Found) -> bool:
+        """Whether both are of one hand."""
+        apart = np.linalg.norm(self.points - other.points, axis=-1).mean()
+        return bool(apart < SAME * max(self.extent, other.extent))
+
+
+class Choice:
+    """The hands that are shown, the surest first; each step can be taken back."""
+
+    def __init__(self) -> None:
+        self.hands: tuple[Found, ...] = ()
+        self._past: list[tuple[Found, ...]] = []
+
+    @property
+    def chosen(self) -> tuple[Found, ...]:
+        """Those that are to be built."""
+        return tuple(hand for hand in self.hands if hand.chosen)
+
+    def show(self, found: Iterable[dict[str, Any]], wanted: HandChoice) -> None:
+        """Begin with the hands of a worker's answer; chosen are the surest of those that are wanted, and no
+        more than are built without asking."""
+        hands = [Found.of(hand) for hand in found]
+        likely = [hand for hand in hands if wanted not in SIDES or hand.side == wanted][:CROWD]
+        self.hands = tuple(replace(hand, chosen=hand in likely) for hand in hands)
+        self._past.clear()
+
+    def add(self, hand: Found) -> None:
+        """One that was looked for; it takes the place of what was taken for the same hand."""
+        self._now((*(other for other in self.hands if not other.is_one_with(hand)), hand))
+
+    def toggle(self, hand: Found) -> None:
+        """Choose a hand, or leave it."""
+        self._change(hand, chosen=not hand.chosen)
+
+    def turn(self, hand: Found) -> None:
+        """Make a left hand a right one, or back; who cares for a hand's side wants it."""
+        self._change(hand, side=other_side(hand.side), chosen=True)
+
+    def drop(self, hand: Found) -> None:
+        """Throw out what is no hand."""
+        self._now(tuple(other for other in self.hands if other is not hand))
+
+    def toggle_all(self) -> None:
+        """Choose all; none where all are chosen."""
+        every = len(self.chosen) < len(self.hands)
+        self._now(tuple(replace(hand, chosen=every) for hand in self.hands))
+
+    def undo(self) -> bool:
+        """Take the last step back; whether there was one."""
+        if self._past:
+            self.hands = self._past.pop()
+            return True
+        return False
+
+    def regions(self, frame: int | None) -> tuple[Region, ...]:
+        """What tells a capture of the chosen hands; `frame` of the source, None for a photo."""
+        return tuple(
+            replace(Region.of(hand.box), frame=frame, side=hand.side if hand.side != hand.judged else None)
+            for hand in self.chosen
+        )
+
+    def at(self, place: np.ndarray, scale: float, reach: float) -> Found | None:
+        """The hand with the point nearest to a place (2,) in the picture, if it is near enough: `reach`
+        pixels of the region, or more where the hand is large. `scale`: pixels of the region for one of the
+        picture."""
+        near: list[tuple[float, Found]] = []
+        for hand in self.hands:
+            away = float(np.linalg.norm(hand.points - place, axis=-1).min())
+            if away <= max(reach / scale, NEAR * hand.extent):
+                near.append((away, hand))
+        return min(near, key=lambda each: each[0])[1] if near else None
+
+    def _change(self, hand: Found, **fields: Any) -> None:
+        self._now(tuple(replace(other, **fields) if other is hand else other for other in self.hands))
+
+    def _now(self, hands: tuple[Found, ...]) -> None:
+        self._past.append(self.hands)
+        self.hands = hands
+
+
+class Sight:
+    """What of a picture is seen in a view, and how large."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = np.array(size, dtype=np.float64)
+        """(2,) pixels of the picture"""
+        self.whole()
+
+    def whole(self) -> None:
+        """Show all of it."""
+        self._zoom, self._centre = 1.0, self.size / 2.0
+
+    def scale(self, free: Sequence[float]) -> float:
+        """Pixels of the region for one of the picture, which fits into `free`: left, bottom, right, top."""
+        room = np.maximum([free[2] - free[0], free[3] - free[1]], 1.0)
+        return float((room / self.size).min()) * self._zoom
+
+    def matrix(self, free: Sequence[float]) -> np.ndarray:
+        """(3, 3) from pixels of the picture to those of the region, whose y grows upwards."""
+        scale, middle = self.scale(free), np.array([free[0] + free[2], free[1] + free[3]]) / 2.0
+        x, y = middle - self._centre * [scale, -scale]
+        return np.array([[scale, 0.0, x], [0.0, -scale, y], [0.0, 0.0, 1.0]])
+
+    def zoom(self, factor: float, place: np.ndarray, free: Sequence[float]) -> None:
+        """Enlarge by a factor about a place (2,) in the picture."""
+        before = self._zoom
+        most = MOST_ZOOM * self._zoom / self.scale(free)
+        self._zoom = float(np.clip(before * factor, min(1.0, most), most))
+        self._centre = place + (self._centre - place) * before / self._zoom
+        self._keep()
+
+    def move(self, by: np.ndarray, free: Sequence[float]) -> None:
+        """Push the picture by (2,) pixels of the region."""
+        self._centre = self._centre - by * [1.0, -1.0] / self.scale(free)
+        self._keep()
+
+    def _keep(self) -> None:
+        """The middle of the view stays in the picture."""
+        self._centre = np.clip(self._centre, 0.0, self.size)

@@ -1,0 +1,277 @@
+"""What happens while hands are chosen: the worker finds them, clicks choose, boxes are looked into.
+
+Nothing of the file is touched: the picture is a texture that the worker wrote for it, and what is chosen
+becomes options of a capture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import bpy
+import gpu
+import numpy as np
+
+from handfit_core.errors import HandfitError
+from handfit_core.geometry.picture_map import mapped
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.options import CaptureOptions, Region
+from handfit_core.skeleton import other_side
+
+from .. import cache, details, jobs, screen, shared_worker
+from ..blender_versions import has_operator
+from ..keypoint_mode import view
+from ..wording import capitalised, counted
+from . import drawing
+from .choice import Choice, Found, Sight
+
+REACH: Final = 14.0
+"""pixels from a point of a hand within which the mouse means it, at a user interface scale of 1"""
+STILL: Final = 6.0
+"""pixels at a user interface scale of 1. A press that moves less is a click"""
+LEAST_BOX: Final = 8.0
+"""pixels of the picture a side: in smaller boxes nobody sees a hand"""
+
+_KEYS = (
+    "Click: Choose Hand    Click L or R: Other Side    Drag: Look in a Box    X: Throw Out    "
+    "A: All or None    Wheel: Zoom    Middle Mouse: Move    Home: Whole Picture    Ctrl Z: Undo    "
+    "Enter: Capture    Esc: Leave"
+)
+NOTHING_THERE: Final = "No hand was found in the box: draw it closer around the hand, or over all of it"
+
+
+class Source(NamedTuple):
+    """What hands are looked for in, and how."""
+
+    files: tuple[str, ...]
+    frame: int | None
+    """of the source; None for a photo"""
+    options: CaptureOptions
+
+    def fields(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> dict[str, Any]:
+        """A `find` request's: for all hands, or for the one in a box."""
+        options = replace(
+            self.options,
+            frames=None if self.frame is None else FrameRange(self.frame, self.frame),
+            regions=() if box is None else (Region.of(box),),
+            only_regions=box is not None,
+        )
+        fields = {"input": list(self.files), "options": options.to_message()}
+        return fields if picture is None else {**fields, "picture": str(picture)}
+
+
+class _Look(NamedTuple):
+    """A box that the worker looks into."""
+
+    request: int
+    box: tuple[float, ...]
+
+
+class FindMode:
+    """The state of the mode, from its start to `end`."""
+
+    keys: Final = _KEYS
+
+    def __init__(self, source: Source, viewport: view.Viewport, followed: str) -> None:
+        """Ask the worker. `followed`: what the panel names as the source now. Raises HandfitError."""
+        self.source = source
+        self.followed = followed
+        self.choice = Choice()
+        self.sight: Sight | None = None
+        self.message = ""
+        self.hovered: Found | None = None
+        self.pressed = ""
+        """Name of the button under the mouse"""
+        self.dragged: tuple[np.ndarray, np.ndarray] | None = None
+        """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
+        self.nothing_there = False
+        """Whether the last box had no hand in it"""
+        self.ended = False
+        self.address = viewport.area.as_pointer()
+        self._texture: gpu.types.GPUTexture | None = None
+        self._looks: list[_Look] = []
+        self._picture = cache.temporary_take("picture").with_suffix(".jpg")
+        self._request = shared_worker.worker().submit("find", **source.fields(picture=self._picture))
+        self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
+        viewport.area.tag_redraw()
+
+    def end(self) -> None:
+        """Leave nothing behind. May be called twice."""
+        if self._handler is None:
+            return
+        bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
+        self._handler, self._texture, self.ended = None, None, True
+        for request in (self._request, *(look.request for look in self._looks)):
+            if request:
+                shared_worker.worker().cancel(request)
+                shared_worker.abandon(request)
+        self._picture.unlink(missing_ok=True)
+        screen.redraw("VIEW_3D")
+
+    def trouble(self, context: bpy.types.Context) -> str | None:
+        """Why the mode cannot go on, in a sentence; empty where there is nothing to say."""
+        if self.ended:
+            return ""
+        if jobs.busy():
+            return "Find Hands: a capture has begun"
+        if view.viewport_at(context, self.address) is None:
+            return "Find Hands: the viewport is gone"
+        if context.scene is None or context.scene.manient.source != self.followed:
+            return "Find Hands: another source was chosen"
+        return None
+
+    # The worker
+
+    @property
+    def busy(self) -> bool:
+        """Whether the worker still looks for something."""
+        return bool(self._request or self._looks)
+
+    def tick(self, context: bpy.types.Context) -> None:
+        """Look for answers."""
+        try:
+            if self._request and (found := shared_worker.answer(self._request)) is not None:
+                self._request = 0
+                self.sight = Sight((found["width"], found["height"]))
+                self._texture = screen.texture_of(str(self._picture))
+                self.choice.show(found["hands"], context.scene.manient.hands)
+                screen.redraw("VIEW_3D")
+            for look in list(self._looks):
+                if (found := shared_worker.answer(look.request)) is not None:
+                    self._looks.remove(look)
+                    self._looked(look.box, found["hands"])
+                    screen.redraw("VIEW_3D")
+        except (HandfitError, RuntimeError) as error:
+            self._request, self._looks = 0, []
+            self.message = capitalised(str(error).strip())
+            details.write_details("Find Hands", self.message, getattr(error, "details", "") or "")
+            screen.redraw("VIEW_3D")
+
+    def look_in(self, corners: np.ndarray) -> None:
+        """Have the worker look for a hand in a box with these corners (2, 2), pixels of the picture."""
+        assert self.sight is not None
+        low, high = np.clip(np.sort(corners, axis=0), 0.0, self.sight.size)
+        if (high - low).min() < LEAST_BOX:
+            return
+        box = (*low.tolist(), *(high - low).tolist())
+        self.message, self.nothing_there = "", False
+        request = shared_worker.worker().submit("find", **self.source.fields(box))
+        self._looks.append(_Look(request, box))
+
+    def _looked(self, box: tuple[float, ...], hands: list[dict[str, Any]]) -> None:
+        self.nothing_there = not hands
+        for hand in hands:
+            self.choice.add(Found.of(hand, drawn=box))
+
+    def regions(self) -> tuple[Region, ...]:
+        """What tells a capture of the chosen hands."""
+        return self.choice.regions(self.source.frame)
+
+    # The mouse
+
+    def room(self, viewport: view.Viewport) -> drawing.Box:
+        """Where the whole picture fits in, pixels of the region."""
+        return drawing.picture_room(screen.free_box(viewport.area, viewport.region))
+
+    def place(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
+        """(2,) pixels of the region -> of the picture."""
+        assert self.sight is not None
+        return mapped(np.linalg.inv(self.sight.matrix(self.room(viewport))), mouse)
+
+    def hover(self, viewport: view.Viewport, mouse: np.ndarray) -> bool:
+        """The mouse is there; whether that changes what is shown."""
+        before = self.hovered, self.pressed
+        button = next((b for b in reversed(self.buttons(viewport)) if b.holds(*mouse)), None)
+        self.pressed = button.name if button is not None else ""
+        self.hovered = button.hand if button is not None else None
+        if button is None and self.sight is not None:
+            scale = self.sight.scale(self.room(viewport))
+            self.hovered = self.choice.at(self.place(viewport, mouse), scale, REACH * screen.ui_scale())
+        return before != (self.hovered, self.pressed)
+
+    def click(self) -> str:
+        """Do what a click on what the mouse is over means; the name of what others have to do."""
+        if self.pressed and self.pressed != "side":
+            return self.pressed
+        if self.hovered is not None:
+            self.message = ""
+            (self.choice.turn if self.pressed == "side" else self.choice.toggle)(self.hovered)
+        return ""
+
+    def release(self, viewport: view.Viewport) -> str:
+        """The mouse lets go of what it has dragged, or of a click; the name of what others have to do."""
+        assert self.dragged is not None
+        (start, stop), self.dragged = self.dragged, None
+        if np.abs(stop - start).max() < STILL * screen.ui_scale():
+            return self.click()
+        if self.sight is not None:
+            self.look_in(self.place(viewport, np.array([start, stop])))
+        return ""
+
+    # Drawing
+
+    def buttons(self, viewport: view.Viewport) -> list[drawing.Button]:
+        """All that can be clicked on."""
+        free = screen.free_box(viewport.area, viewport.region)
+        tags: list[drawing.Button] = []
+        if self.sight is not None:
+            tags = drawing.side_tags(self.choice.hands, self.sight.matrix(drawing.picture_room(free)), free)
+        names = [("leave", "Leave")]
+        if self.choice.chosen:
+            names.insert(0, ("capture", f"Capture {counted(len(self.choice.chosen), 'Hand')}"))
+        if self.nothing_there and has_operator("manient.add_hand"):
+            names.insert(0, ("add", "Add Hand by Clicking"))
+        return tags + drawing.row_of(names, free)
+
+    def line(self) -> tuple[str, bool]:
+        """A sentence about where the artist is, and whether it is one to worry about."""
+        if self.message:
+            return self.message, True
+        if self.hovered is not None:
+            side, other = self.hovered.side.capitalize(), other_side(self.hovered.side)
+            if self.pressed == "side":
+                return f"{side} hand. Click: make it a {other} hand", False
+            click = "leave it out" if self.hovered.chosen else "choose it"
+            return f"{side} hand, {self.hovered.certainty:.0%} sure. Click: {click}. X: throw it out", False
+        if self._request:
+            return "Looking for hands ...", False
+        if self.nothing_there:
+            return NOTHING_THERE, True
+        if not self.choice.hands:
+            return "No hand was found: drag a box around one that you see", True
+        found, chosen = counted(len(self.choice.hands), "hand"), len(self.choice.chosen)
+        return f"{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
+
+    def _draw(self) -> None:
+        context = bpy.context
+        if context.area is None or context.area.as_pointer() != self.address or self.ended:
+            return
+        viewport = view.viewport_at(context, self.address)
+        if viewport is None or context.region != viewport.region:
+            return
+        boxes = [
+            (np.array([look.box[:2], np.add(look.box[:2], look.box[2:])]), "Looking ...")
+            for look in self._looks
+        ]
+        if self.dragged is not None and self.sight is not None:
+            boxes.append((self.place(viewport, np.array(self.dragged)), ""))
+        text, warning = self.line()
+        scene = drawing.Scene(
+            texture=self._texture,
+            sight=self.sight,
+            free=screen.free_box(viewport.area, viewport.region),
+            hands=self.choice.hands,
+            hovered=self.hovered,
+            buttons=self.buttons(viewport),
+            pressed=self.pressed,
+            boxes=boxes,
+            text=text,
+            warning=warning,
+        )
+        drawing.draw(scene, (viewport.region.width, viewport.region.height))
+
+
+current: FindMode | None = None
+"""The mode that runs"""

@@ -1,0 +1,239 @@
+"""Find Hands: all hands of the source's picture over it; those that are chosen are captured."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.options import CaptureOptions
+
+from .. import jobs, shared_worker, source_info
+from ..find_mode import mode
+from ..keypoint_mode import view
+from .capture import new_job
+from .needs_hand import Refuses, Waits, errors_reported
+
+_TICK = 0.03
+"""seconds between two looks at the worker"""
+_STEP = 1.25
+"""by which one notch of the wheel enlarges"""
+_ZOOMS = {
+    "WHEELUPMOUSE": _STEP,
+    "NUMPAD_PLUS": _STEP,
+    "WHEELDOWNMOUSE": 1.0 / _STEP,
+    "NUMPAD_MINUS": 1.0 / _STEP,
+}
+_BLENDERS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
+"""Keys that do what they do elsewhere"""
+
+
+class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
+    bl_idname = "manient.find_hands"
+    bl_label = "Find Hands"
+    bl_description = (
+        "Show all hands of the picture over it, to choose those that are captured, to say which are left and "
+        "right, and to draw a box around one that was missed. Of a clip the scene's current frame is shown"
+    )
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    @classmethod
+    def lacks(cls, context):
+        """A source, and a worker that has nothing else to do."""
+        if mode.current is not None:
+            return "Hands are being chosen already"
+        if context.scene is None or not context.scene.is_editable:
+            return "This scene is linked from another file: open or make one of your own"
+        if jobs.busy():
+            return "A capture is running: wait for it, or stop it"
+        return shared_worker.capture_sentence()
+
+    @errors_reported
+    def invoke(self, context, _event):
+        """Begin the mode in the viewport under the mouse, or the largest one."""
+        viewport = view.first_viewport(context)
+        if viewport is None:
+            raise OptionError("Hands are chosen in a 3D viewport: open one in this window")
+        mode.current = mode.FindMode(source_of(context), viewport, context.scene.manient.source)
+        self._panned: np.ndarray | None = None
+        self._tell(context, mode.current.keys)
+        return self._wait(context, _TICK)
+
+    def execute(self, _context):
+        """Without a window there is nothing to click on."""
+        self.report({"ERROR"}, "Hands are chosen in a window; scripts give regions to a capture")
+        return {"CANCELLED"}
+
+    def modal(self, context, event):
+        """One event."""
+        now = mode.current
+        if now is None:
+            return self._end(context)
+        trouble = now.trouble(context)
+        if trouble is not None:
+            if trouble:
+                self.report({"INFO"}, trouble)
+            return self._end(context)
+        now.tick(context)
+        viewport = view.viewport_at(context, now.address)
+        if viewport is None or event.type == "TIMER":
+            return {"PASS_THROUGH"}
+        mouse = np.array([event.mouse_x - viewport.region.x, event.mouse_y - viewport.region.y], dtype=float)
+        if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
+            return self._moved(now, viewport, mouse, viewport.contains(event.mouse_x, event.mouse_y))
+        if event.value == "RELEASE":
+            return self._released(context, now, viewport, event)
+        if event.value == "PRESS" and viewport.contains(event.mouse_x, event.mouse_y):
+            done = self._pressed(context, now, viewport, mouse, event)
+            viewport.area.tag_redraw()
+            return done
+        return {"PASS_THROUGH"}
+
+    def cancel(self, context):
+        """Blender ends the operator, as on loading a file."""
+        self._end(context)
+
+    def _moved(self, now, viewport, mouse, inside):
+        if self._panned is not None and now.sight is not None:
+            now.sight.move(mouse - self._panned, now.room(viewport))
+            self._panned = mouse
+        elif now.dragged is not None:
+            now.dragged = (now.dragged[0], mouse)
+        elif not inside or not now.hover(viewport, mouse):
+            return {"PASS_THROUGH"}
+        viewport.area.tag_redraw()
+        return {"PASS_THROUGH"}
+
+    def _released(self, context, now, viewport, event):
+        if event.type == "MIDDLEMOUSE" and self._panned is not None:
+            self._panned = None
+            return {"RUNNING_MODAL"}
+        if event.type != "LEFTMOUSE" or now.dragged is None:
+            return {"PASS_THROUGH"}
+        todo = now.release(viewport)
+        viewport.area.tag_redraw()
+        return self._do(context, now, todo)
+
+    def _pressed(self, context, now, viewport, mouse, event):
+        kind = event.type
+        if kind == "LEFTMOUSE":
+            now.hover(viewport, mouse)
+            now.dragged = (mouse, mouse)
+        elif kind == "ESC" and now.dragged is not None:
+            now.dragged = None
+        elif kind == "ESC":
+            return self._end(context)
+        elif kind in ("RET", "NUMPAD_ENTER"):
+            return self._do(context, now, "capture")
+        elif kind == "Z" and (event.ctrl or event.oskey):
+            now.message = "" if now.choice.undo() else "Nothing to undo here"
+        elif event.ctrl or event.oskey or event.alt or kind in _BLENDERS:
+            return {"PASS_THROUGH"}
+        elif kind in ("X", "DEL", "BACK_SPACE") and now.hovered is not None:
+            now.choice.drop(now.hovered)
+            now.hover(viewport, mouse)
+        elif kind == "S" and now.hovered is not None:
+            now.choice.turn(now.hovered)
+        elif kind == "A":
+            now.choice.toggle_all()
+        elif now.sight is not None:
+            self._look(now, viewport, mouse, event)
+        if kind != "LEFTMOUSE":
+            now.hover(viewport, mouse)
+        return {"RUNNING_MODAL"}
+
+    def _look(self, now, viewport, mouse, event):
+        """Zoom and move the picture."""
+        room = now.room(viewport)
+        if event.type in _ZOOMS:
+            now.sight.zoom(_ZOOMS[event.type], now.place(viewport, mouse), room)
+        elif event.type == "MIDDLEMOUSE":
+            self._panned = mouse
+        elif event.type == "HOME":
+            now.sight.whole()
+
+    def _do(self, context, now, todo):
+        """What a button or a key asks for."""
+        if todo == "capture":
+            if not now.choice.chosen:
+                now.message = "No hand is chosen: click one, or drag a box around one that you see"
+                return {"RUNNING_MODAL"}
+            try:
+                capture_chosen(context)
+            except HandfitError as error:
+                now.message = str(error)
+                return {"RUNNING_MODAL"}
+        if todo in ("capture", "leave", "add"):
+            ended = self._end(context)
+            if todo == "capture":
+                bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+            elif todo == "add":
+                bpy.ops.manient.add_hand("INVOKE_DEFAULT")
+            return ended
+        return {"RUNNING_MODAL"}
+
+    def _end(self, context):
+        unregister()
+        self._wait_no_more(context)
+        return {"FINISHED"}
+
+
+class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
+    bl_idname = "manient.capture_found"
+    bl_label = "Capture Chosen Hands"
+    bl_description = "Capture the hands that are chosen in the picture, and no others"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    @classmethod
+    def lacks(cls, _context):
+        """A hand that is chosen."""
+        chosen = mode.current is not None and mode.current.choice.chosen
+        return None if chosen else "No hand is chosen: click one in the picture"
+
+    @errors_reported
+    def execute(self, context):
+        """Queue the capture; the mode finds out with its next event."""
+        capture_chosen(context)
+        unregister()
+        return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+
+
+def capture_chosen(context: bpy.types.Context) -> None:
+    """Queue a capture of the hands that are chosen. Raises HandfitError."""
+    assert mode.current is not None
+    jobs.submit(new_job(context, only_frame=False, regions=mode.current.regions()))
+
+
+def source_of(context: bpy.types.Context) -> mode.Source:
+    """What the panel's settings name, at the frame that the scene shows. Raises HandfitError."""
+    settings, job = context.scene.manient, new_job(context, only_frame=False)
+    info = source_info.of(settings)
+    assert info.files is not None
+    frame = None
+    if info.files.kind != "photo":
+        frame = _frame(context.scene.frame_current, job.options, info)
+    return mode.Source(job.files, frame, job.options)
+
+
+def _frame(current: int, options: CaptureOptions, info: source_info.SourceInfo) -> int:
+    """The used frame of the source that is shown at the scene's current frame; the first beyond its ends."""
+    wanted = options.frames or FrameRange()
+    # Until the worker has counted a video's frames, the scene's is believed to be among them.
+    used = wanted.within(info.first, info.last if info.frames else max(info.first, current))
+    if info.files is not None and (numbers := info.files.numbers):
+        used = [number for number in numbers if number in wanted]
+    if not used:
+        raise OptionError("the frame range has none of the source's frames: mend it")
+    return min(used, key=lambda n: abs(n - current)) if used[0] <= current <= used[-1] else used[0]
+
+
+@bpy.app.handlers.persistent
+def unregister(*_args) -> None:
+    """End the mode; its operator finds out with its next event."""
+    if mode.current is not None:
+        mode.current.end()
+        mode.current = None
+
+
+HANDLERS = {"load_pre": unregister}
