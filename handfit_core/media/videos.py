@@ -80,14 +80,16 @@ class Video(Media):
         import cv2
 
         wanted = self.numbers(first, count)
+        if not wanted:
+            return
         capture, number = self._reading or (cv2.VideoCapture(self._name), 0)
         self._reading = None
-        if not wanted or number >= wanted[0]:
+        if number >= wanted[0]:
             capture.release()
             capture, number = cv2.VideoCapture(self._name), 0
         there = True
         try:
-            while wanted and number < wanted[-1] and (there := capture.grab()):
+            while number < wanted[-1] and (there := capture.grab()):
                 number += 1
                 if number not in wanted:
                     continue

@@ -48,7 +48,7 @@ def runs_here(python: str) -> bool:
 
 def worker_command(python: str) -> list[str]:
     """What starts the worker with this interpreter, as `find_python` gives it."""
-    if runs_here(python) and _core_is_among_packages():
+    if runs_here(python) and not _is_alone():
         # -P: not from the folder in which Blender happens to have been started.
         return [python, *_own_flags(), "-P", "-u", "-m", "handfit_core", "worker"]
     return [python, "-u", str(_core_folder() / "worker" / "launch.py"), "worker"]
@@ -58,7 +58,7 @@ def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, s
     """The process's environment: nothing that is meant for the Python that runs here, except for that one
     itself. `bytecode`: where it keeps what it compiles; None: nowhere."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    if runs_here(python) and _core_is_among_packages():
+    if runs_here(python) and not _is_alone():
         environment["PYTHONPATH"] = str(_core_folder().parent)
     environment["PYTHONIOENCODING"] = "utf-8"
     if bytecode is None:
@@ -77,11 +77,10 @@ def _core_folder() -> Path:
     return Path(__file__).resolve().parents[1]
 
 
-def _core_is_among_packages() -> bool:
-    """Whether the Python that runs here finds handfit_core by its own path. Where it does not, the launcher
-    has started it with packages of its own, which those beside handfit_core must not shadow."""
-    folder = _core_folder().parent
-    return any(Path(path).resolve() == folder for path in sys.path)
+def _is_alone() -> bool:
+    """Whether the launcher has brought handfit_core to the Python that runs here, which has packages of its
+    own: those beside handfit_core must not shadow them."""
+    return getattr(sys.modules["handfit_core"], "brought_by_launcher", False)
 
 
 def _plain(python: str) -> str:

@@ -24,6 +24,7 @@ def main():
         print(json.dumps({"event": "unfit", "python": platform.python_version()}))
         return EXIT_UNFIT
     import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
+    setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010
     from handfit_core.__main__ import main as run
 
     return run(sys.argv[1:])

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -32,6 +32,9 @@ MOST: Final = 8
 
 _PAUSE: Final = 0.02
 """seconds between two looks at the other processes, where this one has nothing to do"""
+
+_GRACE: Final = 1.0
+"""seconds that they get to tell what they have, where everything is stopped"""
 
 
 def shared(
@@ -101,19 +104,42 @@ class _Shared:
         with ExitStack() as opened:
             for helper in self._helpers:
                 opened.enter_context(helper.worker)
-            self._look_around(0)
+            self._start()
             while not self._should_stop():
                 if (index := self._taken()) is not None:
                     self._take(index, self._detector.stretch(index, self._look_around, self._should_stop))
-                elif self._again or any(helper.stretch is not None for helper in self._helpers):
+                elif self._again or self._busy():
                     self._look_around(0)
                     time.sleep(_PAUSE)
                 else:
                     break
+            self._stop()
         found = []
         while len(found) in self._found and (not found or len(found[-1].numbers) == STRETCH):
             found.append(self._found[len(found)])
         return [stretch for stretch in found if stretch.numbers]
+
+    def _start(self) -> None:
+        """Have the processes load what they need, while this one is at the first stretch."""
+        for helper in list(self._helpers):
+            try:
+                helper.worker.start()
+            except WorkerError as error:
+                self._lost(helper, error)
+
+    def _stop(self) -> None:
+        """Have those that are still at something give what they have."""
+        for helper in self._busy():
+            helper.worker.cancel(helper.request)
+        end = time.monotonic() + _GRACE
+        while self._busy() and time.monotonic() < end:
+            for helper in self._busy():
+                with suppress(HandfitError):
+                    self._hear(helper)
+            time.sleep(_PAUSE)
+
+    def _busy(self) -> list[_Helper]:
+        return [helper for helper in self._helpers if helper.stretch is not None]
 
     def _taken(self, *, most: int | None = None) -> int | None:
         """The next stretch that nobody is at; None: there is none, or none below `most`."""

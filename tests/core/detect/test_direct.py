@@ -20,7 +20,7 @@ from handfit_core.detection import find_in_frame
 from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import read_picture
-from handfit_core.options import CaptureOptions
+from handfit_core.options import CaptureOptions, Region
 from handfit_core.skeleton import other_side
 from tests.conftest import ROOT
 
@@ -343,7 +343,9 @@ def test_chosen_hands_and_no_others_are_captured(tmp_path: Path) -> None:
         (same,) = [t for t in take.hands if np.allclose(t.keypoints_2d[0], hand.keypoints_2d, atol=1e-3)]
         assert same.side == side
     # A box that was drawn by hand about another place is one more look.
-    _, shown = find_in_frame(photo, CaptureOptions(regions=(box_around(hands[0]),), only_regions=True))
+    _, shown = find_in_frame(
+        photo, CaptureOptions(regions=(Region.of(box_around(hands[0])),), only_regions=True)
+    )
     assert [distance(hand, hands[0]) < 0.06 for hand in shown] == [True]
 
 
@@ -351,7 +353,7 @@ def test_where_no_region_has_a_hand_nothing_is_captured() -> None:
     photo = SAMPLE / "hand.0007.jpg"
     with pytest.raises(NoHandFoundError, match="not in the region that was drawn either"):
         capture(photo, regions=[(1, 1, 40, 40)], only_regions=True)
-    assert find_in_frame(photo, CaptureOptions(regions=((1, 1, 40, 40),), only_regions=True))[1] == ()
+    assert find_in_frame(photo, CaptureOptions(regions=(Region(1, 1, 40, 40),), only_regions=True))[1] == ()
     with pytest.raises(OptionError, match="give a region"):
         capture(photo, only_regions=True)
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import handfit_core
 from handfit_core.errors import InputError
 from handfit_core.worker import interpreter
 from handfit_core.worker.client import Worker
-from handfit_core.worker.interpreter import find_python, runs_here, worker_environment
+from handfit_core.worker.interpreter import find_python, runs_here, worker_command, worker_environment
 from handfit_core.worker.runner import WorkerError
 from tests.conftest import ROOT
 
@@ -119,6 +120,12 @@ def test_only_handfit_core_comes_from_the_shared_folder(shared_folder, own_pytho
     assert "of another Python" not in done["report"]
     assert f"numpy: {np.__version__}: ok" in done["report"]
     assert "mein Python für Hände" in done["report"].splitlines()[1]
+
+
+def test_a_worker_of_the_users_own_python_starts_others_like_itself(monkeypatch):
+    monkeypatch.setattr(handfit_core, "brought_by_launcher", True, raising=False)
+    assert "PYTHONPATH" not in worker_environment(sys.executable)
+    assert "launch.py" in worker_command(sys.executable)[-2]
 
 
 def test_blenders_own_python_takes_what_lies_in_the_shared_folder(shared_folder):

@@ -1,0 +1,247 @@
+"""A clip in stretches: joined without a seam, the same from any number of processes."""
+
+import logging
+import os
+import signal
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.detect import stretches
+from handfit_core.detect.cuts import Glance
+from handfit_core.detect.detector import Detected
+from handfit_core.detection import detect_frames
+from handfit_core.errors import InputError
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
+from handfit_core.media.pictures import read_picture
+from handfit_core.options import CaptureOptions
+from handfit_core.worker import sharing
+from handfit_core.worker.client import Worker
+from tests.conftest import ROOT
+
+SAMPLE = ROOT / "samples" / "rendered_hand"
+
+pytestmark = pytest.mark.usefixtures("landmark_model")
+
+
+def picture(number: int) -> np.ndarray:
+    """(480, 640, 3) uint8 RGB of the 24 of the sample, and back again."""
+    number %= 46
+    return read_picture(SAMPLE / f"hand.{1 + min(number, 46 - number):04}.jpg")[0]
+
+
+def plain(rgb: np.ndarray) -> np.ndarray:
+    """The picture's colours without a hand."""
+    return np.broadcast_to(rgb.mean(axis=(0, 1)).astype(np.uint8), rgb.shape)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """210 frames: a hand that stays, and its mirror image beside it, which is not always there."""
+    path = tmp_path_factory.mktemp("clip") / "two.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (960, 360))
+    for i in range(210):
+        rgb = picture(i)
+        beside = rgb[:, ::-1] if 40 <= i < 80 or 90 <= i < 150 else plain(rgb)
+        frame = cv2.resize(np.hstack([rgb, beside]), (960, 360), interpolation=cv2.INTER_AREA)
+        writer.write(frame[..., ::-1].copy())
+    writer.release()
+    return path
+
+
+def hands_of(found: Detected) -> list[tuple[np.ndarray, ...]]:
+    """All that is known of all hands."""
+    return [
+        (
+            hand.keypoints,
+            hand.world,
+            np.array([hand.score, hand.right_side, hand.side == "left"], dtype=float),
+        )
+        for frame in found.frames
+        for hand in frame
+    ]
+
+
+def same(a: Detected, b: Detected) -> bool:
+    """Bit for bit."""
+    pairs = zip(hands_of(a), hands_of(b), strict=True)
+    counts = [[len(frame) for frame in found.frames] for found in (a, b)]
+    equal = all(np.array_equal(x, y, equal_nan=True) for hand in pairs for x, y in zip(*hand, strict=True))
+    return equal and counts[0] == counts[1] and a.numbers == b.numbers and a.most_seen == b.most_seen
+
+
+@pytest.fixture(scope="module")
+def alone(clip: Path) -> Detected:
+    return detect_frames(open_media(clip), CaptureOptions(processes=1))
+
+
+def test_hands_go_on_over_the_ends_of_stretches(alone: Detected) -> None:
+    counts = np.array([len(frame) for frame in alone.frames])
+    assert counts.min() == 1
+    there = np.array([40 <= i < 80 or 90 <= i < 150 for i in range(210)])
+    assert (counts == 1 + there).mean() > 0.97
+    assert alone.cuts == ()
+    assert alone.most_seen == 2
+
+
+@pytest.mark.parametrize("processes", [2, 3])
+def test_any_number_of_processes_finds_the_same(clip: Path, alone: Detected, processes: int) -> None:
+    told: list[int] = []
+    found = detect_frames(open_media(clip), CaptureOptions(processes=processes), told.append)
+    assert same(found, alone)
+    assert told == sorted(set(told))
+    assert told[-1] == 210
+
+
+def test_a_part_of_the_frames(clip: Path) -> None:
+    options = [CaptureOptions(FrameRange(11, 205, 2), processes=n) for n in (1, 2)]
+    found = [detect_frames(open_media(clip, each.frames), each) for each in options]
+    assert found[0].numbers == list(range(11, 206, 2))
+    assert same(*found)
+
+
+def test_a_stretch_that_sees_less_is_helped_by_its_neighbours(
+    clip: Path, alone: Detected, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Palms are found in the second stretch alone; the others have what is followed from there, as far as
+    that goes, and no farther."""
+    search = stretches.ClipFinder._search
+    monkeypatch.setattr(
+        stretches.ClipFinder, "_search", lambda finder, *given: search(finder, *given) if active else []
+    )
+    stretch = stretches.ClipDetector.stretch
+    active = False
+
+    def only_the_second(detector, index: int, *given):
+        nonlocal active
+        active = index == 1
+        return stretch(detector, index, *given)
+
+    monkeypatch.setattr(stretches.ClipDetector, "stretch", only_the_second)
+    found = detect_frames(open_media(clip), CaptureOptions(processes=1))
+    counts = [len(frame) for frame in found.frames]
+    end = stretches.STRETCH
+    back = end - stretches.LOOK_BACK
+    assert counts[:back] == [0] * back
+    assert counts[back:end] == [1 + (i >= 90) for i in range(back, end)]
+    assert min(counts[end:]) == 1
+
+
+class Killer:
+    """Ends each process that is at one of the stretches, `times` times at most."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, times: int) -> None:
+        self.killed: set[int] = set()
+        hear = sharing._Shared._hear
+
+        def heard(shared: sharing._Shared, helper: sharing._Helper) -> None:
+            hear(shared, helper)
+            pid = helper.worker.pid
+            if helper.stretch == 1 and helper.done and pid and len(self.killed | {pid}) <= times:
+                self.killed.add(pid)
+                os.kill(pid, signal.SIGKILL)
+
+        monkeypatch.setattr(sharing._Shared, "_hear", heard)
+
+
+@pytest.fixture
+def the_other_takes_stretch_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This process is never faster there."""
+    taken = sharing._Shared._taken
+
+    def later(shared: sharing._Shared, *, most: int | None = None) -> int | None:
+        waits = most is None and shared._next == 1 and bool(shared._helpers)
+        return None if waits else taken(shared, most=most)
+
+    monkeypatch.setattr(sharing._Shared, "_taken", later)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no signals")
+@pytest.mark.usefixtures("the_other_takes_stretch_1")
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_process_that_dies(
+    clip: Path,
+    alone: Detected,
+    times: int,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    killer = Killer(monkeypatch, times)
+    with caplog.at_level(logging.WARNING, "handfit"):
+        found = detect_frames(open_media(clip), CaptureOptions(processes=2))
+    assert len(killer.killed) == times
+    said = [record.getMessage() for record in caplog.records]
+    if times == 1:
+        assert same(found, alone)
+        assert said == []
+    else:
+        assert found.numbers == alone.numbers
+        assert len(said) == 1
+        assert said[0].startswith("frames 97 to 192 count as not seen: the process that looked at them ended")
+
+
+def test_where_no_other_process_starts_this_one_does_it(
+    clip: Path, alone: Detected, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sharing, "Worker", lambda _, threads: Worker("/nowhere/python", threads))
+    assert same(detect_frames(open_media(clip), CaptureOptions(processes=2)), alone)
+
+
+def test_what_goes_wrong_in_another_process_is_told_here(tmp_path: Path) -> None:
+    for i in range(200):
+        cv2.imwrite(
+            str(tmp_path / f"a.{i:04}.png"), np.zeros((64, 48 if i == 150 else 64, 3), dtype=np.uint8)
+        )
+    with pytest.raises(InputError, match=r"a\.0150\.png: is 48x64 pixels"):
+        detect_frames(open_media(tmp_path), CaptureOptions(processes=3))
+
+
+def test_stopping_keeps_what_has_no_gap(clip: Path, alone: Detected) -> None:
+    stopped = False
+
+    def on_frame(done: int) -> None:
+        nonlocal stopped
+        stopped = done > 120
+
+    found = detect_frames(open_media(clip), CaptureOptions(processes=2), on_frame, lambda: stopped)
+    assert found.numbers == list(range(1, len(found.numbers) + 1))
+    assert 0 < len(found.numbers) < 210
+    assert len(found.frames) == len(found.numbers)
+    assert np.array_equal(found.frames[0][0].keypoints, alone.frames[0][0].keypoints)
+
+
+def test_another_shot_starts_anew(tmp_path: Path) -> None:
+    """The hand is where one was before, and nobody follows it there."""
+    other = cv2.imread(str(SAMPLE / "hand.0001.jpg"))
+    assert other is not None
+    shots = [picture(0)[..., ::-1]] * 6, [255 - other[::-1]] * 5, [picture(3)[:, ::-1, ::-1]] * 6
+    for i, bgr in enumerate(frame for shot in shots for frame in shot):
+        cv2.imwrite(str(tmp_path / f"a.{i:04}.png"), bgr)
+    found = detect_frames(open_media(tmp_path), CaptureOptions(processes=1))
+    assert found.cuts == (6, 11)
+    assert [len(hands) for hands in found.frames[:6]] == [1] * 6
+    assert [len(hands) for hands in found.frames[11:]] == [1] * 6
+
+
+def test_motion_and_light_are_no_cuts() -> None:
+    looks = [Glance.at(picture(number)) for number in range(24)]
+    assert not any(b.is_cut_from(a) for a, b in pairwise(looks))
+    assert not Glance.at(np.clip(picture(1) * 1.5 + 30, 0, 255).astype(np.uint8)).is_cut_from(looks[0])
+    assert Glance.at(255 - picture(1)).is_cut_from(looks[0])
+
+
+@pytest.mark.parametrize(
+    ("asked", "frames", "expected"), [(1, 1000, 1), (5, 1000, 5), (5, 100, 2), (5, 96, 1), (3, 0, 3)]
+)
+def test_how_many_processes(asked: int, frames: int, expected: int) -> None:
+    assert sharing.usable_processes(asked, frames) == expected
+
+
+def test_all_cores_but_one_help_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    for cores, expected in ((1, 1), (2, 1), (5, 4), (64, sharing.MOST)):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: range(cores), raising=False)
+        assert sharing.usable_processes(None, 10_000) == expected
