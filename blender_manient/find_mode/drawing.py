@@ -24,6 +24,7 @@ from ..keypoint_mode.drawing import (
     tag_box,
 )
 from ..screen import Box, draw_shape, draw_texture, ui_scale
+from ..section import wrapped
 from .choice import Found, Sight
 
 CHOSEN_COLOR: Final = (0.10, 0.38, 0.80)
@@ -122,8 +123,11 @@ def draw(scene: Scene, size: tuple[int, int]) -> None:
         for button in scene.buttons:
             _draw_button(button, scene, scale)
         if scene.text:
-            box = tag_box(scene.text, scene.free[0], scene.free[3] - 26.0 * scale, scale)
-            draw_tag(scene.text, box, (*DARK, 0.85), DOUBT_COLOR if scene.warning else WRIST_COLOR, scale)
+            left, _, right, top = scene.free
+            tag_box("", left, top, scale)
+            for number, line in enumerate(wrapped(scene.text, right - left - 12.0 * scale)):
+                box = tag_box(line, left, top - (26.0 + 20.0 * number) * scale, scale)
+                draw_tag(line, box, (*DARK, 0.85), DOUBT_COLOR if scene.warning else WRIST_COLOR, scale)
     finally:
         gpu.state.blend_set("NONE")
 

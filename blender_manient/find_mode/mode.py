@@ -141,6 +141,7 @@ class FindMode:
             for look in list(self._looks):
                 if (found := shared_worker.answer(look.request)) is not None:
                     self._looks.remove(look)
+                    self.message = ""
                     self._looked(look.box, found["hands"])
                     screen.redraw("VIEW_3D")
         except (HandfitError, RuntimeError) as error:
@@ -196,7 +197,7 @@ class FindMode:
         if self.pressed and self.pressed != "side":
             return self.pressed
         if self.hovered is not None:
-            self.message = ""
+            self.message, self.nothing_there = "", False
             (self.choice.turn if self.pressed == "side" else self.choice.toggle)(self.hovered)
         return ""
 
@@ -241,8 +242,9 @@ class FindMode:
             return NOTHING_THERE, True
         if not self.choice.hands:
             return "No hand was found: drag a box around one that you see", True
+        where = "" if self.source.frame is None else f"Frame {self.source.frame}: "
         found, chosen = counted(len(self.choice.hands), "hand"), len(self.choice.chosen)
-        return f"{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
+        return f"{where}{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
 
     def _draw(self) -> None:
         context = bpy.context

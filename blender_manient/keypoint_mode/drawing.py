@@ -138,7 +138,8 @@ def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float)
 
 
 def tag_box(text: str, x: float, y: float, scale: float) -> Box:
-    """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region."""
+    """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region. Sets the font's
+    size."""
     blf.size(0, LETTERS * scale)
     return (x, y, x + blf.dimensions(0, text)[0] + 12.0 * scale, y + 20.0 * scale)
 
