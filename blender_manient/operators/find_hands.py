@@ -204,7 +204,9 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A hand that is chosen."""
+        """A hand that is chosen, and an end of the search."""
+        if mode.current is not None and mode.current.busy:
+            return "The worker is still looking: wait a moment"
         chosen = mode.current is not None and mode.current.choice.chosen
         return None if chosen else "No hand is chosen: click one in the picture"
 
@@ -213,7 +215,8 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
         """Queue the capture; the mode finds out with its next event."""
         capture_chosen(context)
         unregister()
-        return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+        bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+        return {"FINISHED"}
 
 
 def capture_chosen(context: bpy.types.Context) -> None:
