@@ -117,6 +117,8 @@ def begun(stage, source):
     bpy.context.scene.manient.source = source
     yield 0.5
     yield from stage.invoke("manient.find_hands")
+    yield from stage.until(lambda: mode() is not None and mode().sight is not None, FOUND, "the picture")
+    stage.screenshot_now("find-waiting")
     yield from found(stage)
 
 
