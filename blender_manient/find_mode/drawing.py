@@ -167,8 +167,8 @@ def _draw_button(button: Button, scene: Scene, scale: float) -> None:
     strong = button.name in ("capture", "add") if hand is None else hand.chosen
     fill, shade = np.array(CHOSEN_COLOR if strong else DARK), PIN_COLOR if strong or under else LEFT_OUT_COLOR
     if hand is None:
-        draw_tag(f"   {button.text}   ", button.box, (*(fill + 0.15 * under), 0.92), shade, 1.2 * scale)
+        draw_tag(f"   {button.text}   ", button.box, (*(fill + 0.15 * under), 1.0), shade, 1.2 * scale)
     else:
-        draw_tag(button.text, button.box, (*(fill + 0.15 * under), 0.92), shade, scale)
+        draw_tag(button.text, button.box, (*(fill + 0.15 * under), 1.0), shade, scale)
     if hand is None or under:
         frame_box(button.box, (*shade, 0.6), scale)

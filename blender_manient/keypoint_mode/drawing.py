@@ -148,6 +148,7 @@ def draw_tag(text: str, box: Box, fill: tuple[float, ...], shade: tuple[float, .
     """Draw a tag: a text on a ground of its own, which is read over any picture."""
     fill_box(box, fill)
     write(text, box[0] + 6.0 * scale, box[1] + 5.5 * scale, shade, scale)
+    gpu.state.blend_set("ALPHA")  # which writing ends
 
 
 def fill_box(box: Box, fill: tuple[float, ...]) -> None:
