@@ -60,8 +60,10 @@ def test_a_crowd_is_built_only_after_it_was_asked_for(blender, four_hands):
     assert played["then"] == 3
 
 
-def test_a_frame_of_a_clip_is_shown_and_left(blender, make_clip):
+def test_a_frame_of_a_clip_is_shown_and_its_hand_is_followed_both_ways(blender, make_clip):
     played = blender.play("finding.of_a_frame", source=make_clip(60), frame=30, timeout=300).value
     assert played["frame"] == 30
     assert played["zoomed"] < 2
     assert played["jobs"] == 0
+    (hand,) = played["hands"]
+    assert (hand["side"], hand["frames"], hand["detected"]) == ("left", 60, 60)

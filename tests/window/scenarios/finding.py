@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenarios.capturing import done, finish, hands, jobs, part
+from scenarios.capturing import done, finish, hands, jobs, part, summary
 
 HER_LEFT_HAND = (60, 885, 200, 135)
 """x, y, width and height in pixels of samples/mona_lisa"""
@@ -90,7 +90,8 @@ def crowded(stage, source, most):
 
 
 def of_a_frame(stage, source, frame):
-    """The scene's frame of a clip; zoomed in and out, and left by Esc."""
+    """The scene's frame of a clip; zoomed in and out, and left by Esc. Then its hand is turned and the clip
+    captured."""
     yield from stage.open_sidebar()
     bpy.context.scene.manient.source = source
     bpy.context.scene.frame_set(frame)
@@ -109,7 +110,12 @@ def of_a_frame(stage, source, frame):
     yield from stage.key("HOME")
     yield from stage.key("ESC")
     yield from stage.until(lambda: part("find_mode.mode").current is None, 5.0, "the mode to end")
-    return {"frame": shown, "zoomed": zoomed, "jobs": len(jobs())}
+    answer = {"frame": shown, "zoomed": zoomed, "jobs": len(jobs())}
+    yield from begun(stage, source)
+    yield from stage.move_to(over(mode().choice.hands[0]))
+    yield from stage.key("S")
+    answer |= yield from captured(stage, "find-clip-captured")
+    return {**answer, "hands": summary()}
 
 
 def begun(stage, source):
