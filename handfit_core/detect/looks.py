@@ -77,6 +77,14 @@ def mean_of(hands: Sequence[HandDetection]) -> HandDetection:
     )
 
 
+def shrunk(rgb: np.ndarray, across: int, down: int) -> np.ndarray:
+    """A picture (H, W, 3) uint8 with the means of blocks of so many pixels; what fills no block is left out."""
+    import cv2
+
+    height, width = rgb.shape[0] // down, rgb.shape[1] // across
+    return cv2.resize(rgb[: height * down, : width * across], (width, height), interpolation=cv2.INTER_AREA)
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """p -> linear @ p + offset takes pixels of the picture to pixels of a square `size` pixels wide.
@@ -128,10 +136,7 @@ class View:
         if half >= 1.5:
             # Linear interpolation would leave out pixels. Averaging whole blocks first is the remedy.
             block = np.minimum(round(half), last - first)
-            small = (last - first) // block
-            used = small * block
-            rgb = cv2.resize(rgb[: used[1], : used[0]], small.tolist(), interpolation=cv2.INTER_AREA)
-            linear = linear * block
+            rgb, linear = shrunk(rgb, *block), linear * block
         # OpenCV counts from the centre of the first pixel.
         centred = offset + linear @ np.array([0.5, 0.5]) - 0.5
         return cv2.warpAffine(
