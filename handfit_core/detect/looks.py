@@ -78,7 +78,7 @@ def mean_of(hands: Sequence[HandDetection]) -> HandDetection:
 
 
 def shrunk(rgb: np.ndarray, across: int, down: int) -> np.ndarray:
-    """A picture (H, W, 3) uint8 with the means of blocks of so many pixels; what fills no block is left out."""
+    """A picture (H, W, 3) uint8 with the means of blocks of so many pixels; less than a block is left out."""
     import cv2
 
     height, width = rgb.shape[0] // down, rgb.shape[1] // across

@@ -44,7 +44,7 @@ PARTS: Final = (1, 2, 3)
 IN_BOX_SPANS: Final = (1.3, 1.8, 2.6)
 AGAIN_SPANS: Final = IN_BOX_SPANS[1:2]
 IN_BOX_TURNS: Final = 12
-"""Crops about a box in which a person sees a hand, and about that of a doubtful one: sides in units of its longer
+"""Crops about a box in which a person sees a hand, and about a doubtful one: sides in units of its longer
 one, and how many turns"""
 
 IN_BOX_PRESENCE: Final = 0.1
@@ -79,8 +79,8 @@ SETTLED: Final = 0.15
 """Landmarks nearer than this, in units of the hand's size, were found already"""
 
 OF_ONE: Final = 0.5
-"""With so many of its points in the box of another one, a doubtful hand of another size is part of that hand, or
-the hand with its forearm"""
+"""With so many of its points in the box of another one, a doubtful hand of another size is part of that hand,
+or the hand with its forearm"""
 OTHER_SIZE: Final = 0.6
 """Of the larger one"""
 DOUBTFUL: Final = (0.1, 0.85)
@@ -98,13 +98,19 @@ OF_PRESENCE, OF_PALM, BIAS = 0.95, 0.75, -1.3
 photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
 OF_AGAIN, EXPECTED_AGAIN = 5.3, 0.25
 OF_FAR, EXPECTED_FAR = 0.5, FIRST_SCORE
-"""Of doubtful ones that logit is moved by the share of crops in which they are found again, and by the logit of
-their palm's best score from farther off; by nothing where both are as expected"""
+"""Of doubtful ones that logit is moved by the share of crops in which they are found again, and by the logit
+of their palm's best score from farther off; by nothing where both are as expected"""
 FAR: Final = 7.0
 """Side of those views in units of the hand's size"""
 FAR_TURNS: Final = (0.6, -0.6)
 """Radians by which they are turned, besides those as the picture is and as the hand"""
 LEAST_FAR: Final = 0.01
+
+NEAR: Final = 8.0
+"""Side of the views about a hand in which others of its size show best, in units of that size"""
+NEAR_TURNS: Final = (0.0, 0.75 * np.pi)
+MOST_NEAR: Final = 4
+"""Hands about which others are looked for"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +181,10 @@ class Search:
                 ]
             if views:
                 found = self._with(rgb, self._palms_in(small, views).times(block), found)
+        if len(self._parts) > 1:
+            near = list(self._near([s.hand for s in found if s.certainty >= self._threshold], max(rgb.shape)))
+            if near:
+                found = self._with(rgb, self._palms_in(rgb, near), found)
         return [
             replace(sighting.hand, certainty=sighting.certainty)
             for sighting in self._judged(rgb, found)
@@ -218,6 +228,18 @@ class Search:
                 sighting = replace(sighting, again=self._again(rgb, hand), far=self._far(rgb, hand))
             kept.append(sighting)
         return sorted(kept, key=lambda s: s.certainty, reverse=True)
+
+    def _near(self, hands: Sequence[HandDetection], longer: int) -> Iterator[View]:
+        """Views about the first hands in which others of about their size would be seen, in a picture with
+        that longer side: of a pair, the second often has a palm that no tile of a chosen size shows."""
+        shown: list[tuple[np.ndarray, float]] = []
+        for hand in hands:
+            centre, span = hand.keypoints_2d.mean(axis=0), NEAR * hand.extent
+            again = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in shown)
+            if not again and span < WHOLE[-1][0] * longer and len(shown) < MOST_NEAR:
+                shown.append((centre, span))
+                for turn in NEAR_TURNS:
+                    yield View.of_square(centre, span, PALM_SIZE, turn=turn)
 
     def _again(self, rgb: np.ndarray, hand: HandDetection) -> float:
         """In which part of the crops about a hand it is found again."""
