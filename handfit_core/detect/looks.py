@@ -24,6 +24,13 @@ ITS_BOX = 0.9
 SAME_HAND = 0.25
 """Two detections of one picture nearer than this (see `distance`) are looks at one hand."""
 
+OF_ONE = 0.5
+"""With so many of the smaller one's points in the box of the other, two detections may be a hand and its
+part, or a hand and the same with its forearm."""
+
+OTHER_SIZE = 0.6
+"""Then the smaller one has less than this part of the other's size."""
+
 
 def distance(a: HandDetection, b: HandDetection, moved: np.ndarray | float = 0.0) -> float:
     """Mean keypoint distance in the picture, in units of the hands' size, once `a` has `moved` by (2,)
@@ -40,6 +47,14 @@ def same_hand(a: HandDetection, b: HandDetection) -> bool:
     if float(np.linalg.norm(apart)) < SAME_PALM * max(a.extent, b.extent):
         return True
     return _shared(a.keypoints_2d, b.keypoints_2d) > SAME_BOX
+
+
+def of_one(a: HandDetection, b: HandDetection) -> bool:
+    """Whether two detections of different size may be a hand and what is part of it."""
+    small, large = sorted((a, b), key=lambda hand: hand.extent)
+    low, high = large.keypoints_2d.min(axis=0), large.keypoints_2d.max(axis=0)
+    inside = ((small.keypoints_2d >= low) & (small.keypoints_2d <= high)).all(axis=-1)
+    return small.extent < OTHER_SIZE * large.extent and float(inside.mean()) > OF_ONE
 
 
 def hand_of_box(hands: Iterable[HandDetection], box: Sequence[float]) -> HandDetection | None:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, mean_of, same_hand, shrunk
+from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand, shrunk
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Look, Networks, Palms, view_of
 
 FIRST_SCORE: Final = 0.05
@@ -72,17 +72,12 @@ LEAST_TILE: Final = 96
 SEEN_AT: Final = 8
 """The palm network sees hands from this part of its picture's side upwards"""
 
-SIZES_APART: Final = 4
+SIZES_APART: Final = 2.5
 """Hands of one picture are not expected to differ more than so many times in size"""
 
 SETTLED: Final = 0.15
 """Landmarks nearer than this, in units of the hand's size, were found already"""
 
-OF_ONE: Final = 0.5
-"""With so many of its points in the box of another one, a doubtful hand of another size is part of that hand,
-or the hand with its forearm"""
-OTHER_SIZE: Final = 0.6
-"""Of the larger one"""
 DOUBTFUL: Final = (0.1, 0.85)
 """Certainties between which a hand is looked for again from all sides"""
 
@@ -223,7 +218,7 @@ class Search:
         for sighting in found:
             if self._looks == ALL_LOOKS and DOUBTFUL[0] < sighting.certainty < DOUBTFUL[1]:
                 hand = sighting.hand
-                if any(_of_one(hand, s.hand) for s in kept if s.certainty >= self._threshold):
+                if any(of_one(hand, s.hand) for s in kept if s.certainty >= self._threshold):
                     continue
                 sighting = replace(sighting, again=self._again(rgb, hand), far=self._far(rgb, hand))
             kept.append(sighting)
@@ -303,21 +298,13 @@ class Search:
 
     def _sighted(self, rgb: np.ndarray, settled: Look, palm: float) -> Sighting:
         """The mean of several looks at a hand that was found through a palm of that score."""
-        looks = [settled]
+        looks, seen = [settled], Sighting(settled.hand, settled.presence, palm)
         for view in islice(around(settled.hand.keypoints), 1, self._looks):
             looks.append(self._networks.look(rgb, view))
-            seen = Sighting(settled.hand, float(np.mean([look.presence for look in looks])), palm)
+            seen = replace(seen, presence=float(np.mean([look.presence for look in looks])))
             if len(looks) == FEW_LOOKS and seen.certainty < HARDLY:
                 break
         return replace(seen, hand=mean_of([look.hand for look in looks]))
-
-
-def _of_one(a: HandDetection, b: HandDetection) -> bool:
-    """Whether one of two hands of different size lies in the other."""
-    small, large = sorted((a, b), key=lambda hand: hand.extent)
-    low, high = large.keypoints_2d.min(axis=0), large.keypoints_2d.max(axis=0)
-    inside = ((small.keypoints_2d >= low) & (small.keypoints_2d <= high)).all(axis=-1)
-    return small.extent < OTHER_SIZE * large.extent and float(inside.mean()) > OF_ONE
 
 
 def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:

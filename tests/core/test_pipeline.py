@@ -384,7 +384,7 @@ def test_public_names() -> None:
 @pytest.mark.parametrize(
     ("photo", "sides"),
     [
-        ("mona_lisa.jpg", ["right"]),
+        ("mona_lisa.jpg", ["right", "left"]),
         ("pinky_out.jpg", ["right"]),
         ("thumb_up.jpg", ["left"]),
         ("thumbs_up.png", ["right"]),

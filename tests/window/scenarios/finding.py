@@ -7,8 +7,8 @@ import numpy as np
 
 from scenarios.capturing import done, finish, hands, jobs, part, summary
 
-HER_LEFT_HAND = (60, 885, 200, 135)
-"""x, y, width and height in pixels of samples/mona_lisa"""
+HER_LEFT_HAND = (2, 210, 398, 268)
+"""x, y, width and height in pixels of the painting's hands, close up"""
 FOUND = 120.0
 """seconds that a cold worker may take to find the hands of a picture"""
 
