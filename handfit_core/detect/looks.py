@@ -18,7 +18,7 @@ SAME_PALM = 0.25
 SAME_BOX = 0.5
 """So are those whose boxes share more than this part of what they cover together."""
 
-ITS_BOX = 0.9
+ITS_BOX = 0.97
 """A box that shares more than this part with that of a hand's points was drawn about that very hand."""
 
 SAME_HAND = 0.25

@@ -7,8 +7,8 @@ import numpy as np
 
 from scenarios.capturing import done, finish, hands, jobs, part, summary
 
-HER_LEFT_HAND = (2, 210, 398, 268)
-"""x, y, width and height in pixels of the painting's hands, close up"""
+HER_LEFT_HAND = (60, 885, 200, 135)
+"""x, y, width and height in pixels of samples/mona_lisa"""
 FOUND = 120.0
 """seconds that a cold worker may take to find the hands of a picture"""
 
@@ -43,13 +43,12 @@ def chosen(stage, source):
 
 
 def boxed_hand(stage, source):
-    """A hand that is not found by itself is found in a box that is dragged around it, and both are
-    captured."""
+    """At a threshold that no hand reaches, one is found in a box that is dragged around it, and captured."""
     yield from stage.open_sidebar()
+    bpy.context.scene.manient.threshold = 1.0
     yield from begun(stage, source)
-    answer = {"found": described()}
-    x, y, width, height = HER_LEFT_HAND
-    yield from boxed(stage, (x, y), (x + width, y + height), shot="find-box")
+    answer = {"found": described(), "line": mode().line()[0]}
+    yield from boxed_around(stage, HER_LEFT_HAND, shot="find-box")
     answer["with_box"] = described()
     return {**answer, **(yield from captured(stage, "find-box-captured"))}
 
@@ -166,6 +165,11 @@ def tag_of(hand) -> tuple[float, float]:
     there = viewport()
     (box,) = [b.box for b in mode().buttons(there) if b.hand is hand]
     return (box[0] + box[2]) / 2 + there.region.x, (box[1] + box[3]) / 2 + there.region.y
+
+
+def boxed_around(stage, box, shot=""):
+    """Drag a box (x, y, width, height) of the picture."""
+    yield from boxed(stage, box[:2], np.add(box[:2], box[2:]), shot)
 
 
 def boxed(stage, start, stop, shot=""):
