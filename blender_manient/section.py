@@ -36,7 +36,7 @@ def sentence(
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    for number, line in enumerate(_wrapped(context, text, width)):
+    for number, line in enumerate(wrapped(text, _room(context, width))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
 
 
@@ -63,9 +63,8 @@ def _room(context: bpy.types.Context, width: int | None) -> float:
     return (context.region.width if context.region else 300) - _BESIDE * scale
 
 
-def _wrapped(context: bpy.types.Context, text: str, width: int | None) -> list[str]:
-    """The text's lines as wide as a label beside an icon has room for."""
-    room = _room(context, width)
+def wrapped(text: str, room: float) -> list[str]:
+    """The text's lines that have room in so many pixels, in the font's present size."""
     lines, line = [], ""
     for word in text.split():
         longer = f"{line} {word}" if line else word

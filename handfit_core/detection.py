@@ -107,13 +107,15 @@ def _in_stretches(
 def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, tuple[HandDetection, ...]]:
     """The first used frame of a source, and all its hands, the surest first: what somebody can choose from.
 
-    Hands of `regions` are among them; with `only_regions` they are all. Raises what `capture` raises before
-    it fits, but for NoHandFoundError: there may be none.
+    Hands of `regions` are among them; with `only_regions` they are all, and without regions none is looked
+    for. Raises what `capture` raises before it fits, but for NoHandFoundError: there may be none.
     """
     media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
     frame = next(media.frames(), None)
     if frame is None or frame.rgb is None:
         raise InputError(f"{media.source.files[0]}: this frame could not be read; choose another one")
+    if options.only_regions and not options.regions:
+        return frame, ()
     options = replace(options, max_hands=None)
     with DETECTORS.blamed(options.detector), open_detector(options) as detector:
         found = () if options.only_regions else detector.find(frame.rgb, frame.time)

@@ -79,6 +79,7 @@ _ARRAYS: Final[dict[str, _Array]] = {
     "world_landmarks": _Array((21, 3), optional=True),
     "right_side": _Array(finite="none", optional=True),
     "other_side": _Array(kind="b", optional=True),
+    "placed": _Array((21, 2), finite="none", optional=True),
 }
 """A hand's arrays in a take's file, by the names of HandTrack's fields"""
 
@@ -87,9 +88,9 @@ _ARRAYS: Final[dict[str, _Array]] = {
 class HandTrack:
     """One hand over a take's T frames.
 
-    Float arrays hold NaN in the frames where neither `detected` nor `filled` is True; what the detector found
-    (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`, `world_landmarks`, `right_side`) also
-    where only `filled` is.
+    Float arrays but `placed` hold NaN in the frames where neither `detected` nor `filled` is True; what the
+    detector found (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`, `world_landmarks`,
+    `right_side`) also where only `filled` is.
 
     Model parameters are MANO's: axis-angle in radians relative to the flat hand (hands_mean is not
     added), root rotation about the wrist joint, camera frame (x right, y down, z forward), metres.
@@ -127,6 +128,8 @@ class HandTrack:
     """(T,) probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
     other_side: np.ndarray | None = None
     """(T,) bool: frames in which the detector named the other side; None: in none"""
+    placed: np.ndarray | None = None
+    """(T, 21, 2) pixels: where a person has put points; NaN: not a person's; None: none is"""
 
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
@@ -158,6 +161,11 @@ class HandTrack:
             np.abs(array) > expected.largest
         ):  # NaN is not, and is how frames without a hand are marked
             raise TakeError(f"the {self.side} hand's {name} holds numbers beyond {expected.largest:g}")
+
+    @property
+    def added(self) -> bool:
+        """Whether a person laid it into the picture: nothing of it was ever detected."""
+        return self.placed is not None and not self.detected.any()
 
     @property
     def refinable(self) -> bool:

@@ -27,7 +27,7 @@ SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PICTURES = ("empty", "capturing", "captured", "keypoints", "find", "found")
+PICTURES = ("empty", "capturing", "captured", "keypoints", "find", "box")
 
 
 def main() -> int:

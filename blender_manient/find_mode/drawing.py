@@ -24,6 +24,7 @@ from ..keypoint_mode.drawing import (
     tag_box,
 )
 from ..screen import Box, draw_shape, draw_texture, ui_scale
+from ..section import wrapped
 from .choice import Found, Sight
 
 CHOSEN_COLOR: Final = (0.10, 0.38, 0.80)
@@ -122,8 +123,11 @@ def draw(scene: Scene, size: tuple[int, int]) -> None:
         for button in scene.buttons:
             _draw_button(button, scene, scale)
         if scene.text:
-            box = tag_box(scene.text, scene.free[0], scene.free[3] - 26.0 * scale, scale)
-            draw_tag(scene.text, box, (*DARK, 0.85), DOUBT_COLOR if scene.warning else WRIST_COLOR, scale)
+            left, _, right, top = scene.free
+            tag_box("", left, top, scale)
+            for number, line in enumerate(wrapped(scene.text, right - left - 12.0 * scale)):
+                box = tag_box(line, left, top - (26.0 + 20.0 * number) * scale, scale)
+                draw_tag(line, box, (*DARK, 0.85), DOUBT_COLOR if scene.warning else WRIST_COLOR, scale)
     finally:
         gpu.state.blend_set("NONE")
 
@@ -163,8 +167,8 @@ def _draw_button(button: Button, scene: Scene, scale: float) -> None:
     strong = button.name in ("capture", "add") if hand is None else hand.chosen
     fill, shade = np.array(CHOSEN_COLOR if strong else DARK), PIN_COLOR if strong or under else LEFT_OUT_COLOR
     if hand is None:
-        draw_tag(f"   {button.text}   ", button.box, (*(fill + 0.15 * under), 0.92), shade, 1.2 * scale)
+        draw_tag(f"   {button.text}   ", button.box, (*(fill + 0.15 * under), 1.0), shade, 1.2 * scale)
     else:
-        draw_tag(button.text, button.box, (*(fill + 0.15 * under), 0.92), shade, scale)
+        draw_tag(button.text, button.box, (*(fill + 0.15 * under), 1.0), shade, scale)
     if hand is None or under:
         frame_box(button.box, (*shade, 0.6), scale)

@@ -51,12 +51,12 @@ class Source(NamedTuple):
     options: CaptureOptions
 
     def fields(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> dict[str, Any]:
-        """A `find` request's: for all hands, or for the one in a box."""
+        """A `find` request's: for all hands, for the one in a box, or for the `picture` alone."""
         options = replace(
             self.options,
             frames=None if self.frame is None else FrameRange(self.frame, self.frame),
             regions=() if box is None else (Region.of(box),),
-            only_regions=box is not None,
+            only_regions=box is not None or picture is not None,
         )
         fields = {"input": list(self.files), "options": options.to_message()}
         return fields if picture is None else {**fields, "picture": str(picture)}
@@ -93,7 +93,8 @@ class FindMode:
         self._texture: gpu.types.GPUTexture | None = None
         self._looks: list[_Look] = []
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
-        self._request = shared_worker.worker().submit("find", **source.fields(picture=self._picture))
+        self._showing = shared_worker.worker().submit("find", **source.fields(picture=self._picture))
+        self._finding = shared_worker.worker().submit("find", **source.fields())
         self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         viewport.area.tag_redraw()
 
@@ -103,10 +104,7 @@ class FindMode:
             return
         bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
         self._handler, self._texture, self.ended = None, None, True
-        for request in (self._request, *(look.request for look in self._looks)):
-            if request:
-                shared_worker.worker().cancel(request)
-                shared_worker.abandon(request)
+        self._stop_asking()
         self._picture.unlink(missing_ok=True)
         screen.redraw("VIEW_3D")
 
@@ -127,27 +125,38 @@ class FindMode:
     @property
     def busy(self) -> bool:
         """Whether the worker still looks for something."""
-        return bool(self._request or self._looks)
+        return bool(self._showing or self._finding or self._looks)
 
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers."""
         try:
-            if self._request and (found := shared_worker.answer(self._request)) is not None:
-                self._request = 0
+            if self._showing and (found := shared_worker.answer(self._showing)) is not None:
+                self._showing = 0
                 self.sight = Sight((found["width"], found["height"]))
                 self._texture = screen.texture_of(str(self._picture))
+                screen.redraw("VIEW_3D")
+            if self._finding and (found := shared_worker.answer(self._finding)) is not None:
+                self._finding = 0
                 self.choice.show(found["hands"], context.scene.manient.hands)
                 screen.redraw("VIEW_3D")
             for look in list(self._looks):
                 if (found := shared_worker.answer(look.request)) is not None:
                     self._looks.remove(look)
+                    self.message = ""
                     self._looked(look.box, found["hands"])
                     screen.redraw("VIEW_3D")
         except (HandfitError, RuntimeError) as error:
-            self._request, self._looks = 0, []
+            self._stop_asking()
             self.message = capitalised(str(error).strip())
             details.write_details("Find Hands", self.message, getattr(error, "details", "") or "")
             screen.redraw("VIEW_3D")
+
+    def _stop_asking(self) -> None:
+        for request in (self._showing, self._finding, *(look.request for look in self._looks)):
+            if request:
+                shared_worker.worker().cancel(request)
+                shared_worker.abandon(request)
+        self._showing, self._finding, self._looks = 0, 0, []
 
     def look_in(self, corners: np.ndarray) -> None:
         """Have the worker look for a hand in a box with these corners (2, 2), pixels of the picture."""
@@ -196,7 +205,7 @@ class FindMode:
         if self.pressed and self.pressed != "side":
             return self.pressed
         if self.hovered is not None:
-            self.message = ""
+            self.message, self.nothing_there = "", False
             (self.choice.turn if self.pressed == "side" else self.choice.toggle)(self.hovered)
         return ""
 
@@ -235,14 +244,15 @@ class FindMode:
                 return f"{side} hand. Click: make it a {other} hand", False
             click = "leave it out" if self.hovered.chosen else "choose it"
             return f"{side} hand, {self.hovered.certainty:.0%} sure. Click: {click}. X: throw it out", False
-        if self._request:
+        if self._finding:
             return "Looking for hands ...", False
         if self.nothing_there:
             return NOTHING_THERE, True
         if not self.choice.hands:
             return "No hand was found: drag a box around one that you see", True
+        where = "" if self.source.frame is None else f"Frame {self.source.frame}: "
         found, chosen = counted(len(self.choice.hands), "hand"), len(self.choice.chosen)
-        return f"{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
+        return f"{where}{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
 
     def _draw(self) -> None:
         context = bpy.context

@@ -138,7 +138,8 @@ def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float)
 
 
 def tag_box(text: str, x: float, y: float, scale: float) -> Box:
-    """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region."""
+    """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region. Sets the font's
+    size."""
     blf.size(0, LETTERS * scale)
     return (x, y, x + blf.dimensions(0, text)[0] + 12.0 * scale, y + 20.0 * scale)
 
@@ -147,6 +148,7 @@ def draw_tag(text: str, box: Box, fill: tuple[float, ...], shade: tuple[float, .
     """Draw a tag: a text on a ground of its own, which is read over any picture."""
     fill_box(box, fill)
     write(text, box[0] + 6.0 * scale, box[1] + 5.5 * scale, shade, scale)
+    gpu.state.blend_set("ALPHA")  # which writing ends
 
 
 def fill_box(box: Box, fill: tuple[float, ...]) -> None:

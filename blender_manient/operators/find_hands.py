@@ -82,6 +82,8 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         mouse = np.array([event.mouse_x - viewport.region.x, event.mouse_y - viewport.region.y], dtype=float)
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
             return self._moved(now, viewport, mouse, viewport.contains(event.mouse_x, event.mouse_y))
+        if event.type in ("TRACKPADPAN", "TRACKPADZOOM") and now.sight is not None:
+            return self._swiped(now, viewport, mouse, event)
         if event.value == "RELEASE":
             return self._released(context, now, viewport, event)
         if event.value == "PRESS" and viewport.contains(event.mouse_x, event.mouse_y):
@@ -104,6 +106,18 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
             return {"PASS_THROUGH"}
         viewport.area.tag_redraw()
         return {"PASS_THROUGH"}
+
+    def _swiped(self, now, viewport, mouse, event):
+        """Fingers on a trackpad."""
+        by = np.array([event.mouse_x - event.mouse_prev_x, event.mouse_y - event.mouse_prev_y], dtype=float)
+        if not viewport.contains(event.mouse_x, event.mouse_y):
+            return {"PASS_THROUGH"}
+        if event.type == "TRACKPADPAN":
+            now.sight.move(by, now.room(viewport))
+        else:
+            now.sight.zoom(_STEP ** (by[0] / 20.0), now.place(viewport, mouse), now.room(viewport))
+        viewport.area.tag_redraw()
+        return {"RUNNING_MODAL"}
 
     def _released(self, context, now, viewport, event):
         if event.type == "MIDDLEMOUSE" and self._panned is not None:
@@ -156,6 +170,9 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
     def _do(self, context, now, todo):
         """What a button or a key asks for."""
         if todo == "capture":
+            if now.busy:
+                now.message = "The worker is still looking: wait a moment"
+                return {"RUNNING_MODAL"}
             if not now.choice.chosen:
                 now.message = "No hand is chosen: click one, or drag a box around one that you see"
                 return {"RUNNING_MODAL"}
@@ -187,7 +204,9 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A hand that is chosen."""
+        """A hand that is chosen, and an end of the search."""
+        if mode.current is not None and mode.current.busy:
+            return "The worker is still looking: wait a moment"
         chosen = mode.current is not None and mode.current.choice.chosen
         return None if chosen else "No hand is chosen: click one in the picture"
 
@@ -196,7 +215,8 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
         """Queue the capture; the mode finds out with its next event."""
         capture_chosen(context)
         unregister()
-        return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+        bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+        return {"FINISHED"}
 
 
 def capture_chosen(context: bpy.types.Context) -> None:

@@ -18,11 +18,18 @@ SAME_PALM = 0.25
 SAME_BOX = 0.5
 """So are those whose boxes share more than this part of what they cover together."""
 
-ITS_BOX = 0.9
+ITS_BOX = 0.97
 """A box that shares more than this part with that of a hand's points was drawn about that very hand."""
 
 SAME_HAND = 0.25
 """Two detections of one picture nearer than this (see `distance`) are looks at one hand."""
+
+OF_ONE = 0.5
+"""With so many of the smaller one's points in the box of the other, two detections may be a hand and its
+part, or a hand and the same with its forearm."""
+
+OTHER_SIZE = 0.6
+"""Then the smaller one has less than this part of the other's size."""
 
 
 def distance(a: HandDetection, b: HandDetection, moved: np.ndarray | float = 0.0) -> float:
@@ -40,6 +47,14 @@ def same_hand(a: HandDetection, b: HandDetection) -> bool:
     if float(np.linalg.norm(apart)) < SAME_PALM * max(a.extent, b.extent):
         return True
     return _shared(a.keypoints_2d, b.keypoints_2d) > SAME_BOX
+
+
+def of_one(a: HandDetection, b: HandDetection) -> bool:
+    """Whether two detections of different size may be a hand and what is part of it."""
+    small, large = sorted((a, b), key=lambda hand: hand.extent)
+    low, high = large.keypoints_2d.min(axis=0), large.keypoints_2d.max(axis=0)
+    inside = ((small.keypoints_2d >= low) & (small.keypoints_2d <= high)).all(axis=-1)
+    return small.extent < OTHER_SIZE * large.extent and float(inside.mean()) > OF_ONE
 
 
 def hand_of_box(hands: Iterable[HandDetection], box: Sequence[float]) -> HandDetection | None:
@@ -75,6 +90,14 @@ def mean_of(hands: Sequence[HandDetection]) -> HandDetection:
         world=np.mean([hand.world for hand in hands], axis=0),
         spread=keypoints.std(axis=0) if len(hands) > 1 else None,
     )
+
+
+def shrunk(rgb: np.ndarray, across: int, down: int) -> np.ndarray:
+    """A picture (H, W, 3) uint8 with the means of blocks of so many pixels; less than a block is left out."""
+    import cv2
+
+    height, width = rgb.shape[0] // down, rgb.shape[1] // across
+    return cv2.resize(rgb[: height * down, : width * across], (width, height), interpolation=cv2.INTER_AREA)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +151,7 @@ class View:
         if half >= 1.5:
             # Linear interpolation would leave out pixels. Averaging whole blocks first is the remedy.
             block = np.minimum(round(half), last - first)
-            small = (last - first) // block
-            used = small * block
-            rgb = cv2.resize(rgb[: used[1], : used[0]], small.tolist(), interpolation=cv2.INTER_AREA)
-            linear = linear * block
+            rgb, linear = shrunk(rgb, *block), linear * block
         # OpenCV counts from the centre of the first pixel.
         centred = offset + linear @ np.array([0.5, 0.5]) - 0.5
         return cv2.warpAffine(

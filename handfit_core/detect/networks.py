@@ -77,6 +77,10 @@ class Palms:
                 kept.append(i)
         return cls(score[kept], centre[kept], side[kept], points[kept])
 
+    def times(self, factor: float) -> Palms:
+        """The same in a picture so many times as large."""
+        return Palms(self.score, self.centre * factor, self.side * factor, self.points * factor)
+
     def is_of(self, index: int, hand: HandDetection) -> bool:
         """Whether that palm is a hand's."""
         off = self.points[index] - hand.keypoints_2d[_OF_PALM]

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, mean_of, same_hand
-from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, Palms, view_of
+from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand, shrunk
+from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Look, Networks, Palms, view_of
 
 FIRST_SCORE: Final = 0.05
 """Of palms that are looked at: far lower than what is believed"""
@@ -23,18 +23,29 @@ FIRST_WORD: Final = 0.5
 HOPELESS: Final = 0.02
 """Presence at the first look below which there is no second"""
 
-LEAST_PRESENCE: Final = 0.3
+LEAST_PRESENCE: Final = 0.1
 """After the last look, below which there is no hand"""
 
 PASSES: Final = 3
 """Looks from crop to crop, each about the landmarks of the one before"""
 
+STAYS: Final = 0.05
+"""Landmarks that a look moves less than this, in units of the hand's size, need no other look"""
+SURE: Final = 0.9
+"""Presence of looks that agree"""
+
+FEW_LOOKS: Final = 3
+HARDLY: Final = 0.03
+"""After so few looks, what is less sure than this is not looked at any more"""
+
 PARTS: Final = (1, 2, 3)
 """Tiles are so many times smaller than the picture, and half of one lies over the next"""
 
 IN_BOX_SPANS: Final = (1.3, 1.8, 2.6)
+AGAIN_SPANS: Final = IN_BOX_SPANS[1:2]
 IN_BOX_TURNS: Final = 12
-"""Crops about a box in which a person sees a hand: sides in units of its longer one, and how many turns"""
+"""Crops about a box in which a person sees a hand, and about a doubtful one: sides in units of its longer
+one, and how many turns"""
 
 IN_BOX_PRESENCE: Final = 0.1
 """Where a person says that there is a hand, the network need not be sure"""
@@ -61,11 +72,17 @@ LEAST_TILE: Final = 96
 SEEN_AT: Final = 8
 """The palm network sees hands from this part of its picture's side upwards"""
 
-SIZES_APART: Final = 4
+SIZES_APART: Final = 2.5
 """Hands of one picture are not expected to differ more than so many times in size"""
 
 SETTLED: Final = 0.15
 """Landmarks nearer than this, in units of the hand's size, were found already"""
+
+DOUBTFUL: Final = (0.1, 0.85)
+"""Certainties between which a hand is looked for again from all sides"""
+
+ENOUGH: Final = 1152
+"""Pixels a side of a picture in which palms are looked for: tiles of a third need no more"""
 
 TURNS: Final = (0.0, 0.35, -0.35)
 """Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
@@ -74,6 +91,21 @@ ALL_LOOKS: Final = 2 * len(TURNS)
 OF_PRESENCE, OF_PALM, BIAS = 0.95, 0.75, -1.3
 """How sure it is that something is a hand: the logit of that by the logits of presence and palm score. In
 photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
+OF_AGAIN, EXPECTED_AGAIN = 5.3, 0.25
+OF_FAR, EXPECTED_FAR = 0.5, FIRST_SCORE
+"""Of doubtful ones that logit is moved by the share of crops in which they are found again, and by the logit
+of their palm's best score from farther off; by nothing where both are as expected"""
+FAR: Final = 7.0
+"""Side of those views in units of the hand's size"""
+FAR_TURNS: Final = (0.6, -0.6)
+"""Radians by which they are turned, besides those as the picture is and as the hand"""
+LEAST_FAR: Final = 0.01
+
+NEAR: Final = 8.0
+"""Side of the views about a hand in which others of its size show best, in units of that size"""
+NEAR_TURNS: Final = (0.0, 0.75 * np.pi)
+MOST_NEAR: Final = 4
+"""Hands about which others are looked for"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +117,17 @@ class Sighting:
     """How likely the landmark network takes it for a hand, on average over the looks, 0..1"""
     palm: float
     """The best score of its palm, 0..1"""
+    again: float = EXPECTED_AGAIN
+    """In which part of the crops about it, turned all around, it was found again"""
+    far: float = EXPECTED_FAR
+    """The best score of its palm in views that show much around it, 0..1"""
 
     @property
     def certainty(self) -> float:
         """How sure it is that this is a hand, 0..1."""
         logit = OF_PRESENCE * _logit(self.presence) + OF_PALM * _logit(self.palm) + BIAS
+        logit += OF_AGAIN * (self.again - EXPECTED_AGAIN)
+        logit += OF_FAR * (_logit(self.far) - _logit(EXPECTED_FAR))
         return float(1.0 / (1.0 + np.exp(-logit)))
 
 
@@ -121,11 +159,13 @@ class Search:
 
     def every_hand(self, rgb: np.ndarray) -> list[HandDetection]:
         """The hands of a picture (H, W, 3) uint8 RGB, the surest first."""
-        height, width = rgb.shape[:2]
+        block = max(1, max(rgb.shape[:2]) // ENOUGH)
+        small = shrunk(rgb, block, block)
+        height, width = small.shape[:2]
         found: list[Sighting] = []
         for parts in self._parts:
             largest = max((s.hand.extent for s in found if s.certainty >= self._threshold), default=0.0)
-            if largest * SEEN_AT * (parts - 1) > max(width, height) * SIZES_APART:
+            if largest * SEEN_AT * (parts - 1) > max(rgb.shape[:2]) * SIZES_APART:
                 break
             views = list(tiles(width, height, parts))
             if parts == 1 and len(self._parts) > 1:
@@ -135,10 +175,14 @@ class Search:
                     for span, turn, mirrored in WHOLE
                 ]
             if views:
-                found = self._seen_in(rgb, views, found)
+                found = self._with(rgb, self._palms_in(small, views).times(block), found)
+        if len(self._parts) > 1:
+            near = list(self._near([s.hand for s in found if s.certainty >= self._threshold], max(rgb.shape)))
+            if near:
+                found = self._with(rgb, self._palms_in(rgb, near), found)
         return [
             replace(sighting.hand, certainty=sighting.certainty)
-            for sighting in found
+            for sighting in self._judged(rgb, found)
             if sighting.certainty >= self._threshold
         ]
 
@@ -148,7 +192,7 @@ class Search:
         """Those whose palms are in views, `PALM_SIZE` wide, of a picture (H, W, 3) uint8 RGB, but for the
         known ones."""
         sure = [Sighting(hand, 1.0, 1.0) for hand in known]
-        found = self._seen_in(rgb, views, sure)
+        found = self._with(rgb, self._palms_in(rgb, views), sure)
         return [s.hand for s in found if s.certainty >= self._threshold and s not in sure]
 
     def hand_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
@@ -156,15 +200,11 @@ class Search:
         whatever angle; None where nothing is found there again and again."""
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
-        found: list[list[HandDetection]] = []
-        for span in IN_BOX_SPANS:
-            for turn in np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS):
-                view = View.of_square(middle, span * side, HAND_SIZE, turn=turn)
-                hand = self._settled(rgb, view, least=IN_BOX_PRESENCE)
-                if hand is None or not _fills(hand, middle, size):
-                    continue
-                same = next((group for group in found if distance(group[0], hand) < SETTLED), None)
-                found.append([hand]) if same is None else same.append(hand)
+        found: list[list[Look]] = []
+        for look in self._all_around(rgb, middle, side, IN_BOX_SPANS):
+            if _fills(look.hand, middle, size):
+                same = next((g for g in found if distance(g[0].hand, look.hand) < SETTLED), None)
+                found.append([look]) if same is None else same.append(look)
         likely = sorted(found, key=len, reverse=True)[:IN_BOX_BEST]
         sighted = [(self._sighted(rgb, group[0], 0.5), len(group)) for group in likely]
         best = max(sighted, key=lambda each: each[0].presence * (1 + each[1]), default=None)
@@ -172,41 +212,99 @@ class Search:
             return None
         return replace(best[0].hand, certainty=best[0].certainty)
 
-    def _seen_in(self, rgb: np.ndarray, views: Sequence[View], known: Sequence[Sighting]) -> list[Sighting]:
-        """What is known, and what is in those views, each hand once, the surest first."""
+    def _judged(self, rgb: np.ndarray, found: Sequence[Sighting]) -> list[Sighting]:
+        """The same but for parts of surer ones, and doubtful ones looked for again; the surest first."""
+        kept: list[Sighting] = []
+        for sighting in found:
+            if self._looks == ALL_LOOKS and DOUBTFUL[0] < sighting.certainty < DOUBTFUL[1]:
+                hand = sighting.hand
+                if any(of_one(hand, s.hand) for s in kept if s.certainty >= self._threshold):
+                    continue
+                sighting = replace(sighting, again=self._again(rgb, hand), far=self._far(rgb, hand))
+            kept.append(sighting)
+        return sorted(kept, key=lambda s: s.certainty, reverse=True)
+
+    def _near(self, hands: Sequence[HandDetection], longer: int) -> Iterator[View]:
+        """Views about the first hands in which others of about their size would be seen, in a picture with
+        that longer side: of a pair, the second often has a palm that no tile of a chosen size shows."""
+        shown: list[tuple[np.ndarray, float]] = []
+        for hand in hands:
+            centre, span = hand.keypoints_2d.mean(axis=0), NEAR * hand.extent
+            again = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in shown)
+            if not again and span < WHOLE[-1][0] * longer and len(shown) < MOST_NEAR:
+                shown.append((centre, span))
+                for turn in NEAR_TURNS:
+                    yield View.of_square(centre, span, PALM_SIZE, turn=turn)
+
+    def _again(self, rgb: np.ndarray, hand: HandDetection) -> float:
+        """In which part of the crops about a hand it is found again."""
+        middle = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
+        looks = self._all_around(rgb, middle, hand.extent, AGAIN_SPANS)
+        return sum(distance(look.hand, hand) < SETTLED for look in looks) / IN_BOX_TURNS
+
+    def _far(self, rgb: np.ndarray, hand: HandDetection) -> float:
+        """The best score of a hand's palm in views that show much around it: 0 where it is not seen."""
+        centre, _, upwards = _crop(hand.keypoints)
+        best = 0.0
+        for turn in (0.0, upwards, *(upwards + more for more in FAR_TURNS)):
+            view = View.of_square(centre, FAR * hand.extent, PALM_SIZE, turn=turn)
+            palms = self._networks.palms(rgb, view, LEAST_FAR)
+            best = max(best, *(float(palms.score[i]) for i in range(len(palms)) if palms.is_of(i, hand)), 0.0)
+        return best
+
+    def _all_around(
+        self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
+    ) -> Iterator[Look]:
+        """What the landmark network settles on about a box with that longer side, whatever its angle."""
+        for span in spans:
+            for turn in np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS):
+                view = View.of_square(middle, span * side, HAND_SIZE, turn=turn)
+                look = self._settled(rgb, view, least=IN_BOX_PRESENCE)
+                if look is not None:
+                    yield look
+
+    def _palms_in(self, rgb: np.ndarray, views: Sequence[View]) -> Palms:
+        return Palms.of([self._networks.palms(rgb, view, self._palm) for view in views])
+
+    def _with(self, rgb: np.ndarray, palms: Palms, known: Sequence[Sighting]) -> list[Sighting]:
+        """What is known, and the hands of those palms, each hand once, the surest first."""
         found = list(known)
-        palms = Palms.of([self._networks.palms(rgb, view, self._palm) for view in views])
         for i in range(len(palms)):
             palm = float(palms.score[i])
             again = next((s for s in found if palms.is_of(i, s.hand)), None)
-            hand = None if again is not None else self._settled(rgb, palms.view(i))
-            if hand is not None:
-                again = next((s for s in found if distance(s.hand, hand) < SETTLED), None)
+            look = None if again is not None else self._settled(rgb, palms.view(i))
+            if look is not None:
+                again = next((s for s in found if distance(s.hand, look.hand) < SETTLED), None)
             if again is not None and palm > again.palm:
                 found.append(replace(again, palm=palm))
-            elif again is None and hand is not None:
-                found.append(self._sighted(rgb, hand, palm))
+            elif again is None and look is not None:
+                found.append(self._sighted(rgb, look, palm))
         kept: list[Sighting] = []
         for sighting in sorted(found, key=lambda s: s.certainty, reverse=True):
             if not any(same_hand(sighting.hand, other.hand) for other in kept):
                 kept.append(sighting)
         return kept
 
-    def _settled(self, rgb: np.ndarray, view: View, least: float = LEAST_PRESENCE) -> HandDetection | None:
+    def _settled(self, rgb: np.ndarray, view: View, least: float = LEAST_PRESENCE) -> Look | None:
         """What the landmark network finds in a view, once it finds it again where it was; None: no hand."""
         look = self._networks.look(rgb, view)
         for _ in range(PASSES - 1):
             if look.presence < HOPELESS:
                 return None
-            look = self._networks.look(rgb, view_of(look.hand.keypoints))
-        return look.hand if look.presence >= least else None
+            before, look = look, self._networks.look(rgb, view_of(look.hand.keypoints))
+            if min(before.presence, look.presence) > SURE and distance(before.hand, look.hand) < STAYS:
+                break
+        return look if look.presence >= least else None
 
-    def _sighted(self, rgb: np.ndarray, hand: HandDetection, palm: float) -> Sighting:
+    def _sighted(self, rgb: np.ndarray, settled: Look, palm: float) -> Sighting:
         """The mean of several looks at a hand that was found through a palm of that score."""
-        views = islice(around(hand.keypoints), self._looks)
-        looks = [self._networks.look(rgb, view) for view in views]
-        presence = float(np.mean([look.presence for look in looks]))
-        return Sighting(mean_of([look.hand for look in looks]), presence, palm)
+        looks, seen = [settled], Sighting(settled.hand, settled.presence, palm)
+        for view in islice(around(settled.hand.keypoints), 1, self._looks):
+            looks.append(self._networks.look(rgb, view))
+            seen = replace(seen, presence=float(np.mean([look.presence for look in looks])))
+            if len(looks) == FEW_LOOKS and seen.certainty < HARDLY:
+                break
+        return replace(seen, hand=mean_of([look.hand for look in looks]))
 
 
 def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
@@ -216,11 +314,16 @@ def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
     return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent / longer < 2.0
 
 
-def around(keypoints: np.ndarray) -> Iterator[View]:
-    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
+def _crop(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (2,), side and turn of the crop about landmarks (21, 2 or more)."""
     upright = view_of(keypoints)
     centre = np.linalg.inv(upright.linear) @ (HAND_SIZE / 2.0 - upright.offset)
-    span, turn = HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+    return centre, HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+
+
+def around(keypoints: np.ndarray) -> Iterator[View]:
+    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
+    centre, span, turn = _crop(keypoints)
     for mirrored, upwards in ((False, turn), (True, -turn)):
         for more in TURNS:
             yield View.of_square(centre, span, HAND_SIZE, turn=upwards + more, mirrored=mirrored)

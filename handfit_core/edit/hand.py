@@ -65,6 +65,8 @@ class RefineHand:
     """For re-fitting a range"""
     holes: tuple[int, ...] = ()
     """Rows after which the source lacks pictures: nothing is smoothed across"""
+    added: bool = False
+    """Whether a person laid it into the picture: its pose is a guess until pins say how it lies"""
 
     def __post_init__(self) -> None:
         if self.side not in SIDES:

@@ -46,6 +46,7 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         "fps": float(hand.fps),
         "smoothing": float(hand.smoothing),
         "holes": [int(row) for row in hand.holes],
+        "added": bool(hand.added),
         "betas": pack(np.asarray(hand.betas, dtype=np.float64)),
         **{name: pack(np.asarray(getattr(hand, name), dtype=np.float64)) for name in START_ARRAYS},
         "pins": pack(np.asarray(hand.pins, dtype=np.float64)),
@@ -57,7 +58,7 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
-    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes` and `agrees` may be missing.
+    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added` and `agrees` may be missing.
 
     Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
     shape or range; both name it.
@@ -91,6 +92,9 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     camera, holes, model = message.get("intrinsics"), message.get("holes", []), message.get("model")
     if not isinstance(camera, list) or len(camera) != 4:
         raise ProtocolError(f"refit: intrinsics must be a list of 4 numbers, not {shortly(camera)}")
+    added = message.get("added", False)
+    if not isinstance(added, bool):
+        raise ProtocolError(f"refit: added must be true or false, not {shortly(added)}")
     if not isinstance(holes, list):
         raise ProtocolError(f"refit: holes must be a list of whole numbers, not {shortly(holes)}")
     try:
@@ -108,6 +112,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
             fps=number("fps", message.get("fps", 25.0)),
             smoothing=number("smoothing", message.get("smoothing", CaptureOptions.smoothing)),
             holes=tuple(whole("holes", int(n) if n.is_integer() else n) for n in holes),
+            added=added,
         )
     except Unfit as error:
         raise ProtocolError(f"refit: {error}") from error

@@ -22,7 +22,8 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
     A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
     as it is, and with pins the joints of fingers that none of them moves do. Where the pinned fingers reach
     their pins by themselves, the palm stays too, and only what they fall short of moves it (see `pins`).
-    A frame without a pose is fitted to its detection and pins; without a detection too it stays empty.
+    A frame without a pose is fitted to its detection and pins; without a detection too it stays empty. A hand
+    that a person has added is posed anew by its pins, where these tell how it lies (see `free`).
 
     `draft`: a few steps from `guess`, an earlier result for the same hand, for the time until a mouse button
     is released. Otherwise the guess does not count: the result depends on where the pins are alone.

@@ -12,6 +12,7 @@ from handfit_core.batch import Batch
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.edit import pins as pinning
+from handfit_core.edit.free import freely_posed, is_free
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
@@ -34,6 +35,8 @@ MAX_ITERATIONS: Final = 50
 from the frame's own pose the steps are the same every time."""
 DRAFT_ITERATIONS: Final = 6
 """While a point is dragged, each answer goes on where the one before ended"""
+FREE_DRAFT_ITERATIONS: Final = 10
+"""of hands that begin anew each time, from all sides"""
 CHEAPER: Final = 0.9
 """of the cost from the first start: where another leads to less, its result counts"""
 OTHER_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
@@ -54,13 +57,19 @@ def each(
     posed, points = _posed(hand, model)
     for values in pose.values():
         values[~posed] = np.nan
-    rows = np.flatnonzero(np.where(posed, hand.pinned.any(axis=1), hand.detected))
+    fitter, held = fitter_of(model), posed[:, None] & np.asarray(hand.locked, dtype=bool)
+    free = posed & is_free(hand.pins) & hand.added
+    for row in np.flatnonzero(free):
+        own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
+        most = FREE_DRAFT_ITERATIONS if draft else MAX_ITERATIONS
+        state = freely_posed(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
+        for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
+            pose[name][row] = values[0]
+    rows = np.flatnonzero(np.where(posed, hand.pinned.any(axis=1) & ~free, hand.detected))
     if not len(rows):
-        return pose
+        return _with_held(hand, held, pose)
     detected = _detected(hand, rows)
     seen = pinning.kept(points[rows], hand.intrinsics).where(posed[rows], detected)
-    held = posed[:, None] & np.asarray(hand.locked, dtype=bool)
-    fitter = fitter_of(model)
     for at, part in _chunks(rows):
         observed = observation_of(seen.select(part), hand.intrinsics)
         own = _start(fitter, hand, hand, posed[at], observed, at)

@@ -97,7 +97,7 @@ class FastFitter:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
         limits = Limits(model.side)
-        self._reach = limits.reach
+        self.reach = limits.reach
         self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
         self._betas, self._length_rates = np.zeros(NUM_BETAS), None
         if hand_length is not None:
@@ -120,7 +120,7 @@ class FastFitter:
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
             terms = (*terms, Shape(self._betas, self._length_rates, weight))
-        reach = self._reach if seen.kept is None else None
+        reach = self.reach if seen.kept is None else None
         return Problem(self.chain, seen, terms, shape, held, reach=reach)
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:

@@ -171,8 +171,10 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
     settings.source = str(shutil.copy(SAMPLE / "hand.0007.jpg", tmp_path / "hand.jpg"))
     source, picture = source_of(bpy.context), tmp_path / "shown.jpg"
     worker = shared_worker.worker()
-    found = worker.wait(worker.submit("find", **source.fields(picture=picture)), timeout=120)
+    shown = worker.wait(worker.submit("find", **source.fields(picture=picture)), timeout=120)
+    assert (shown["width"], shown["height"], shown["hands"]) == (640, 480, [])
     assert picture.is_file()
+    found = worker.wait(worker.submit("find", **source.fields()), timeout=120)
     choice = Choice()
     choice.show(found["hands"], settings.hands)
     ((_, side, chosen),) = state(choice)

@@ -384,7 +384,7 @@ def test_public_names() -> None:
 @pytest.mark.parametrize(
     ("photo", "sides"),
     [
-        ("mona_lisa.jpg", ["right"]),
+        ("mona_lisa.jpg", ["right", "left"]),
         ("pinky_out.jpg", ["right"]),
         ("thumb_up.jpg", ["left"]),
         ("thumbs_up.png", ["right"]),
@@ -396,7 +396,7 @@ def test_photos(samples: Path, photo: str, sides: list[str]) -> None:
     assert [track.side for track in found.hands] == sides
     for track in found.hands:
         size = np.ptp(track.keypoints_2d[0], axis=0).max()
-        assert track.reprojection_error[0] < 0.04 * size
+        assert track.reprojection_error[0] < 0.05 * size
 
 
 def test_detector_agrees_with_mediapipes_own_output(samples: Path) -> None:

@@ -175,6 +175,7 @@ def as_detected(**changes: Any) -> HandTrack:
         "keypoints_depth": rng.normal(size=(FRAMES, 21)),
         "world_landmarks": rng.normal(size=(FRAMES, 21, 3)) * 0.05,
         "right_side": np.array([0.9, 0.3, 0.0, np.nan]),
+        "placed": rng.normal(size=(FRAMES, 21, 2)),
     }
     for array in arrays.values():
         array[~DETECTED] = np.nan
@@ -185,7 +186,7 @@ def test_what_the_detector_found_comes_back(tmp_path: Path) -> None:
     original = as_detected()
     (hand, old) = Take.load(take(hands=(original, track("left"))).save(tmp_path / "t.npz")).hands
     assert hand.refinable
-    for name in ("keypoints_depth", "world_landmarks", "right_side", "other_side"):
+    for name in ("keypoints_depth", "world_landmarks", "right_side", "other_side", "placed"):
         np.testing.assert_array_equal(getattr(hand, name), getattr(original, name), err_msg=name)
         assert getattr(old, name) is None
     first, second, third, fourth = (hand.detection(row) for row in range(FRAMES))
@@ -224,6 +225,8 @@ def test_older_takes_cannot_be_fitted_again(tmp_path: Path) -> None:
         ({"right_side": np.zeros((FRAMES, 1))}, "right_side has shape"),
         ({"right_side": np.full(FRAMES, 1.5)}, "right_side must lie between 0 and 1"),
         ({"other_side": np.zeros(2, dtype=bool)}, "other_side has shape"),
+        ({"placed": np.zeros((FRAMES, 20, 2))}, "placed has shape"),
+        ({"placed": np.full((FRAMES, 21, 2), np.inf)}, "placed holds numbers beyond"),
     ],
     ids=str,
 )

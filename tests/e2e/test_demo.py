@@ -20,7 +20,7 @@ TIMEOUT = 1200
 
 
 @pytest.mark.skipif(not can_capture(), reason="needs torch, OpenCV and MediaPipe in HANDFIT_PYTHON")
-def test_the_mona_lisa_s_hand_is_captured_and_drawn_over_hers(tmp_path):
+def test_the_mona_lisa_s_hands_are_captured_and_drawn_over_hers(tmp_path):
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts" / "demo.py"), "--output", str(tmp_path), "--format", "glb"],
         capture_output=True,
@@ -31,7 +31,7 @@ def test_the_mona_lisa_s_hand_is_captured_and_drawn_over_hers(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     painting, clip = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["inputs"]
-    assert [(h["side"], h["detected"]) for h in painting["hands"]] == [("right", 1)]
+    assert [(h["side"], h["detected"]) for h in painting["hands"]] == [("right", 1), ("left", 1)]
     assert [(h["side"], h["detected"]) for h in clip["hands"]] == [("right", 24)]
     assert sorted(painting["files"]) == ["mona_lisa.glb", "mona_lisa.take.npz", "preview.png"]
     assert sorted(clip["files"]) == ["hand.glb", "hand.preview.png", "hand.take.npz"]
@@ -39,7 +39,7 @@ def test_the_mona_lisa_s_hand_is_captured_and_drawn_over_hers(tmp_path):
     halves = np.split(pixels(tmp_path / "preview.png"), 2, axis=1)
     off = np.abs(halves[0] - halves[1]).max(axis=-1) > 0.05
     rows, columns = np.nonzero(off)
-    # Her right hand, and nothing else.
+    # Her hands, and nothing else.
     assert 0.03 < off.mean() < 0.08
     assert rows.min() > 0.68 * len(off)
     assert 0.15 * off.shape[1] < columns.min() < columns.max() < 0.75 * off.shape[1]

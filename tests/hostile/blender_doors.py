@@ -18,7 +18,8 @@ from typing import Any
 import bpy
 
 import blender_manient
-from blender_manient import jobs, parts, shared_worker, source_info
+from blender_manient import jobs, parts, shared_worker
+from blender_manient.find_mode.choice import Choice
 from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
@@ -199,8 +200,11 @@ def client(peer: str, kind: str) -> None:
             raise
     if kind == "refit":
         result_from_message(event)
+    elif kind == "find":
+        choice = Choice()
+        choice.show(event["hands"], "auto")
+        choice.regions(event["frame"])
     else:
-        source_info._take_in(source_info.SourceInfo("x.jpg", False), event)
         raise as_error({"message": "taken in"})
 
 

@@ -108,6 +108,10 @@ def _servers() -> Iterator[Case]:
     hand = refit()["hand"]
     fields = [("mode",), ("hand",)] + [("hand", name) for name in hand]
     lies = [*_field_lies(lambda: CAPTURE, capture), *_field_lies(refit, fields)]
+    finds = _field_lies(
+        lambda: {**CAPTURE, "request": "find", "picture": "shown.jpg"}, [("picture",), ("input",)]
+    )
+    lies += [(f"find-{name}", line) for name, line in finds]
     for name, line in lies:
         if name.rpartition("-")[2] in "nan huge deep text object lists minus whole surrogate".split():
             yield _server(name, line)
@@ -178,7 +182,7 @@ _EVENTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("progress", {"stage": "detect", "done": 1, "total": 5}),
     ("warning", {"message": "w"}),
     ("error", {"type": "InputError", "message": "m", "details": "d"}),
-    ("done", {"kind": "photo", "width": 5, "height": 5, "fps": 25.0, "frames": 1, "first": 1, "last": 1, "result": {}, "stopped": False}),
+    ("done", {"kind": "photo", "width": 5, "height": 5, "fps": 25.0, "frames": 1, "first": 1, "last": 1, "result": {}, "stopped": False, "frame": 1, "hands": []}),
 )  # fmt: skip
 LIES = ("null", "nan", "whole", "text", "lists", "object", "surrogate", "minus", "deep")
 
@@ -199,7 +203,7 @@ def _workers() -> Iterator[Case]:
                     "fail(n)"
                 )
                 kind = "capture" if event == "progress" or field == "stopped" else "probe"
-                kind = "refit" if field == "result" else kind
+                kind = {"result": "refit", "frame": "find", "hands": "find"}.get(field, kind)
                 yield _worker(f"{event}-{field}-{lie}", code, kind, known=(field, lie) == ("id", "lists"))
     for name in ("Cancelled", "HandfitError", "SystemExit", "annotations", "__name__", "BuildInterrupted"):
         code = f"n = begin()\nsay(event='error', id=n, type={name!r}, message='two\\nlines', details=5)"

@@ -9,19 +9,21 @@ import numpy as np
 import pytest
 
 from handfit_core import capture, pipeline
-from handfit_core.detect import clips
+from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import View, distance
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
 from handfit_core.detect.opening import open_detector
+from handfit_core.detect.stills import StillFinder
 from handfit_core.detection import find_in_frame
 from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions, Region
 from handfit_core.skeleton import other_side
+from tests.child import peak_megabytes
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -160,7 +162,40 @@ def test_a_hand_that_is_found_is_looked_at_again(stills: Detector, plain: Detect
     assert distance(mean, once) < 0.05
 
 
-def looks_of(finder: ClipFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+def test_a_large_hand_found_at_first_sight_costs_little(
+    stills: StillFinder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No tiles, no looks at what is part of it, and once it stays where it is, six looks."""
+    counts = runs_of(stills, monkeypatch)
+    for number in (1, 13, 24):
+        assert len(stills.find(picture(number))) == 1
+    assert counts == {"look": 3 * 7, "palms": 3 * len(search.WHOLE)}
+
+
+def test_the_second_hand_of_a_pair_is_looked_for_near_the_first(stills: Detector) -> None:
+    """Her lower hand is no palm in the whole picture, nor in any tile."""
+    rgb, _ = read_picture(ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg")
+    upper, lower = stills.find(rgb)
+    assert np.abs(upper.keypoints_2d.mean(axis=0) - [319, 907]).max() < 20
+    assert np.abs(lower.keypoints_2d.mean(axis=0) - [179, 950]).max() < 20
+
+
+def test_a_picture_of_100_megapixels(tmp_path: Path) -> None:
+    """Palms are looked for in a smaller copy; the hand is a tenth of it."""
+    whole = np.full((10_000, 10_000, 3), 120, dtype=np.uint8)
+    whole[3000:3960, 4000:5280] = cv2.resize(picture(1)[..., ::-1], (1280, 960))
+    cv2.imwrite(str(tmp_path / "large.png"), whole, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    del whole
+    code = """
+        import sys
+        from handfit_core import capture
+        (hand,) = capture(sys.argv[1], max_megapixels=100).hands
+        assert abs(hand.keypoints_2d[0].mean(axis=0) - [4619, 3359]).max() < 40, hand.keypoints_2d
+    """
+    assert peak_megabytes(code, tmp_path / "large.png") < 1000
+
+
+def runs_of(finder: ClipFinder | StillFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     """How often its networks run."""
     counts = {"look": 0, "palms": 0}
     for name in counts:
@@ -177,7 +212,7 @@ def looks_of(finder: ClipFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, i
 def test_a_followed_hand_costs_one_look_a_frame(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
     with clip_finder(networks) as finder:
         finder.find(picture(1))
-        counts = looks_of(finder, monkeypatch)
+        counts = runs_of(finder, monkeypatch)
         for number in range(2, 1 + clips.SEARCH_EVERY):
             assert len(finder.find(picture(number))) == 1
         assert counts == {"look": clips.SEARCH_EVERY - 1, "palms": 0}
@@ -237,7 +272,7 @@ def test_a_hand_behind_another_is_found_as_soon_as_that_one_has_passed(networks:
 def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
     with clip_finder(networks) as finder:
         finder.find(picture(1))
-        counts = looks_of(finder, monkeypatch)
+        counts = runs_of(finder, monkeypatch)
         for i in range(1, 80):
             assert finder.find(BLACK if i % 10 else None) == ()
         assert counts["palms"] < 130  # of three searches of all parts

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, mean_of, same_hand
+from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand
 from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(0, 1, (21, 3))
@@ -39,6 +39,15 @@ def test_of_one_hand_or_of_two(x: float, scale: float, turn: int, expected: bool
     keypoints[:, :2] = 50.0 + scale * about + [x, 0.0]
     second = HandDetection("left", 0.9, keypoints, SHAPE)
     assert same_hand(first, second) is same_hand(second, first) is expected
+
+
+@pytest.mark.parametrize(
+    ("x", "scale", "expected"), [(60.0, 0.4, True), (90.0, 0.4, False), (0.0, 0.8, False), (0.0, 2.5, True)]
+)
+def test_a_hand_and_its_part(x: float, scale: float, expected: bool) -> None:
+    """Or the hand with its forearm; of two of about one size each may be a hand."""
+    second = HandDetection("left", 0.9, scale * SHAPE + [x, 0.0, 0.0], SHAPE)
+    assert of_one(hand(0), second) is of_one(second, hand(0)) is expected
 
 
 def test_the_mean_of_looks() -> None:

@@ -53,6 +53,6 @@ def test_most_hands_are_found_and_hardly_any_others(samples: Path) -> None:
             wanted += len(large)
             found += sum(hand not in left for hand in large)
     assert wanted == 49
-    # Measured: 38 found, none false.
-    assert found >= 35
+    # Measured: 42 found, one false.
+    assert found >= 39
     assert false <= 0.05 * told

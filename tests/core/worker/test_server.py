@@ -168,7 +168,7 @@ def test_finds_what_can_be_chosen(warm: Worker, tmp_path: Path) -> None:
     shown, true = (read_picture(p)[0].astype(int) for p in (path, FOLDER / "hand.0007.jpg"))
     assert np.abs(shown - true).mean() < 3
     box = [*points.min(axis=0).tolist(), *np.ptp(points, axis=0).tolist()]
-    for regions, count in (([box], 1), ([[1, 1, 30, 30]], 0)):
+    for regions, count in (([box], 1), ([[1, 1, 30, 30]], 0), ([], 0)):
         options = {"regions": regions, "only_regions": True}
         assert len(warm.ask(161, "find", input=[PHOTO], options=options)["hands"]) == count
     assert warm.ask(162, "find", input=[PHOTO], picture=3)["type"] == "OptionError"

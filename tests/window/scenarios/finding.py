@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenarios.capturing import done, finish, hands, jobs, part
+from scenarios.capturing import done, finish, hands, jobs, part, summary
 
 HER_LEFT_HAND = (60, 885, 200, 135)
 """x, y, width and height in pixels of samples/mona_lisa"""
@@ -43,13 +43,12 @@ def chosen(stage, source):
 
 
 def boxed_hand(stage, source):
-    """A hand that is not found by itself is found in a box that is dragged around it, and both are
-    captured."""
+    """At a threshold that no hand reaches, one is found in a box that is dragged around it, and captured."""
     yield from stage.open_sidebar()
+    bpy.context.scene.manient.threshold = 1.0
     yield from begun(stage, source)
-    answer = {"found": described()}
-    x, y, width, height = HER_LEFT_HAND
-    yield from boxed(stage, (x, y), (x + width, y + height), shot="find-box")
+    answer = {"found": described(), "line": mode().line()[0]}
+    yield from boxed_around(stage, HER_LEFT_HAND, shot="find-box")
     answer["with_box"] = described()
     return {**answer, **(yield from captured(stage, "find-box-captured"))}
 
@@ -90,7 +89,8 @@ def crowded(stage, source, most):
 
 
 def of_a_frame(stage, source, frame):
-    """The scene's frame of a clip; zoomed in and out, and left by Esc."""
+    """The scene's frame of a clip; zoomed in and out, and left by Esc. Then its hand is turned and the clip
+    captured."""
     yield from stage.open_sidebar()
     bpy.context.scene.manient.source = source
     bpy.context.scene.frame_set(frame)
@@ -109,7 +109,12 @@ def of_a_frame(stage, source, frame):
     yield from stage.key("HOME")
     yield from stage.key("ESC")
     yield from stage.until(lambda: part("find_mode.mode").current is None, 5.0, "the mode to end")
-    return {"frame": shown, "zoomed": zoomed, "jobs": len(jobs())}
+    answer = {"frame": shown, "zoomed": zoomed, "jobs": len(jobs())}
+    yield from begun(stage, source)
+    yield from stage.move_to(over(mode().choice.hands[0]))
+    yield from stage.key("S")
+    answer |= yield from captured(stage, "find-clip-captured")
+    return {**answer, "hands": summary()}
 
 
 def begun(stage, source):
@@ -117,6 +122,8 @@ def begun(stage, source):
     bpy.context.scene.manient.source = source
     yield 0.5
     yield from stage.invoke("manient.find_hands")
+    yield from stage.until(lambda: mode() is not None and mode().sight is not None, FOUND, "the picture")
+    stage.screenshot_now("find-waiting")
     yield from found(stage)
 
 
@@ -158,6 +165,11 @@ def tag_of(hand) -> tuple[float, float]:
     there = viewport()
     (box,) = [b.box for b in mode().buttons(there) if b.hand is hand]
     return (box[0] + box[2]) / 2 + there.region.x, (box[1] + box[3]) / 2 + there.region.y
+
+
+def boxed_around(stage, box, shot=""):
+    """Drag a box (x, y, width, height) of the picture."""
+    yield from boxed(stage, box[:2], np.add(box[:2], box[2:]), shot)
 
 
 def boxed(stage, start, stop, shot=""):

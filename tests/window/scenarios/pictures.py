@@ -9,7 +9,7 @@ import bpy
 from stage import ADDON
 
 from scenarios.capturing import begin, done, finish, hands
-from scenarios.finding import HER_LEFT_HAND, begun, boxed, captured
+from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
 from scenarios.panels import sections
 from scenarios.refine import INDEX_TIP, places, state
 
@@ -49,13 +49,16 @@ def tour(stage, folder, source, edited_frame=12):
 
 
 def choosing(stage, folder, source):
-    """The painting's hands: one is found, a box is drawn around the other, and both are captured."""
+    """The mouse is over the tag of one of the painting's hands; then a box is drawn around that hand."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/painting.blend")
     yield from stage.open_sidebar()
     yield from begun(stage, f"//{source}")
-    x, y, width, height = HER_LEFT_HAND
-    yield from boxed(stage, (x, y), (x + width, y + height), shot="find")
-    yield from captured(stage, "found")
+    (left,) = [hand for hand in mode().choice.hands if hand.side == "left"]
+    yield from stage.move_to(tag_of(left))
+    yield from stage.screenshot("find")
+    yield from stage.key("X")
+    yield from boxed_around(stage, HER_LEFT_HAND, shot="box")
+    yield from stage.key("ESC")
 
 
 def _drag_a_fingertip(stage):

@@ -1,0 +1,91 @@
+"""Hands that a person lays into a picture in which nothing is detected. For Blender too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from handfit_core.edit.handles import landmark_points
+from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.hand_model import HandModel
+from handfit_core.hand_model.anatomy import relaxed_pose
+from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS
+from handfit_core.take import HandTrack, Take
+
+Seen = Literal["back", "palm"]
+WRIST, KNUCKLE = 0, 9
+"""The two keypoints that say where a hand lies: the second is the middle finger's knuckle"""
+USUAL_PALM = 0.12
+"""of the picture's shorter side: how long the palm is where nobody says"""
+_SHORTEST_PALM = 1.0
+"""pixels"""
+
+
+def laid(
+    model: HandModel, intrinsics: Intrinsics, wrist: np.ndarray, knuckle: np.ndarray, seen: Seen = "back"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """global_orient (3,), hand_pose (45,) and transl (3,) of a relaxed hand of the mean shape, parallel to
+    the picture, with its wrist and the middle finger's knuckle at these pixels (2,), so that its back or its
+    palm is `seen`. Raises OptionError where the two are one point."""
+    step = (np.asarray(knuckle, dtype=np.float64) - wrist) / (intrinsics.fx, intrinsics.fy)
+    length = float(np.linalg.norm(step))
+    if not length * intrinsics.fx >= _SHORTEST_PALM:
+        raise OptionError("a hand needs a size: drag from its wrist to the knuckle of its middle finger")
+    betas, still, pose = np.zeros(NUM_BETAS), np.zeros((1, 3)), relaxed_pose(model)
+    flat = landmark_points(model, betas, still, pose[None], still)[0]
+    palm = flat[KNUCKLE] - flat[WRIST]
+    # The model's back is up, the camera looks along z.
+    from_axes = _axes(palm, np.array([0.0, 1.0, 0.0]))
+    to_axes = _axes(np.append(step, 0.0), np.array([0.0, 0.0, -1.0 if seen == "back" else 1.0]))
+    orient = rotmat_to_rotvec(to_axes @ from_axes.T)
+    points = landmark_points(model, betas, orient[None], pose[None], still)[0]
+    distance = np.linalg.norm(palm) / length
+    slope = (np.asarray(wrist) - (intrinsics.cx, intrinsics.cy)) / (intrinsics.fx, intrinsics.fy)
+    return orient, pose, distance * np.append(slope, 1.0) - points[WRIST]
+
+
+def _axes(along: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """(3, 3) in columns: along the palm, out of its back, and across."""
+    along = along / np.linalg.norm(along)
+    back = back - along * (along @ back)
+    back /= np.linalg.norm(back)
+    return np.stack([along, back, np.cross(along, back)], axis=1)
+
+
+def with_added(
+    take: Take, model: HandModel, row: int, wrist: np.ndarray, knuckle: np.ndarray, seen: Seen = "back"
+) -> Take:
+    """The take with one more hand, of the model's side, `laid` into its frame `row`. In the others it is not
+    there: whoever builds it lets it hold. Raises OptionError."""
+    orient, pose, transl = laid(model, take.intrinsics, wrist, knuckle, seen)
+    count = len(take.frame_numbers)
+    here = np.arange(count) == row
+
+    def at_row(values: np.ndarray) -> np.ndarray:
+        return np.where(here.reshape(-1, *[1] * np.ndim(values)), values, np.nan)
+
+    betas, nothing = np.zeros(NUM_BETAS), np.full((count, NUM_KEYPOINTS, 3), np.nan)
+    placed = nothing[..., :2].copy()
+    placed[row, [WRIST, KNUCKLE]] = wrist, knuckle
+    track = HandTrack(
+        side=model.side,
+        betas=betas,
+        global_orient=at_row(orient),
+        hand_pose=at_row(pose),
+        transl=at_row(transl),
+        joints_3d=at_row(model.keypoints(betas, orient[None], pose[None], transl[None])[0]),
+        keypoints_2d=nothing[..., :2],
+        reprojection_error=nothing[:, 0, 0],
+        detected=np.zeros(count, dtype=bool),
+        score=nothing[:, 0, 0],
+        filled=here,
+        keypoints_depth=nothing[..., 0],
+        world_landmarks=nothing,
+        placed=placed,
+    )
+    digests = {**take.model_digests, model.side: model.digest}
+    return replace(take, hands=(*take.hands, track), model_digests=digests)

@@ -1,0 +1,167 @@
+"""Hands that nothing was detected of: what a few points tell that a person has put in place.
+
+The pose that such a hand has is turned to 18 sides, each is laid over the pins, and from each the hand is
+fitted to the pins and to what hands usually do. The lowest cost decides, with a little more for showing the
+other side of the hand. Palm points without a pin stay near where their start has them, so loosely that this
+decides only what pins leave open. Fingers without a pin bend as their neighbours do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import Landmarked
+from handfit_core.edit import pins as pinning
+from handfit_core.fit.fast import FastFitter
+from handfit_core.fit.observation import Kept, observation_of
+from handfit_core.fit.problem import Held
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model.chain import State
+from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_KEYPOINTS, PALM_KEYPOINTS
+
+LEAST_PALM_PINS: Final = 2
+"""Fewer do not tell how a hand lies: then its pose is corrected like a captured one's"""
+_ROLLS: Final = np.radians([0.0, 50.0, -50.0, 180.0, 230.0, 130.0])
+_PITCHES: Final = np.radians([0.0, 45.0, -45.0])
+"""radians about the palm's long axis, and about the one across it in the picture"""
+_LARGEST_RESIZE: Final = 2.0
+"""times larger or smaller than the hand was: where starts end"""
+_PALM_SIGMA: Final = 0.5
+"""of the hand's size: how loosely palm points without a pin are held, in the picture and in depth"""
+_DISTANCE_SIGMA: Final = 0.15
+"""of the wrist's distance: a palm that looks short is tilted, or farther away"""
+_TURNED_OVER: Final = 4.0
+"""squared sigmas that the other side of the hand costs"""
+_FOLLOW: Final = 0.7
+"""How much a finger's bends go with those of the next one; with those of the second next, its square"""
+_ROUGHLY: Final = 0.02
+"""of the hand's size: how near hands come to their pins before the best of them go all the way"""
+_CANDIDATES: Final = 4
+_NOWHERE: Final = 1e9
+"""pixels: the expected error of what nobody sees"""
+_BENDS: Final = [2, 5, 8]
+"""of a finger's nine angles"""
+_BACK: Final = 1
+"""The axis of the root that points out of the back of the hand"""
+_KNUCKLE: Final = 9
+"""of the middle finger"""
+
+
+def is_free(pins: np.ndarray) -> np.ndarray:
+    """(N, 21, 2) pixels -> (N,) bool: whether they tell how a hand lies, whatever pose it has."""
+    palm = np.isfinite(pins[:, list(PALM_KEYPOINTS)]).all(axis=2)
+    return np.asarray(palm.sum(axis=1) >= LEAST_PALM_PINS)
+
+
+def freely_posed(
+    fitter: FastFitter,
+    intrinsics: Intrinsics,
+    pins: np.ndarray,
+    own: State,
+    locked: np.ndarray,
+    max_iterations: int,
+) -> State:
+    """One hand's pose (B = 1) from pins (21, 2) in pixels, NaN where there is none, that say how it lies, and
+    the pose `own` that it has. Joints that are `locked` (16,) stay."""
+    at = np.asarray(np.isfinite(pins).all(axis=1))
+    start = _starts(fitter, intrinsics, pins, at, own)
+    count, held = len(start), None
+    if locked.any():
+        held = Held(np.tile(locked, (count, 1)), own.select(np.zeros(count, dtype=int)))
+        start = held.put(start)
+    points = fitter.chain.points(start)
+    loose = pinning.kept(points, intrinsics)
+    loosely = np.where(np.isin(np.arange(NUM_KEYPOINTS), PALM_KEYPOINTS), _PALM_SIGMA, _NOWHERE)
+    sigma = loosely * pinning.sizes(loose.pixels)[:, None]
+    seen = Landmarked(
+        np.where(at[:, None], pins, loose.pixels),
+        np.where(at[:, None], pinning.PIN_SIGMA, sigma[..., None].repeat(2, axis=2)),
+        loose.depth,
+        sigma,
+        pinned=np.tile(at, (count, 1)),
+    )
+    away = np.linalg.norm(own.wrist) / np.linalg.norm(start.wrist, axis=1, keepdims=True)
+    kept = Kept(
+        start.wrist * away,
+        np.full(count, _DISTANCE_SIGMA),
+        start.angles,
+        np.full((count, 5), np.inf),
+        np.full(count, np.nan),
+    )
+    seen = replace(observation_of(seen, intrinsics), kept=kept)
+    # Pins that are all but exact are hard to follow from far away.
+    for nearness, left in ((_ROUGHLY, _CANDIDATES), (0.0, 1)):
+        least = nearness * pinning.sizes(seen.pixels)[:, None, None]
+        about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
+        problem = replace(fitter.problem(about, held=held), reach=fitter.reach)
+        solution = fitter.solve_each(problem, start, max_iterations)
+        same_side = solution.state.root[..., _BACK] @ own.root[0, :, _BACK]
+        cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf)
+        best = (cost + _TURNED_OVER * (1.0 - same_side) / 2.0).argsort(kind="stable")[:left]
+        start, seen = solution.state.select(best), seen.select(best)
+        held = None if held is None else held.select(best)
+    return replace(start, angles=_following(fitter, start.angles, own.angles, at, locked))
+
+
+def _starts(
+    fitter: FastFitter, intrinsics: Intrinsics, pins: np.ndarray, at: np.ndarray, own: State
+) -> State:
+    """(18,) the hand `own` (1), turned to all sides and laid over its pins by a turn in the picture, a place
+    and a distance."""
+    points = fitter.chain.points(own)[0]
+    along = points[_KNUCKLE] - points[0]
+    across = np.cross(points[0], along)
+    turns = np.array(
+        [
+            rotvec_to_rotmat(pitch * across / np.linalg.norm(across))
+            @ rotvec_to_rotmat(roll * along / np.linalg.norm(along))
+            for roll in _ROLLS
+            for pitch in _PITCHES
+        ]
+    )
+    shapes = (points - points[0]) @ turns.swapaxes(1, 2)
+    # As seen from afar, in the picture as complex numbers: a similarity there is a factor and a sum.
+    centre, focal = (intrinsics.cx, intrinsics.cy), (intrinsics.fx, intrinsics.fy)
+    aim = ((pins[at] - centre) / focal) @ [1.0, 1.0j]
+    shown = shapes[:, at, :2] @ [1.0, 1.0j]
+    mean = shown.mean(axis=1, keepdims=True)
+    over = ((shown - mean).conj() @ (aim - aim.mean())) / np.square(np.abs(shown - mean)).sum(axis=1)
+    nearness = np.clip(np.abs(over) * points[0, 2], 1.0 / _LARGEST_RESIZE, _LARGEST_RESIZE)
+    distance = points[0, 2] / nearness
+    upright = rotvec_to_rotmat(np.angle(over)[:, None] * np.array([0.0, 0.0, 1.0]))
+    turns = upright @ turns
+    centred = (mean * np.exp(1j * np.angle(over))[:, None])[:, 0]
+    place = aim.mean() * distance - centred
+    wrist = np.stack([place.real, place.imag, distance], axis=1) + (
+        own.wrist[0] - points[0]
+    ) @ turns.swapaxes(1, 2)
+    start = own.select(np.zeros(len(turns), dtype=int))
+    start = replace(start, root=turns @ own.root, wrist=wrist)
+    ray = fitter.chain.points(start).mean(axis=1)
+    return replace(start, depth_zero=np.linalg.norm(ray, axis=1))
+
+
+def _following(
+    fitter: FastFitter, found: np.ndarray, own: np.ndarray, at: np.ndarray, locked: np.ndarray
+) -> np.ndarray:
+    """Angles (1, 5, 9) in which long fingers without a pin beyond their knuckle bend as far from their `own`
+    pose as those with one make likely. Nothing else depends on them."""
+    known = np.asarray(at[1:].reshape(5, 4)[:, 1:].any(axis=1))
+    known[0] = False
+    left = np.asarray(~(known | locked[JOINTS_BY_FINGER].any(axis=1)))
+    left[0] = False
+    if not known.any():
+        return found
+    alike = _FOLLOW ** np.abs(np.arange(5)[:, None] - np.arange(5))
+    share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
+    bends = (found - own)[0][:, _BENDS]
+    angles = found.copy()
+    angles[0, left] = own[0, left]
+    angles[np.ix_([0], left, _BENDS)] += share @ bends[known]
+    least, most = fitter.reach
+    angles[:, left] = np.clip(angles, np.minimum(least, own), np.maximum(most, own))[:, left]
+    return angles
