@@ -190,9 +190,9 @@ class Search:
         self, rgb: np.ndarray, views: Sequence[View], known: Sequence[HandDetection]
     ) -> list[HandDetection]:
         """Those whose palms are in views, `PALM_SIZE` wide, of a picture (H, W, 3) uint8 RGB, but for the
-        known ones."""
+        known ones; sure ones are looked at once, as those that are followed are."""
         sure = [Sighting(hand, 1.0, 1.0) for hand in known]
-        found = self._with(rgb, self._palms_in(rgb, views), sure)
+        found = self._with(rgb, self._palms_in(rgb, views), sure, once=True)
         return [s.hand for s in found if s.certainty >= self._threshold and s not in sure]
 
     def hand_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
@@ -266,7 +266,9 @@ class Search:
     def _palms_in(self, rgb: np.ndarray, views: Sequence[View]) -> Palms:
         return Palms.of([self._networks.palms(rgb, view, self._palm) for view in views])
 
-    def _with(self, rgb: np.ndarray, palms: Palms, known: Sequence[Sighting]) -> list[Sighting]:
+    def _with(
+        self, rgb: np.ndarray, palms: Palms, known: Sequence[Sighting], *, once: bool = False
+    ) -> list[Sighting]:
         """What is known, and the hands of those palms, each hand once, the surest first."""
         found = list(known)
         for i in range(len(palms)):
@@ -278,7 +280,10 @@ class Search:
             if again is not None and palm > again.palm:
                 found.append(replace(again, palm=palm))
             elif again is None and look is not None:
-                found.append(self._sighted(rgb, look, palm))
+                first = Sighting(look.hand, look.presence, palm)
+                found.append(
+                    first if once and first.certainty > DOUBTFUL[1] else self._sighted(rgb, look, palm)
+                )
         kept: list[Sighting] = []
         for sighting in sorted(found, key=lambda s: s.certainty, reverse=True):
             if not any(same_hand(sighting.hand, other.hand) for other in kept):
