@@ -14,7 +14,7 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand, shrunk
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Look, Networks, Palms, view_of
 
-FIRST_SCORE: Final = 0.05
+FIRST_SCORE: Final = 0.07
 """Of palms that are looked at: far lower than what is believed"""
 
 FIRST_WORD: Final = 0.5
@@ -35,7 +35,7 @@ SURE: Final = 0.9
 """Presence of looks that agree"""
 
 FEW_LOOKS: Final = 3
-HARDLY: Final = 0.03
+HARDLY: Final = 0.06
 """After so few looks, what is less sure than this is not looked at any more"""
 
 PARTS: Final = (1, 2, 3)
@@ -92,7 +92,7 @@ OF_PRESENCE, OF_PALM, BIAS = 0.95, 0.75, -1.3
 """How sure it is that something is a hand: the logit of that by the logits of presence and palm score. In
 photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
 OF_AGAIN, EXPECTED_AGAIN = 5.3, 0.25
-OF_FAR, EXPECTED_FAR = 0.5, FIRST_SCORE
+OF_FAR, EXPECTED_FAR = 0.5, 0.05
 """Of doubtful ones that logit is moved by the share of crops in which they are found again, and by the logit
 of their palm's best score from farther off; by nothing where both are as expected"""
 FAR: Final = 7.0
@@ -202,7 +202,7 @@ class Search:
         middle, side = corner + size / 2.0, float(size.max())
         found: list[list[Look]] = []
         for look in self._all_around(rgb, middle, side, IN_BOX_SPANS):
-            if _fills(look.hand, middle, size):
+            if look is not None and _fills(look.hand, middle, size):
                 same = next((g for g in found if distance(g[0].hand, look.hand) < SETTLED), None)
                 found.append([look]) if same is None else same.append(look)
         likely = sorted(found, key=len, reverse=True)[:IN_BOX_BEST]
@@ -220,7 +220,7 @@ class Search:
                 hand = sighting.hand
                 if any(of_one(hand, s.hand) for s in kept if s.certainty >= self._threshold):
                     continue
-                sighting = replace(sighting, again=self._again(rgb, hand), far=self._far(rgb, hand))
+                sighting = self._again(rgb, replace(sighting, far=self._far(rgb, hand)))
             kept.append(sighting)
         return sorted(kept, key=lambda s: s.certainty, reverse=True)
 
@@ -236,11 +236,16 @@ class Search:
                 for turn in NEAR_TURNS:
                     yield View.of_square(centre, span, PALM_SIZE, turn=turn)
 
-    def _again(self, rgb: np.ndarray, hand: HandDetection) -> float:
-        """In which part of the crops about a hand it is found again."""
-        middle = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
-        looks = self._all_around(rgb, middle, hand.extent, AGAIN_SPANS)
-        return sum(distance(look.hand, hand) < SETTLED for look in looks) / IN_BOX_TURNS
+    def _again(self, rgb: np.ndarray, seen: Sighting) -> Sighting:
+        """The same with the part of crops about it in which it is found again, as long as that may matter."""
+        points, found = seen.hand.keypoints_2d, 0
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+        for tried, look in enumerate(self._all_around(rgb, middle, seen.hand.extent, AGAIN_SPANS), start=1):
+            found += look is not None and distance(look.hand, seen.hand) < SETTLED
+            most = found + IN_BOX_TURNS - tried
+            if replace(seen, again=most / IN_BOX_TURNS).certainty < self._threshold:
+                break
+        return replace(seen, again=found / IN_BOX_TURNS)
 
     def _far(self, rgb: np.ndarray, hand: HandDetection) -> float:
         """The best score of a hand's palm in views that show much around it: 0 where it is not seen."""
@@ -254,14 +259,12 @@ class Search:
 
     def _all_around(
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
-    ) -> Iterator[Look]:
+    ) -> Iterator[Look | None]:
         """What the landmark network settles on about a box with that longer side, whatever its angle."""
         for span in spans:
             for turn in np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS):
                 view = View.of_square(middle, span * side, HAND_SIZE, turn=turn)
-                look = self._settled(rgb, view, least=IN_BOX_PRESENCE)
-                if look is not None:
-                    yield look
+                yield self._settled(rgb, view, least=IN_BOX_PRESENCE)
 
     def _palms_in(self, rgb: np.ndarray, views: Sequence[View]) -> Palms:
         return Palms.of([self._networks.palms(rgb, view, self._palm) for view in views])
