@@ -88,13 +88,14 @@ TURNS: Final = (0.0, 0.35, -0.35)
 """Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
 ALL_LOOKS: Final = 2 * len(TURNS)
 
-OF_PRESENCE, OF_PALM, BIAS = 0.95, 0.75, -1.3
-"""How sure it is that something is a hand: the logit of that by the logits of presence and palm score. In
-photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
-OF_AGAIN, EXPECTED_AGAIN = 5.3, 0.25
-OF_FAR, EXPECTED_FAR = 0.5, 0.05
-"""Of doubtful ones that logit is moved by the share of crops in which they are found again, and by the logit
-of their palm's best score from farther off; by nothing where both are as expected"""
+FIRST_JUDGED: Final = (0.95, 0.75, -1.3)
+"""How sure it is that something is a hand: the logit of that by the logits of presence and palm score, and a
+constant. In photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
+AT_LAST: Final = (1.4, 0.75, -0.8)
+OF_AGAIN, OF_FAR = 2.0, 0.3
+"""The same for a doubtful one, where also the share of crops in which it is found again counts, and the logit
+of its palm's best score from farther off. Chosen on 150 doubtful ones of rendered pictures and photos."""
+
 FAR: Final = 7.0
 """Side of those views in units of the hand's size"""
 FAR_TURNS: Final = (0.6, -0.6)
@@ -117,17 +118,18 @@ class Sighting:
     """How likely the landmark network takes it for a hand, on average over the looks, 0..1"""
     palm: float
     """The best score of its palm, 0..1"""
-    again: float = EXPECTED_AGAIN
-    """In which part of the crops about it, turned all around, it was found again"""
-    far: float = EXPECTED_FAR
+    again: float | None = None
+    """In which part of the crops about it, turned all around, it was found again; None: it was in no doubt"""
+    far: float = 0.0
     """The best score of its palm in views that show much around it, 0..1"""
 
     @property
     def certainty(self) -> float:
         """How sure it is that this is a hand, 0..1."""
-        logit = OF_PRESENCE * _logit(self.presence) + OF_PALM * _logit(self.palm) + BIAS
-        logit += OF_AGAIN * (self.again - EXPECTED_AGAIN)
-        logit += OF_FAR * (_logit(self.far) - _logit(EXPECTED_FAR))
+        presence, palm, logit = FIRST_JUDGED if self.again is None else AT_LAST
+        logit += presence * _logit(self.presence) + palm * _logit(self.palm)
+        if self.again is not None:
+            logit += OF_AGAIN * self.again + OF_FAR * _logit(self.far)
         return float(1.0 / (1.0 + np.exp(-logit)))
 
 
