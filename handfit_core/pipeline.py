@@ -283,6 +283,8 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         for rows in ([d.keypoints for d in found], [d.world for d in found])
     )
     keypoints_2d = points[..., :2]
+    none = np.zeros(NUM_KEYPOINTS, dtype=bool)
+    overlapped = np.array([none if d.overlapped is None else d.overlapped for d in found])
     joints = model.keypoints(
         fit.betas, fit.global_orient[present], fit.hand_pose[present], fit.transl[present]
     )
@@ -305,6 +307,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         world_landmarks=world,
         right_side=spread([np.nan if d.right_side is None else d.right_side for d in found], seen, count),
         other_side=spread([d.side != track.side for d in found], seen, count, False),
+        overlapped=spread(overlapped, seen, count, False) if np.any(overlapped) else None,
     )
 
 

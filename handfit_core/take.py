@@ -79,6 +79,7 @@ _ARRAYS: Final[dict[str, _Array]] = {
     "world_landmarks": _Array((21, 3), optional=True),
     "right_side": _Array(finite="none", optional=True),
     "other_side": _Array(kind="b", optional=True),
+    "overlapped": _Array((21,), kind="b", optional=True),
     "placed": _Array((21, 2), finite="none", optional=True),
 }
 """A hand's arrays in a take's file, by the names of HandTrack's fields"""
@@ -128,6 +129,8 @@ class HandTrack:
     """(T,) probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
     other_side: np.ndarray | None = None
     """(T,) bool: frames in which the detector named the other side; None: in none"""
+    overlapped: np.ndarray | None = None
+    """(T, 21) bool: keypoints that lie where another hand is, and are believed less; None: none do"""
     placed: np.ndarray | None = None
     """(T, 21, 2) pixels: where a person has put points; NaN: not a person's; None: none is"""
 
@@ -192,6 +195,7 @@ class HandTrack:
             keypoints=np.column_stack([self.keypoints_2d[row], self.keypoints_depth[row]]),
             world=np.array(self.world_landmarks[row]),
             right_side=None if np.isnan(judged) else judged,
+            overlapped=None if self.overlapped is None else np.array(self.overlapped[row]),
         )
 
     @property

@@ -45,6 +45,8 @@ class HandDetection:
     spread: np.ndarray | None = None
     """(21, 3) standard deviation in pixels (x, y, z) of the looks that `keypoints` averages; None after
     a single look"""
+    overlapped: np.ndarray | None = None
+    """(21,) bool: points that lie where another hand is, and may be that one's; None: none do"""
     shown: bool = False
     """Whether a person has said that it is there"""
     given_side: Side | None = None

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.skeleton import SIDES, other_side
+from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES, other_side
 
 _PALM = [0, 5, 9, 13, 17]
+_BONES = [[parent, point] for point, parent in enumerate(KEYPOINT_PARENTS) if parent >= 0]
 
 SAME_PALM = 0.25
 """Detections whose palms are nearer than this, in units of the hands' size, are of one hand."""
@@ -20,6 +21,10 @@ SAME_BOX = 0.5
 
 ITS_BOX = 0.97
 """A box that shares more than this part with that of a hand's points was drawn about that very hand."""
+
+THICKNESS = 0.14
+"""A point nearer than this to another hand's bones, in units of that hand's size, lies on it, or so near that
+the landmark network may take the one for the other"""
 
 SAME_HAND = 0.25
 """Two detections of one picture nearer than this (see `distance`) are looks at one hand."""
@@ -72,6 +77,15 @@ def _shared(a: np.ndarray, b: np.ndarray) -> float:
     common = float(np.clip(high - low, 0.0, None).prod())
     both = sum(float(np.ptp(points, axis=0).prod()) for points in (a, b))
     return common / max(both - common, 1e-9)
+
+
+def overlapped(hand: HandDetection, other: HandDetection) -> np.ndarray:
+    """(21,) bool: which points of a hand lie where another one is."""
+    points, bones = hand.keypoints_2d[:, None], other.keypoints_2d[_BONES]
+    start, along = bones[:, 0], bones[:, 1] - bones[:, 0]
+    share = ((points - start) * along).sum(axis=-1) / np.maximum(np.square(along).sum(axis=-1), 1e-9)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+    return (np.linalg.norm(points - nearest, axis=-1) < THICKNESS * other.extent).any(axis=1)
 
 
 def mean_of(hands: Sequence[HandDetection]) -> HandDetection:

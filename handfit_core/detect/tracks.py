@@ -7,13 +7,13 @@ are wrong now and then.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 
 import numpy as np
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.looks import distance
+from handfit_core.detect.looks import distance, overlapped
 from handfit_core.errors import NoHandFoundError
 from handfit_core.options import HandChoice
 from handfit_core.skeleton import SIDES, Side, other_side
@@ -150,13 +150,23 @@ def link_and_count(
             f"no {hands} hand was found, only a {found} one; try hands 'auto' (in a mirrored picture left "
             "is right)"
         )
-    linked = tuple(
-        DetectedTrack(side, tuple(track.detections.get(i) for i in range(len(frames))), fps, holes)
-        for track, side in chosen
-    )
     most = max(t.weight for t in tracks)
     sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
+    linked = tuple(
+        DetectedTrack(side, tuple(_beside(track, sure, i) for i in range(len(frames))), fps, holes)
+        for track, side in chosen
+    )
     return linked, max(len(chosen), sum(hands not in SIDES or t.side == hands for t in sure))
+
+
+def _beside(track: _OpenTrack, tracks: Sequence[_OpenTrack], frame: int) -> HandDetection | None:
+    """A track's detection, with its points marked that lie where another hand is."""
+    hand = track.detections.get(frame)
+    if hand is None:
+        return None
+    others = [t.detections[frame] for t in tracks if t is not track and frame in t.detections]
+    covered = np.any([overlapped(hand, other) for other in others], axis=0)
+    return replace(hand, overlapped=covered) if np.any(covered) else hand
 
 
 def _choose(

@@ -33,12 +33,15 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
     """A hand as JSON's types: the `hand` of a `refit` request.
 
     Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
-    (whether the detector named this side), NaN rows where there is none.
+    (whether the detector named this side), NaN rows where there is none; `overlapped` (T, 21) bool where a
+    detection has it.
     """
     count, there = len(hand), hand.detected
     found = [d for d in hand.detections if d is not None]
     points = {name: np.reshape([getattr(d, name) for d in found], (-1, NUM_KEYPOINTS, 3)) for name in _POINTS}
     camera = hand.intrinsics
+    nowhere = np.zeros(NUM_KEYPOINTS, dtype=bool)
+    overlapped = [nowhere if d.overlapped is None else d.overlapped for d in found]
     return {
         "side": hand.side,
         "model": hand.model,
@@ -54,11 +57,13 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         **{name: pack(spread(rows, there, count).astype(np.float32)) for name, rows in points.items()},
         "score": pack(spread([d.score for d in found], there, count).astype(np.float32)),
         "agrees": pack(spread([d.side == hand.side for d in found], there, count, True)),
+        **({"overlapped": pack(spread(overlapped, there, count, False))} if np.any(overlapped) else {}),
     }
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
-    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added` and `agrees` may be missing.
+    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees` and `overlapped`
+    may be missing.
 
     Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
     shape or range; both name it.
@@ -77,6 +82,9 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
         shape = (count, NUM_KEYPOINTS, 3) if name in points else (count,)
         if array.shape != shape:
             raise OptionError(f"{name} must have the shape {shape}, not {array.shape}")
+    overlapped = _array(message, "overlapped") if "overlapped" in message else None
+    if overlapped is not None and (overlapped.shape != (count, NUM_KEYPOINTS) or overlapped.dtype != bool):
+        raise OptionError(f"overlapped must be bools of the shape {(count, NUM_KEYPOINTS)}")
     score, agrees = of_frames.values()
     detections = tuple(
         HandDetection(
@@ -84,6 +92,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
             float(np.nan_to_num(score[row], nan=0.5)),
             points["keypoints"][row].astype(np.float64),
             points["world"][row].astype(np.float64),
+            overlapped=None if overlapped is None else overlapped[row],
         )
         if np.isfinite([points[name][row] for name in _POINTS]).all()
         else None

@@ -340,7 +340,8 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
     if len(detections) > 1:
         return landmarked(detections, side)
     (one,) = detections
-    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes())
+    overlapped = None if one.overlapped is None else one.overlapped.tobytes()
+    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes(), overlapped)
     if "one" not in _LAST or _LAST["one"][0] != key:
         _LAST["one"] = key, landmarked(detections, side)
     return _LAST["one"][1]

@@ -179,14 +179,17 @@ def as_detected(**changes: Any) -> HandTrack:
     }
     for array in arrays.values():
         array[~DETECTED] = np.nan
-    return track(**{**arrays, "other_side": np.array([False, True, False, False]), **changes})
+    covered = np.arange(21) > np.array([[21], [5], [21], [21]])
+    return track(
+        **{**arrays, "other_side": np.array([False, True, False, False]), "overlapped": covered, **changes}
+    )
 
 
 def test_what_the_detector_found_comes_back(tmp_path: Path) -> None:
     original = as_detected()
     (hand, old) = Take.load(take(hands=(original, track("left"))).save(tmp_path / "t.npz")).hands
     assert hand.refinable
-    for name in ("keypoints_depth", "world_landmarks", "right_side", "other_side", "placed"):
+    for name in ("keypoints_depth", "world_landmarks", "right_side", "other_side", "overlapped", "placed"):
         np.testing.assert_array_equal(getattr(hand, name), getattr(original, name), err_msg=name)
         assert getattr(old, name) is None
     first, second, third, fourth = (hand.detection(row) for row in range(FRAMES))
@@ -196,6 +199,8 @@ def test_what_the_detector_found_comes_back(tmp_path: Path) -> None:
     assert third is None
     assert original.keypoints_depth is not None
     assert original.world_landmarks is not None
+    assert second.overlapped is not None
+    np.testing.assert_array_equal(second.overlapped, np.arange(21) > 5)
     np.testing.assert_array_equal(first.keypoints_2d, original.keypoints_2d[0])
     np.testing.assert_array_equal(first.keypoints[:, 2], original.keypoints_depth[0])
     np.testing.assert_array_equal(first.world, original.world_landmarks[0])

@@ -22,6 +22,11 @@ DETECTOR_ODDS: Final = 3.0
 in photos: its odds for the detector's word count this many times"""
 
 
+OVERLAPPED: Final = 4.0
+"""Points that lie where another hand is are expected to err so many times as much: the detector looks for one
+hand at a time, and takes fingers of the other for that one's"""
+
+
 @dataclass(frozen=True)
 class Trust:
     """How the detector's landmarks and the network's meet."""
@@ -42,7 +47,7 @@ TRUST: Final = Trust()
 
 def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = TRUST) -> Landmarked:
     """Corrected detections, all taken for hands of that side. Those that carry what the network said of that
-    side are not shown to it again."""
+    side are not shown to it again. Points where another hand lies are expected to err more."""
     said = [d.corrected for d in detections]
     kept = [None if s is None or s[0] != side or trust != TRUST else s[1] for s in said]
     unknown = [i for i, k in enumerate(kept) if k is None]
@@ -51,7 +56,15 @@ def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = T
         found, _ = corrected([detections[i] for i in unknown], sides, trust)
         for row, i in enumerate(unknown):
             kept[i] = found.select(slice(row, row + 1))
-    return Landmarked.joined([k for k in kept if k is not None])
+    seen = Landmarked.joined([k for k in kept if k is not None])
+    doubted = {row: d.overlapped for row, d in enumerate(detections) if d.overlapped is not None}
+    if not doubted:
+        return seen
+    times = np.ones(seen.depth.shape)
+    times[list(doubted)] = np.where(list(doubted.values()), OVERLAPPED, 1.0)
+    return replace(
+        seen, pixel_sigma=seen.pixel_sigma * times[..., None], depth_sigma=seen.depth_sigma * times
+    )
 
 
 def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]:

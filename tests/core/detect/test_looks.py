@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand
+from handfit_core.detect.looks import View, distance, mean_of, of_one, overlapped, same_hand
 from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(0, 1, (21, 3))
@@ -18,6 +18,20 @@ def hand(x: float, side: Side = "right", score: float = 0.9) -> HandDetection:
 def test_distance_is_in_units_of_the_hand() -> None:
     assert distance(hand(0), hand(30)) == pytest.approx(0.3)
     assert distance(hand(0), hand(30), moved=np.array([20.0, 0.0])) == pytest.approx(0.1)
+
+
+def test_points_on_another_hand() -> None:
+    """Those of the other's tips are on its bones; of those around it, the near ones."""
+    points = SHAPE.copy()
+    points[:, :2] = SHAPE[4, :2]
+    middle = SHAPE[:, :2].mean(axis=0)
+    points[1:, :2] += np.linspace(0.0, 400.0, 20)[:, None] * (SHAPE[4, :2] - middle) / 100.0
+    covered = overlapped(HandDetection("left", 0.9, points, SHAPE), hand(0))
+    assert covered[0]
+    assert not covered[-1]
+    assert overlapped(hand(0), hand(0)).all()
+    assert not overlapped(hand(0), hand(150)).any()
+    assert np.array_equal(overlapped(hand(0), hand(50, "left")), overlapped(hand(7), hand(57)))
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,19 @@ def test_where_places_are_undecided_the_networks_word_decides() -> None:
     assert [x_of(d) for d in tracks["right"].detections] == [200, 148]
 
 
+def test_points_where_another_hand_is_are_marked() -> None:
+    frames = [[hand(100 + 20 * t, "left"), hand(500 - 20 * t, y=340)] for t in range(21)]
+    for track in link_tracks(frames):
+        marked = [d is not None and d.overlapped is not None for d in track.detections]
+        assert not any(marked[:5] + marked[-5:])
+        assert all(marked[8:13])
+    # A hand that is not chosen hides points, too; one that was found twice hides none of its own.
+    (one,) = link_tracks(frames, max_hands=1)
+    assert sum(d is not None and d.overlapped is not None for d in one.detections) == sum(marked)
+    (twice,) = link_tracks([[hand(100 + t), hand(130 + t, "left", 0.6)] for t in range(10)])
+    assert all(d is not None and d.overlapped is None for d in twice.detections)
+
+
 def test_tracks_know_the_clips_rate() -> None:
     assert [t.fps for t in link_tracks([[hand(1)]], fps=12.5)] == [12.5]
 

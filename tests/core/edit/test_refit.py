@@ -574,12 +574,13 @@ def same(a: RefineHand, b: RefineHand) -> None:
             np.testing.assert_allclose(one.keypoints, other.keypoints, atol=1e-4)
             np.testing.assert_allclose(one.world, other.world, atol=1e-7)
             assert one.side == other.side
+            assert np.any(one.overlapped) == np.any(other.overlapped)
             assert one.score == pytest.approx(other.score)
 
 
 def test_messages_come_back() -> None:
     hand = corrected_clip(locked=unlocked(3), smoothing=0.5, holes=(4,))
-    other = replace(hand.detections[7], side="left")  # type: ignore[type-var]
+    other = replace(hand.detections[7], side="left", overlapped=np.arange(21) > 3)  # type: ignore[type-var]
     hand = replace(hand, detections=(None, *hand.detections[1:7], other, *hand.detections[8:]))
     same(from_message(json.loads(json.dumps(to_message(hand), allow_nan=False))), hand)
 
@@ -658,6 +659,8 @@ def test_bad_hands_are_named(field: str, value: Any, named: str) -> None:
         ("world", pack(np.zeros((3, 21, 3)))),
         ("score", pack(np.zeros(2))),
         ("agrees", pack(np.zeros(2, dtype=bool))),
+        ("overlapped", pack(np.zeros((1, 21)))),
+        ("overlapped", pack(np.zeros((1, 20), dtype=bool))),
         ("betas", [0.0] * 10),
         ("pins", {"dtype": "float32", "shape": [1, 21, 2], "data": "AAAA"}),
         ("side", "both"),

@@ -289,3 +289,25 @@ def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCapt
         assert (said or "") in caplog.text
         assert bool(caplog.records) == (said is not None)
         assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)
+
+
+def test_fingers_that_another_hand_hides_are_carried_by_their_neighbours_in_time() -> None:
+    """In a few frames the detector takes the other hand's fingers for this one's."""
+    poses, track = clip("right", 30)
+    model, wrong = model_of("right"), slice(12, 17)
+    covered = np.arange(21) > 8
+    detections = [d for d in track.detections if d is not None]
+    for t in range(wrong.start, wrong.stop):
+        keypoints = detections[t].keypoints.copy()
+        keypoints[covered, :2] += [40.0, 0.0]
+        detections[t] = replace(detections[t], keypoints=keypoints)
+    told = list(detections)
+    told[wrong] = [replace(d, overlapped=covered) for d in detections[wrong]]
+    errors = []
+    for given in (detections, told):
+        found = fit_track(1.0, model, DetectedTrack("right", tuple(given), FPS), CAMERA, lambda: None)
+        points = keypoints_of(
+            "right", np.tile(found.betas, (30, 1)), found.global_orient, found.hand_pose, found.transl
+        )
+        errors.append(np.linalg.norm(points - keypoints_of("right", *poses), axis=-1)[wrong].mean())
+    assert errors[1] < 0.6 * errors[0]

@@ -67,3 +67,18 @@ def test_what_was_said_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> No
         assert asked == count
     landmarked([*judged[:5], *DETECTIONS[5:]], "right")
     assert asked == [12, 7]
+
+
+def test_points_where_another_hand_is_are_believed_less() -> None:
+    covered = np.arange(21) > 16
+    detections = [DETECTIONS[0], replace(DETECTIONS[1], overlapped=covered), *DETECTIONS[2:]]
+    for before, given in (
+        (landmarked(DETECTIONS, "right"), detections),
+        (landmarked(with_side_judged(DETECTIONS), "right"), with_side_judged(detections)),
+    ):
+        doubted = landmarked(given, "right")
+        np.testing.assert_array_equal(doubted.pixels, before.pixels)
+        times = np.ones((12, 21))
+        times[1, covered] = corrected_module.OVERLAPPED
+        np.testing.assert_array_equal(doubted.pixel_sigma, before.pixel_sigma * times[..., None])
+        np.testing.assert_array_equal(doubted.depth_sigma, before.depth_sigma * times)
