@@ -1,0 +1,284 @@
+#!/usr/bin/env python3
+"""Two hands of one person that cross, pass, clap, wring and interlock: how well captures tell them apart.
+
+    python scripts/two_hands.py [--clips 5] [--detector direct]
+
+Clips are painted, so that the truth is known; the same numbers paint the same clips. For each kind:
+
+* near, apart: shares of hands that have a pose, in frames in which points of one hand lie on the other, and in the
+  other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent of the
+  hand's size;
+* switched: how often a track goes on with the other hand; sides: frames of tracks of the wrong side;
+* astray: poses that are nearer to no hand than 0.4 of its size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.looks import overlapped
+from handfit_core.detect.opening import open_detector
+from handfit_core.detect.tracks import link_tracks
+from handfit_core.errors import NoHandFoundError
+from handfit_core.evaluate.metrics import similarity_aligned_distances
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import SIDES, Side
+from handfit_core.solvers import get_solver
+from scripts.benchmark.arm import build_arm, forearm_direction
+from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles, model_of, within_limits
+from scripts.benchmark.people import random_betas
+from scripts.benchmark.poses import random_pose
+from scripts.benchmark.shots import FPS, Shot, ShotHand
+from scripts.training.painter import paint
+
+SIZE: Final = 512
+"""pixels a side"""
+FRAMES: Final = 75
+PERIOD: Final = 50
+"""Frames from one crossing to the second next"""
+AWAY: Final = 0.6
+"""metres from the camera to the middle between the hands"""
+
+INWARDS: Final = {"right": np.array([1.0, 0.0, 0.0]), "left": np.array([-1.0, 0.0, 0.0])}
+"""Of a person who faces the camera; x to the picture's right, y down, z away"""
+
+ASTRAY: Final = 0.4
+"""of a hand's size: what is farther off is not that hand"""
+
+UP, AHEAD = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """How one hand moves, over T frames."""
+
+    fingers: np.ndarray
+    """(T, 3) where they point"""
+    back: np.ndarray
+    """(T, 3) where the hand's back looks"""
+    palm: np.ndarray
+    """(T, 3) metres, where its middle is"""
+    pose: str = "relaxed"
+    bend: np.ndarray | float = 0.0
+    """(T,) radians that all knuckles are bent more"""
+
+
+def _cross(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    """Each goes to the other's place, and back."""
+    depth = 0.035 * (1 if side == "left" else -1)
+    palm = -0.14 * np.cos(2 * np.pi * t / PERIOD)[:, None] * INWARDS[side] + [0.0, rng.normal(0, 0.01), depth]
+    return Way(UP + rng.normal(0, 0.25, 3), rng.choice([-1, 1]) * AHEAD, palm)
+
+
+def _pass(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    """The right hand sweeps to and fro before the left one, which stays."""
+    if side == "left":
+        return Way(UP + rng.normal(0, 0.25, 3), rng.choice([-1, 1]) * AHEAD, np.zeros((len(t), 3)))
+    palm = -0.17 * np.cos(2 * np.pi * t / PERIOD)[:, None] * INWARDS[side] + 0.07 * AHEAD
+    return Way(UP + rng.normal(0, 0.35, 3), rng.choice([-1, 1]) * AHEAD, palm, "open")
+
+
+def _clap(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    open_by = np.abs(np.cos(2 * np.pi * t / PERIOD))
+    return Way(
+        UP + 0.5 * AHEAD + rng.normal(0, 0.1, 3),
+        -INWARDS[side],
+        -(0.018 + 0.11 * open_by)[:, None] * INWARDS[side],
+        "open",
+    )
+
+
+def _wring(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    apart = np.clip(np.cos(2 * np.pi * t / len(t)), 0, 1)
+    rub = 0.025 * np.sin(2 * np.pi * t / 20) * (1 if side == "left" else -1)
+    across = (0.9 if side == "left" else -0.5) * AHEAD
+    return Way(
+        UP + across + rng.normal(0, 0.1, 3),
+        -INWARDS[side],
+        -(0.02 + 0.11 * apart)[:, None] * INWARDS[side] + rub[:, None] * UP,
+        bend=0.6 * (1 - apart),
+    )
+
+
+def _interlock(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    """Fingers between fingers."""
+    apart = np.clip(1.3 * np.cos(2 * np.pi * t / len(t)) + 0.2, 0, 1)
+    palm = -(0.055 + 0.09 * apart)[:, None] * INWARDS[side] + (0.009 if side == "left" else 0.0) * UP
+    return Way(INWARDS[side] + 0.35 * UP, AHEAD + rng.normal(0, 0.1, 3), palm, "open", 0.7 * (1 - apart))
+
+
+KINDS: Final[dict[str, Callable[[Side, np.ndarray, np.random.Generator], Way]]] = {
+    "cross": _cross,
+    "pass": _pass,
+    "clap": _clap,
+    "wring": _wring,
+    "interlock": _interlock,
+}
+
+
+def clip(kind: str, seed: int, frames: int = FRAMES, size: int = SIZE) -> Shot:
+    """Two hands over `frames` key frames, which are its pictures."""
+    rng = np.random.default_rng([seed, list(KINDS).index(kind)])
+    betas = random_betas(rng)
+    # From the front, or over the person's own shoulder; a little from the side.
+    turn = np.pi * (rng.random() < 0.4) + rng.normal(0, 0.35)
+    camera_turn = rotvec_to_rotmat(np.array([rng.normal(0, 0.2), 0.0, 0.0])) @ rotvec_to_rotmat(
+        np.array([0.0, turn, 0.0])
+    )
+    t = np.arange(frames, dtype=float)
+    hands = []
+    for side in SIDES:
+        way = KINDS[kind](side, t, rng)
+        fingers, back, palm = (
+            np.broadcast_to(v, (frames, 3)) @ camera_turn.T for v in (way.fingers, way.back, way.palm)
+        )
+        hands.append(_hand(side, betas, replace(way, fingers=fingers, back=back, palm=palm), rng))
+    return Shot(
+        files=tuple(f"{kind}/{seed}/{n:04d}" for n in range(frames)),
+        clip=None,
+        size=size,
+        camera=Intrinsics(1.1 * size, 1.1 * size, size / 2, size / 2),
+        hands=tuple(hands),
+        props=(),
+        surroundings=np.tile(np.eye(4), (frames, 1, 1)),
+        tags=({},) * frames,
+        look_seed=(seed, 99),
+    )
+
+
+def _hand(side: Side, betas: np.ndarray, way: Way, rng: np.random.Generator) -> ShotHand:
+    model = model_of(side)
+    shaped = model.shaped(betas)
+    along = way.fingers / np.linalg.norm(way.fingers, axis=1, keepdims=True)
+    up = way.back - (way.back * along).sum(axis=1, keepdims=True) * along
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    # The model's fingers point to -x (right) or x (left), its back to y.
+    x = along if side == "left" else -along
+    trembling = rotvec_to_rotmat(0.04 * np.sin(np.arange(len(x))[:, None] / 6.0 + rng.uniform(0, 6, 3)))
+    rotation = trembling @ np.stack([x, up, np.cross(x, up)], axis=-1)
+    angles = np.repeat(random_pose(way.pose, RightHand(betas), rng)[None], len(x), axis=0)
+    angles[:, [0, 3, 6, 9], 2] += np.broadcast_to(way.bend, len(x))[:, None]
+    angles[:, :, 2] += 0.08 * np.sin(np.arange(len(x))[:, None] / 8.0 + rng.uniform(0, 6, 15))
+    middle = (shaped.joints[4] - shaped.joints[0]) / 2.0
+    centre = np.array([0.0, 0.0, AWAY]) + way.palm
+    flexion, deviation = np.clip(rng.normal(0, [0.3, 0.12]), -0.6, 0.6)
+    direction = forearm_direction(flexion, deviation, side)
+    sleeve = (rng.uniform(0.0, 0.1), rng.uniform(0.004, 0.012)) if rng.random() < 0.6 else None
+    return ShotHand(
+        side,
+        betas,
+        rotmat_to_rotvec(rotation),
+        hand_pose_from_angles(within_limits(angles), side),
+        centre - rotation @ middle - shaped.joints[0],
+        build_arm(shaped, side, direction, sleeve),
+    )
+
+
+def pictures(shot: Shot) -> Iterator[np.ndarray]:
+    """(size, size, 3) uint8 RGB, one after the other; light, colours and background stay."""
+    for t in range(len(shot.files)):
+        now = [
+            replace(h, **{k: getattr(h, k)[t : t + 1] for k in ("global_orient", "hand_pose", "transl")})
+            for h in shot.hands
+        ]
+        yield paint(replace(shot, hands=tuple(now)), np.random.default_rng(shot.look_seed))
+
+
+def measured(shot: Shot, detector: str) -> Counter[str]:
+    """Sums over the clip's frames."""
+    points = np.array([hand.keypoints() for hand in shot.hands])  # (2, T, 21, 3)
+    pixels = shot.camera.project(points)
+    size = np.ptp(pixels, axis=2).max(axis=-1)
+    with open_detector(CaptureOptions(detector=detector), video=True) as finder:
+        found = finder.completed([finder.find(rgb, t / FPS) for t, rgb in enumerate(pictures(shot))])
+    sums: Counter[str] = Counter()
+    near = np.array([_meet(*pixels[:, t]) for t in range(pixels.shape[1])])
+    best = np.full((2, 2, len(near)), np.nan)  # 2D and 3D error of each hand
+    try:
+        tracks = link_tracks(found, "auto", 2, FPS)
+    except NoHandFoundError:
+        tracks = ()
+    for track in tracks:
+        own = _whose(track, pixels, size)
+        known = own[own >= 0]
+        hand = int(np.bincount(known, minlength=2).argmax())
+        sums["switched"] += int(np.count_nonzero(np.diff(known)))
+        sums["sides"] += int(track.detected.sum()) * (track.side != SIDES[hand])
+        model = model_of(track.side)
+        fit = get_solver("fast", 1.0)(model, track, shot.camera, lambda: None)
+        for t in np.flatnonzero(fit.present):
+            posed = model.keypoints(fit.betas, fit.global_orient[t], fit.hand_pose[t], fit.transl[t])
+            off = np.linalg.norm(shot.camera.project(posed) - pixels[hand, t], axis=-1).mean() / size[hand, t]
+            sums["astray"] += int(off >= ASTRAY)
+            if off < ASTRAY and not best[0, hand, t] <= off:
+                best[:, hand, t] = off, similarity_aligned_distances(posed, points[hand, t]).mean()
+    for name, frames in (("near", near), ("apart", ~near)):
+        there = np.isfinite(best[0]) & frames
+        sums[f"{name} hands"] += 2 * int(frames.sum())
+        sums[f"{name} posed"] += int(there.sum())
+        sums[f"{name} 2D"] += 100.0 * best[0][there].sum()
+        sums[f"{name} PA"] += 1000.0 * best[1][there].sum()
+    return sums
+
+
+def _meet(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether a keypoint (21, 2) of one of two hands lies on the other."""
+    flat = np.zeros((21, 3))
+    a, b = (HandDetection("left", 1.0, np.pad(p, ((0, 0), (0, 1))), flat) for p in (one, other))
+    return bool(overlapped(a, b).any() or overlapped(b, a).any())
+
+
+def _whose(track: DetectedTrack, pixels: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(T,) which hand each detection is of; -1: none."""
+    own = np.full(len(track.detections), -1)
+    for t, seen in enumerate(track.detections):
+        if seen is not None:
+            off = np.linalg.norm(seen.keypoints_2d - pixels[:, t], axis=-1).mean(axis=1) / size[:, t]
+            own[t] = off.argmin() if off.min() < ASTRAY else -1
+    return own
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the script; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="two_hands.py", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--clips", type=int, default=5, help="clips of each kind (default 5)")
+    parser.add_argument("--detector", default="direct", help="as of a capture (default direct)")
+    args = parser.parse_args(argv)
+    print("| clips | near: posed | PA | 2D % | apart: posed | PA | 2D % | switched | sides | astray |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    whole: Counter[str] = Counter()
+    for kind in KINDS:
+        sums: Counter[str] = Counter()
+        for seed in range(args.clips):
+            sums += measured(clip(kind, seed), args.detector)
+        whole += sums
+        print(_row(kind, sums), flush=True)
+    print(_row("all", whole))
+    return 0
+
+
+def _row(name: str, sums: Counter[str]) -> str:
+    cells = [name]
+    for frames in ("near", "apart"):
+        posed = sums[f"{frames} posed"]
+        cells.append(f"{posed / sums[f'{frames} hands']:.3f}" if sums[f"{frames} hands"] else "-")
+        cells += [f"{sums[f'{frames} {what}'] / posed:.2f}" if posed else "-" for what in ("PA", "2D")]
+    return "| " + " | ".join([*cells, *(str(sums[name]) for name in ("switched", "sides", "astray"))]) + " |"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
