@@ -5,9 +5,9 @@
 
 Clips are painted, so that the truth is known; the same numbers paint the same clips. For each kind:
 
-* near, apart: shares of hands that have a pose, in frames in which points of one hand lie on the other, and in the
-  other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent of the
-  hand's size;
+* near, apart: shares of hands that have a pose, in frames in which points of one hand lie on the other, and
+  in other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent of
+  the hand's size;
 * switched: how often a track goes on with the other hand; sides: frames of tracks of the wrong side;
 * astray: poses that are nearer to no hand than 0.4 of its size.
 """
@@ -20,29 +20,29 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
+import cv2
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core import capture
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import overlapped
-from handfit_core.detect.opening import open_detector
-from handfit_core.detect.tracks import link_tracks
 from handfit_core.errors import NoHandFoundError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.solvers import get_solver
+from handfit_core.take import HandTrack
 from scripts.benchmark.arm import build_arm, forearm_direction
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles, model_of, within_limits
 from scripts.benchmark.people import random_betas
 from scripts.benchmark.poses import random_pose
-from scripts.benchmark.shots import FPS, Shot, ShotHand
+from scripts.benchmark.shots import Shot, ShotHand
 from scripts.training.painter import paint
 
 SIZE: Final = 512
@@ -203,25 +203,24 @@ def measured(shot: Shot, detector: str) -> Counter[str]:
     points = np.array([hand.keypoints() for hand in shot.hands])  # (2, T, 21, 3)
     pixels = shot.camera.project(points)
     size = np.ptp(pixels, axis=2).max(axis=-1)
-    with open_detector(CaptureOptions(detector=detector), video=True) as finder:
-        found = finder.completed([finder.find(rgb, t / FPS) for t, rgb in enumerate(pictures(shot))])
+    with TemporaryDirectory() as folder:
+        for t, rgb in enumerate(pictures(shot)):
+            cv2.imwrite(f"{folder}/{t:04}.png", rgb[..., ::-1])
+        try:
+            tracks = capture(folder, intrinsics=shot.camera, detector=detector).hands
+        except NoHandFoundError:
+            tracks = ()
     sums: Counter[str] = Counter()
     near = np.array([_meet(*pixels[:, t]) for t in range(pixels.shape[1])])
     best = np.full((2, 2, len(near)), np.nan)  # 2D and 3D error of each hand
-    try:
-        tracks = link_tracks(found, "auto", 2, FPS)
-    except NoHandFoundError:
-        tracks = ()
     for track in tracks:
         own = _whose(track, pixels, size)
         known = own[own >= 0]
         hand = int(np.bincount(known, minlength=2).argmax())
         sums["switched"] += int(np.count_nonzero(np.diff(known)))
-        sums["sides"] += int(track.detected.sum()) * (track.side != SIDES[hand])
-        model = model_of(track.side)
-        fit = get_solver("fast", 1.0)(model, track, shot.camera, lambda: None)
-        for t in np.flatnonzero(fit.present):
-            posed = model.keypoints(fit.betas, fit.global_orient[t], fit.hand_pose[t], fit.transl[t])
+        sums["sides"] += int(track.detected.sum()) * int(track.side != SIDES[hand])
+        for t in np.flatnonzero(track.present):
+            posed = track.joints_3d[t]
             off = np.linalg.norm(shot.camera.project(posed) - pixels[hand, t], axis=-1).mean() / size[hand, t]
             sums["astray"] += int(off >= ASTRAY)
             if off < ASTRAY and not best[0, hand, t] <= off:
@@ -242,14 +241,11 @@ def _meet(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(overlapped(a, b).any() or overlapped(b, a).any())
 
 
-def _whose(track: DetectedTrack, pixels: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _whose(track: HandTrack, pixels: np.ndarray, size: np.ndarray) -> np.ndarray:
     """(T,) which hand each detection is of; -1: none."""
-    own = np.full(len(track.detections), -1)
-    for t, seen in enumerate(track.detections):
-        if seen is not None:
-            off = np.linalg.norm(seen.keypoints_2d - pixels[:, t], axis=-1).mean(axis=1) / size[:, t]
-            own[t] = off.argmin() if off.min() < ASTRAY else -1
-    return own
+    off = np.linalg.norm(track.keypoints_2d - pixels, axis=-1).mean(axis=-1) / size  # (2, T)
+    off = np.where(track.detected, off, np.inf)
+    return np.where(off.min(axis=0) < ASTRAY, off.argmin(axis=0), -1)
 
 
 def main(argv: list[str] | None = None) -> int:

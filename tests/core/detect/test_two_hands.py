@@ -1,35 +1,34 @@
 """Painted hands of one person that cross: both are found, and each stays itself."""
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
-from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.detector import DetectorSettings
-from handfit_core.detect.tracks import link_tracks
+from handfit_core import capture
 from handfit_core.skeleton import SIDES
 from scripts.two_hands import KINDS, clip, pictures
 
 
 @pytest.mark.usefixtures("landmark_model")
 @pytest.mark.parametrize("seed", [0, 3])
-def test_hands_that_cross_keep_their_sides(seed: int) -> None:
+def test_hands_that_cross_keep_their_sides(seed: int, tmp_path: Path) -> None:
     shot = clip("cross", seed, frames=26)
     truth = {hand.side: shot.camera.project(hand.keypoints()) for hand in shot.hands}
-    with ClipFinder(DetectorSettings(video=True)) as finder:
-        found = finder.completed([finder.find(rgb) for rgb in pictures(shot)])
-    tracks = {track.side: track for track in link_tracks(found)}
-    assert set(tracks) == set(SIDES)
+    for t, rgb in enumerate(pictures(shot)):
+        cv2.imwrite(str(tmp_path / f"{t:04}.png"), rgb[..., ::-1])
+    hands = {hand.side: hand for hand in capture(tmp_path, intrinsics=shot.camera).hands}
+    assert set(hands) == set(SIDES)
     overlapped = []
-    for side, track in tracks.items():
-        assert track.detected.mean() > 0.75
-        assert track.detected[[0, -1]].all()
-        for t, seen in enumerate(track.detections):
-            if seen is not None and t not in range(9, 17):
-                off = np.linalg.norm(seen.keypoints_2d - truth[side][t], axis=-1).mean()
-                assert off < 0.15 * seen.extent
-                assert seen.overlapped is None or t in range(5, 21)
-            overlapped.append(seen is not None and seen.overlapped is not None)
-    assert sum(overlapped) > 8
+    for side, hand in hands.items():
+        assert hand.detected.mean() > 0.75
+        off = np.linalg.norm(shot.camera.project(hand.joints_3d) - truth[side], axis=-1).mean(axis=-1)
+        assert (off < np.where(np.abs(np.arange(26) - 12.5) < 4.0, 0.3, 0.1) * 170.0).all()  # pixels
+        assert hand.overlapped is not None
+        overlapped.append(hand.overlapped.any(axis=1))
+    assert not np.any(overlapped, axis=0)[[0, 1, -2, -1]].any()
+    assert np.sum(overlapped) > 8
 
 
 @pytest.mark.parametrize("kind", KINDS)
