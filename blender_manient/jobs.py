@@ -68,6 +68,8 @@ class Job:
     building: Building
     asks: bool = False
     """Whether more than a few hands are not built before somebody has chosen among them"""
+    bare: bool = False
+    """Whether nobody looks for hands: the picture is shown for an artist to add some"""
     crowd: int = 0
     """How many hands were found where there were too many to build without asking"""
     state: State = "waiting"
@@ -249,6 +251,7 @@ def _start(job: Job) -> None:
         output=str(job._take_path),
         options=job.options.to_message(),
         compact=True,
+        bare=job.bare,
     )
     job.state = "capturing"
 
@@ -348,7 +351,8 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     built = yield from building(take, how)
     _pack_cached_pictures(take)
     warnings += built.warnings
-    job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
+    if not job.bare:
+        job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if job.matched and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))
@@ -397,6 +401,8 @@ def _fail(job: Job, sentence: str, more: str) -> None:
 
 
 def _summary(job: Job, take: Take) -> str:
+    if job.bare:
+        return "the picture, for hands that you add"
     seen, count = int(np.any([track.present for track in take.hands], axis=0).sum()), len(take.frame_numbers)
     frames = counted(count, "frame") if seen == count else f"{seen} of {count} frames"
     text = f"{counted(len(take.hands), 'hand')} in {frames}"

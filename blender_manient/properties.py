@@ -36,6 +36,8 @@ PRESETS = (
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
 
 
+SIDE_ITEMS = (("left", "Left", "The person's left hand"), ("right", "Right", "The person's right hand"))
+
 MATCHING: Any = {
     "name": "Scene",
     "description": "What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
@@ -134,6 +136,9 @@ class ManientSettings(bpy.types.PropertyGroup):
             ("both", "Both", "One left and one right hand"),
         ),
         **of_option("hands"),
+    )
+    added_side: EnumProperty(  # type: ignore
+        name="Side", description="Which hand Add Hand adds", items=SIDE_ITEMS, default="right"
     )
     use_hand_length: BoolProperty(  # type: ignore
         name="Expected Size", description="Tell how large the hand is, for its distance and shape"

@@ -194,6 +194,7 @@ class Refiner:
                 fps=self.take.fps / step,
                 smoothing=smoothing,
                 holes=holes,
+                added=self.track.added,
             )
             return {"mode": mode, "hand": to_message(hand)}
 
@@ -246,7 +247,7 @@ def _steps(frame_numbers: np.ndarray, rows: Sequence[int]) -> tuple[int, tuple[i
 
 def why_not_refinable(track: HandTrack) -> str | None:
     """Why the picture cannot tell how a hand is to be corrected, in a sentence; None where it can."""
-    if not track.detected.any():
+    if not track.detected.any() and not track.added:
         return (
             "a mirrored hand is not in the picture: correct the hand that it was made from, and mirror that"
         )

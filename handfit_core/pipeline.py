@@ -25,7 +25,7 @@ from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import MediaInput, open_media
+from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, Region
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
@@ -132,24 +132,14 @@ def capture_with(
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
     report = progress or (lambda _: None)
-    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
-    intrinsics = options.intrinsics
-    if options.lens is not None:
-        focal, x, y = options.lens
-        intrinsics = Intrinsics(focal * media.width, focal * media.width, x * media.width, y * media.height)
-    if intrinsics is not None:
-        _check_camera(intrinsics, media)
+    media, intrinsics = _opened(source, options)
     model, hands = options.model, options.hands
-    if model is not None:
-        _check_some_side(model)  # before the long part: a wrong path should not cost a detection run
 
     def on_frame(done: int) -> None:
         report(Progress("detect", done, max(media.expected_frames, done)))
 
     most = options.most_hands(clip=media.source.kind != "photo")
     seen = detect_frames(media, options, on_frame, stop)
-    if intrinsics is None:
-        intrinsics = known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
     numbers, found = seen.numbers, seen.frames
     holes = sorted({*_holes(numbers), *(row - 1 for row in seen.cuts)})
     try:
@@ -197,6 +187,40 @@ def capture_with(
         with SOLVERS.blamed(solver):
             fit = solve(models[track.side], track, intrinsics, one_more, stop)
             fitted.append(hand_track(models[track.side], _reached(track, fit), fit, intrinsics))
+    return replace(
+        _without_hands(media, options, intrinsics, numbers),
+        model_digests={side: hand_model.digest for side, hand_model in models.items()},
+        hands=tuple(fitted),
+    )
+
+
+def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
+    """A take of that source in which nobody has looked for hands: its frames, size and camera. Raises what
+    `capture` raises before it looks at the pictures."""
+    media, intrinsics = _opened(source, options)
+    files = [Path(file) for file in media.source.files]
+    numbers = sequence_numbers(files) if media.source.kind == "sequence" else None
+    wanted = options.frames if isinstance(options.frames, FrameRange) else FrameRange()
+    used = numbers or wanted.within(*media.first_and_last)
+    return _without_hands(media, options, intrinsics, list(used))
+
+
+def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsics]:
+    """The input and the camera that took it. Raises InputError and OptionError, and HandModelError for a
+    model of neither side: before the long part, which a wrong path should not cost."""
+    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    intrinsics = options.intrinsics
+    if options.lens is not None:
+        focal, x, y = options.lens
+        intrinsics = Intrinsics(focal * media.width, focal * media.width, x * media.width, y * media.height)
+    if intrinsics is not None:
+        _check_camera(intrinsics, media)
+    if options.model is not None:
+        _check_some_side(options.model)
+    return media, intrinsics or known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
+
+
+def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics, numbers: list[int]) -> Take:
     return Take(
         source=_read_part(media.source, len(numbers)),
         fps=media.fps,
@@ -204,10 +228,10 @@ def capture_with(
         width=media.width,
         height=media.height,
         intrinsics=intrinsics,
-        solver=solver,
-        model=OPEN_HAND if model is None else _absolute(model),
-        model_digests={side: hand_model.digest for side, hand_model in models.items()},
-        hands=tuple(fitted),
+        solver=options.solver,
+        model=OPEN_HAND if options.model is None else _absolute(options.model),
+        model_digests={},
+        hands=(),
     )
 
 
@@ -219,14 +243,16 @@ def capture_to_file(
     should_stop: ShouldStop | None = None,
     *,
     compact: bool = False,
+    bare: bool = False,
 ) -> dict[str, Any]:
-    """Capture and write the take (`compact` as in `Take.save`); what is to be told of it, fit for JSON.
+    """Capture and write the take (`compact` as in `Take.save`), or `bare_take`'s; what is to be told of it,
+    fit for JSON.
 
     Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
     """
     check_writable(output)
     started = time.perf_counter()
-    take = capture_with(source, options, progress, should_stop)
+    take = bare_take(source, options) if bare else capture_with(source, options, progress, should_stop)
     path = take.save(output, compact=compact)
     return {
         "output": str(path),

@@ -25,7 +25,7 @@ from ..refiner import BonePoses, Refiner
 from ..rigs import rig_of
 from ..scene import see_through
 from ..scene.keys import set_pose
-from ..wording import capitalised
+from ..wording import capitalised, counted
 from . import drawing, view
 
 REACH: Final = 14.0
@@ -36,6 +36,8 @@ and drawing twice would only make it later"""
 _PATIENCE: Final = 0.04
 """seconds that a movement of the mouse may wait for its answer, so that the next picture has the hand in its
 place; a worker that was slower the last time is not waited for"""
+_ENOUGH: Final = 6
+"""points of a hand that was added: so many make a sensible pose"""
 _STILL: Final = 3
 """pixels. A press that moves less is a click"""
 
@@ -432,7 +434,7 @@ class KeypointMode:
                 dragged=self.drag.keypoint if self.drag is not None else None,
                 text=text,
                 warning=warning,
-                corner=_free_corner(viewport),
+                corner=free_corner(viewport),
             )
         )
 
@@ -454,6 +456,10 @@ class KeypointMode:
         if self._warming:
             return "Starting the solver ...", False
         track = self.refiner.track
+        if track.added:
+            placed = len(self._pinned())
+            enough = ": three to six are enough, fingertips first" if placed < _ENOUGH else ""
+            return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
         if self.refiner.is_corrected(row):
             return f"{len(self._pinned())} pinned in this frame", False
         if not track.detected[row]:
@@ -468,7 +474,7 @@ def refresh(scene: bpy.types.Scene) -> None:
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
 
 
-def _free_corner(viewport: view.Viewport) -> tuple[float, float]:
+def free_corner(viewport: view.Viewport) -> tuple[float, float]:
     """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
     region, others = viewport.region, [r for r in viewport.area.regions if min(r.width, r.height) > 1]
     top = min([r.y for r in others if r.type in ("HEADER", "TOOL_HEADER")] + [region.y + region.height])

@@ -126,6 +126,8 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
                     screen.look_through_camera(context)
                 if job.crowd and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")
+                if job.bare and job.state == "done" and not jobs.busy():
+                    bpy.ops.manient.add_hand("INVOKE_DEFAULT", shown=True)
 
     def _report(self, job: jobs.Job) -> None:
         for warning in job.warnings:
@@ -175,16 +177,22 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
 
 
 def new_job(
-    context: bpy.types.Context, *, only_frame: bool, regions: tuple[Region, ...] = (), asks: bool = False
+    context: bpy.types.Context,
+    *,
+    only_frame: bool,
+    regions: tuple[Region, ...] = (),
+    asks: bool = False,
+    bare: bool = False,
 ) -> jobs.Job:
     """The capture that the panel's settings describe; with `regions`, of the hands in them and no others.
-    `asks`: as of a job. Raises HandfitError in the artist's words."""
+    `asks`, `bare`: as of a job. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
     if sentence := shared_worker.capture_sentence():
         raise WorkerError(sentence)
     source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
     hand = active_hand(context)
-    if settings.target != "NEW" and hand is None:
+    target = "NEW" if bare else settings.target
+    if target != "NEW" and hand is None:
         raise OptionError("select the captured hand that is to be animated, or choose New Hands")
     camera = scene.camera if settings.camera == "ACTIVE" else None
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
@@ -211,7 +219,7 @@ def new_job(
         ),
         building=jobs.Building(
             scene=Remembered.of("scenes", scene),
-            target=settings.target,
+            target=target,
             hand=Remembered.of("objects", hand.armature) if hand else None,
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
@@ -219,6 +227,7 @@ def new_job(
             render_setup=settings.render_setup,
             camera=Remembered.of("objects", camera) if camera else None,
         ),
+        bare=bare,
         asks=asks and source.kind == "photo" and settings.target == "NEW",
     )
 

@@ -56,6 +56,10 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 sentence(buttons, context, own, "SCENE_DATA")
             frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
             frame.only_frame = True
+        if choosing is None:
+            row = layout.row(align=True)
+            row.operator("manient.add_hand", icon="ADD")
+            row.prop(settings, "added_side", expand=True)
         self._queue(context)
 
     def _queue(self, context) -> None:

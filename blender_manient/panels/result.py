@@ -10,10 +10,11 @@ from handfit_core.fit_quality import mean_relative_error, quality
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.take import HandTrack
 
-from ..scene import markers
+from ..scene import corrections, markers
 from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
 from ..section import Section, fitted, sentence
+from ..wording import counted
 
 
 @lru_cache(maxsize=8)
@@ -48,6 +49,14 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         select.hand = armature.name
         track = hand.track
         found, count = int(track.detected.sum()), len(track.detected)
+        if track.added:
+            frames = corrections.corrected_frames(armature)
+            placed = sum(len(one.pins) for one in corrections.corrections_of(armature).corrections.values())
+            text = f"Added by hand: {counted(placed, 'point')} placed"
+            sentence(
+                box, context, text + (f" in {len(frames)} frames" if len(frames) > 1 else ""), "MOUSE_LMB"
+            )
+            return
         if not found:
             sentence(box, context, "Mirrored: it is not in the picture itself", "MOD_MIRROR")
             return

@@ -10,14 +10,17 @@ Python too (up to Python 3.11 it cannot tell which of its threads holds the inte
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 
 import bpy
+import numpy as np
 
+from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import BuildInterrupted, OptionError
-from handfit_core.hand_model import HandModel, axes, load_model
+from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, Side
 from handfit_core.slices import result_of, retold, slice_clock
@@ -26,12 +29,13 @@ from handfit_core.take import HandTrack, Take
 from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, named_after, shortened_name
 from .animation import CURVES, animating, computing_keys, describe
-from .camera import build_camera, frame_scene, put_before, show_behind
+from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
+from .corrections import keep_field
 from .matching import Footage, note_matched
 from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
-from .store import describe_capture, describe_hand, keeping_take
+from .store import describe_capture, describe_hand, keep_take, keeping_take, kept_here, timing_of
 from .timing import Timing, check_range, set_timing, timing_in
 
 _T = TypeVar("_T")
@@ -186,33 +190,8 @@ def _steps(
 
     hands = []
     for track, shaped in zip(take.hands, shapes, strict=True):
-        model_of_side = models[track.side]
-        rig = build_rig(named_after(name, f"{track.side} hand"), shaped, track.side)
-        armature = keep(rig.armature)
-        keep(armature.data)
-        armature.scale = (units, units, units)
-        if how.camera is not None:
-            put_before(armature, how.camera)
-        describe(armature, take, track)
-        rest = rig.rest
-        yield work.done(1)
-        mesh = keep(build_mesh(f"{armature.name} mesh", model_of_side, shaped, rig))
-        keep(mesh.data)
-        made.extend(mesh.data.materials)
-        yield work.done(1)
-        if work.has_correctives(track):
-            offsets = axes.corrective_offsets(model_of_side, rest.frames)
-            yield None
-            for _ in adding_correctives(mesh, rig, offsets):
-                yield work.done(0.3)
-        keys = yield from work.counting(computing_keys(take, track, shaped, rest, timing))
-        action = None
-        for action in animating(rig, keys):
-            if action not in made:
-                keep(action)
-            yield work.done(1)
-        assert action is not None
-        hands.append(BuiltHand(track.side, armature, mesh, action))
+        hand = yield from _hand(made, work, track, shaped, name, units, timing, how.camera)
+        hands.append(hand)
 
     yield from work.counting(keeping_take(collection, take, how.data))
     yield None
@@ -221,6 +200,7 @@ def _steps(
     describe_capture(collection, camera, timing)
     for index, hand in enumerate(hands):
         describe_hand(hand.armature, collection, take, index, wrists[hand.side])
+        _keep_pins(hand.armature, take, take.hands[index])
     if how.camera is not None and plate is not None:
         warnings += _show_behind_own(how.camera, plate, take, scene)
     scene.collection.children.link(collection)
@@ -245,10 +225,92 @@ def _steps(
     return BuiltTake(collection, camera, tuple(hands), (*warnings, *plate_warnings))
 
 
+def _hand(
+    made: list[bpy.types.ID],
+    work: _Work,
+    track: HandTrack,
+    shaped: ShapedHand,
+    name: str,
+    units: float,
+    timing: Timing,
+    camera: bpy.types.Object | None,
+) -> Generator[float | None, None, BuiltHand]:
+    """One hand's rig, mesh and keys in steps, linked nowhere; `camera`: one that it hangs on."""
+    model = work.models[track.side]
+    rig = build_rig(named_after(name, f"{track.side} hand"), shaped, track.side)
+    armature = rig.armature
+    made += [armature, armature.data]
+    armature.scale = (units, units, units)
+    if camera is not None:
+        put_before(armature, camera)
+    describe(armature, work.take, track)
+    rest = rig.rest
+    yield work.done(1)
+    mesh = build_mesh(f"{armature.name} mesh", model, shaped, rig)
+    made += [mesh, mesh.data, *mesh.data.materials]
+    yield work.done(1)
+    if work.has_correctives(track):
+        offsets = axes.corrective_offsets(model, rest.frames)
+        yield None
+        for _ in adding_correctives(mesh, rig, offsets):
+            yield work.done(0.3)
+    keys = yield from work.counting(computing_keys(work.take, track, shaped, rest, timing))
+    action = None
+    for action in animating(rig, keys):
+        if action not in made:
+            made.append(action)
+        yield work.done(1)
+    assert action is not None
+    return BuiltHand(track.side, armature, mesh, action)
+
+
+def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
+    """Build the last hand of a take into the collection of the others, which keeps the take from then on.
+
+    It stands before the capture's camera, wherever that has been moved. Raises HandModelError.
+    """
+    track, index, timing = take.hands[-1], len(take.hands) - 1, timing_of(collection)
+    loaded = load_model(take.model, track.side)
+    model = with_wrist(loaded, "forearm")
+    camera = collection.manient.camera
+    if camera is not None and camera.name in collection.objects and not is_moved(camera):
+        camera = None
+    made: list[bpy.types.ID] = []
+    work = _Work(replace(take, hands=(track,)), {track.side: model}, True)
+    units = 1.0 / bpy.context.scene.unit_settings.scale_length
+    try:
+        hand = result_of(
+            _hand(made, work, track, model.shaped(track.betas), collection.name, units, timing, camera)
+        )
+    except BaseException:
+        _remove(made)
+        raise
+    keep_take(collection, take)
+    describe_hand(hand.armature, collection, take, index, "open" if model is loaded else "forearm")
+    collection.objects.link(hand.armature)
+    collection.objects.link(hand.mesh)
+    _keep_pins(hand.armature, take, track)
+    return hand
+
+
+def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
+    """Have the hand know the points that a person has put in place, so that they can be dragged on."""
+    if track.placed is None or not kept_here():
+        return
+    pins: dict[float, Correction] = {}
+    for row in np.flatnonzero(np.isfinite(track.placed).all(axis=2).any(axis=1) & track.present).tolist():
+        places = enumerate(track.placed[row].tolist())
+        pins[int(take.frame_numbers[row])] = Correction(
+            {k: (x, y) for k, (x, y) in places if isfinite(x + y)}
+        )
+    keep_field(armature, CorrectionField(pins))
+
+
 class _Work:
     """How much of all steps is done, a curve being one."""
 
     def __init__(self, take: Take, models: dict[Side, HandModel], pose_correctives: bool) -> None:
+        self.take, self.models = take, models
         self._correctives = {
             side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
         }

@@ -14,6 +14,7 @@ from .plate import Plate
 
 _SENSOR_WIDTH = 36.0
 """mm. Only the ratio of lens and sensor matters; full frame gives lenses that photographers know"""
+_SAME_PLACE = 1e-6
 _LOOK_ALONG_Y = (math.pi / 2.0, 0.0, 0.0)
 """Blender's cameras look along their own -Z; this turns that to +Y, with Z up"""
 
@@ -79,6 +80,13 @@ def put_before(armature: bpy.types.Object, camera: bpy.types.Object) -> None:
     scale = camera.matrix_world.to_scale()
     undone = Matrix.Diagonal((*(1.0 / s if s else 1.0 for s in scale), 1.0))
     armature.matrix_parent_inverse = undone @ Euler(_LOOK_ALONG_Y).to_matrix().to_4x4().inverted()
+
+
+def is_moved(camera: bpy.types.Object) -> bool:
+    """Whether a capture camera stands elsewhere than it was built, or moves."""
+    rest = Euler(_LOOK_ALONG_Y).to_matrix().to_4x4()
+    away = (camera.matrix_world - rest) if camera.animation_data is None else None
+    return away is None or max(abs(value) for row in away for value in row) > _SAME_PLACE
 
 
 def frame_scene(scene: bpy.types.Scene, take: Take, scale: float = 1.0) -> None:

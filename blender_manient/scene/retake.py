@@ -14,7 +14,7 @@ from mathutils import Matrix
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import rotmat_to_quat
 from handfit_core.hand_model.kept import kept_model
-from handfit_core.skeleton import NUM_JOINTS, PARENTS
+from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
 from .corrections import corrections_of
@@ -74,7 +74,21 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
         joints_3d=joints_3d,
         reprojection_error=np.where(detected, errors.mean(axis=-1), np.nan),
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
+        placed=_placed(hand),
     )
+
+
+def _placed(hand: CapturedHand) -> np.ndarray | None:
+    """(T, 21, 2) pixels of the points that the artist has put in place; None where there are none, and the
+    hand was not added by hand."""
+    numbers = hand.take.frame_numbers
+    placed = np.full((len(numbers), NUM_KEYPOINTS, 2), np.nan)
+    with contextlib.suppress(TakeError):  # corrections that cannot be read
+        field = corrections_of(hand.armature)
+        for row, number in enumerate(numbers):
+            for keypoint, place in field.pins(number).items():
+                placed[row, keypoint] = place
+    return placed if hand.track.added or np.isfinite(placed).any() else None
 
 
 def _posed_rows(hand: CapturedHand) -> np.ndarray:

@@ -159,9 +159,9 @@ def _following(
     alike = _FOLLOW ** np.abs(np.arange(5)[:, None] - np.arange(5))
     share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
     bends = (found - own)[0][:, _BENDS]
+    followed = own[0, left]
+    followed[:, _BENDS] += share @ bends[known]
+    least, most = (end[left] for end in fitter.reach)
     angles = found.copy()
-    angles[0, left] = own[0, left]
-    angles[np.ix_([0], left, _BENDS)] += share @ bends[known]
-    least, most = fitter.reach
-    angles[:, left] = np.clip(angles, np.minimum(least, own), np.maximum(most, own))[:, left]
+    angles[0, left] = np.clip(followed, np.minimum(least, own[0, left]), np.maximum(most, own[0, left]))
     return angles

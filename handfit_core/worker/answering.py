@@ -59,9 +59,10 @@ def capture(
     source, output = _source(message), message.get("output")
     if not isinstance(output, str) or not output:
         raise OptionError("a capture needs the path of the take to write, as its output")
-    compact = message.get("compact", False)
-    if not isinstance(compact, bool):
-        raise OptionError(f"a capture's compact must be true or false, not {compact!r}")
+    flags = {name: message.get(name, False) for name in ("compact", "bare")}
+    for name, flag in flags.items():
+        if not isinstance(flag, bool):
+            raise OptionError(f"a capture's {name} must be true or false, not {flag!r}")
     options = CaptureOptions.of_message(message.get("options") or {})
     stopped = False
 
@@ -73,7 +74,7 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, output, options, report, asked, compact=compact)
+    done = capture_to_file(source, output, options, report, asked, **flags)
     return {**done, "stopped": stopped}
 
 

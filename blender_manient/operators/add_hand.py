@@ -1,0 +1,294 @@
+"""Add Hand: a relaxed hand is laid into the picture by mouse, for Edit Keypoints to pose."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.edit import landmark_points
+from handfit_core.edit.adding import KNUCKLE, USUAL_PALM, WRIST, laid, with_added
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.geometry.picture_map import mapped
+from handfit_core.hand_model.kept import kept_model
+from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
+from handfit_core.take import Take
+
+from .. import jobs, screen, shared_worker, source_info
+from ..keypoint_mode import drawing, view
+from ..keypoint_mode.mode import free_corner
+from ..properties import SIDE_ITEMS
+from ..scene.build import add_last_hand
+from ..scene.store import active_hand, kept_take, rows_at
+from .capture import new_job
+from .needs_hand import Refuses, Waits, errors_reported, select_alone
+
+_TICK = 0.1
+_STILL = 6.0
+"""pixels at a user interface scale of 1. A drag that is shorter is a click"""
+_KEYS = (
+    "Drag from Wrist to Middle Knuckle: Add Hand    Click: Add It Upright    S: Left or Right    "
+    "P: Back or Palm    Left/Right: Frame    Esc: Cancel"
+)
+_SEEN = (("back", "Back", "The back of the hand is seen"), ("palm", "Palm", "The palm is seen"))
+
+
+class _Mode:
+    """The state between the button and the hand."""
+
+    def __init__(self, context, viewport: view.Viewport, capture: bpy.types.Collection) -> None:
+        self.capture, self.take = capture.name, kept_take(capture)
+        self.camera = capture.manient.camera.name
+        self.view = view.CaptureView(viewport, capture.manient.camera, context)
+        self.seen: Any = "back"
+        self.ends: np.ndarray | None = None
+        """(2, 2) pixels of the picture: wrist and knuckle"""
+        self.pressed: np.ndarray | None = None
+        """(2,) pixels of the region"""
+        self.message = ""
+        self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
+        viewport.area.tag_redraw()
+
+    def end(self, context) -> None:
+        """Leave nothing behind. May be called twice."""
+        if self._handler is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
+            self._handler = None
+            self.view.leave(context)
+            screen.redraw("VIEW_3D")
+
+    def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
+        """Picture to region; None while the viewport does not look through the capture camera."""
+        camera = bpy.data.objects.get(self.camera)
+        if camera is None or not self.view.shows(viewport):
+            return None
+        return view.picture_matrix(viewport, camera, self.take.intrinsics)
+
+    def follow(self, viewport: view.Viewport, mouse: np.ndarray) -> None:
+        """Have the hand lie where the mouse says: its wrist there, or between the press and the mouse."""
+        matrix = self.matrix(viewport)
+        if matrix is None:
+            self.ends = None
+            return
+        dragged = (
+            self.pressed is not None
+            and np.ptp([self.pressed, mouse], axis=0).max() > _STILL * screen.ui_scale()
+        )
+        places = mapped(
+            np.linalg.inv(matrix), np.array([mouse if self.pressed is None else self.pressed, mouse])
+        )
+        if not dragged:
+            places[1] = places[0] - [0.0, USUAL_PALM * min(self.take.width, self.take.height)]
+        self.ends = places
+
+    def points(self, side: Side) -> np.ndarray:
+        """(21, 2) pixels of the picture: the hand as it would be added; NaN where there is none."""
+        if self.ends is None:
+            return np.full((NUM_KEYPOINTS, 2), np.nan)
+        try:
+            model = kept_model(self.take.model, side)
+            pose = (a[None] for a in laid(model, self.take.intrinsics, self.ends[0], self.ends[1], self.seen))
+            return self.take.intrinsics.project(landmark_points(model, np.zeros(NUM_BETAS), *pose))[0]
+        except HandfitError as error:
+            self.message = str(error)
+            return np.full((NUM_KEYPOINTS, 2), np.nan)
+
+    def _draw(self) -> None:
+        context = bpy.context
+        if context.area is None or context.area.as_pointer() != self.view.address:
+            return
+        viewport = view.viewport_at(context, self.view.address)
+        if viewport is None or context.region != viewport.region:
+            return
+        side, matrix = context.scene.manient.added_side, self.matrix(viewport)
+        text = f"{side.capitalize()} hand, its {self.seen} to you: drag from the wrist to the middle knuckle"
+        if matrix is None:
+            text = "Numpad 0: look through the capture camera again"
+        places = np.full((NUM_KEYPOINTS, 2), np.nan) if matrix is None else mapped(matrix, self.points(side))
+        drawing.draw(
+            drawing.Picture(
+                places=places,
+                pinned=frozenset((WRIST, KNUCKLE)),
+                hovered=None,
+                dragged=WRIST if self.pressed is None else KNUCKLE,
+                text=self.message or text,
+                warning=bool(self.message) or matrix is None,
+                corner=free_corner(viewport),
+            )
+        )
+
+
+_mode: _Mode | None = None
+
+
+class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
+    bl_idname = "manient.add_hand"
+    bl_label = "Add Hand"
+    bl_description = (
+        "Lay a relaxed hand into the picture where none was found: drag from its wrist to the knuckle of the "
+        "middle finger. Then drag three to six of its points, fingertips first"
+    )
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    side: bpy.props.EnumProperty(name="Side", items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
+    seen: bpy.props.EnumProperty(name="Seen", items=_SEEN, options={"SKIP_SAVE"})  # type: ignore
+    wrist: bpy.props.FloatVectorProperty(  # type: ignore
+        name="Wrist", description="Pixels from the picture's upper left corner", size=2
+    )
+    knuckle: bpy.props.FloatVectorProperty(  # type: ignore
+        name="Middle Knuckle", description="Pixels from the picture's upper left corner", size=2
+    )
+    shown: bpy.props.BoolProperty(  # type: ignore
+        description="The picture was shown for this", options={"HIDDEN", "SKIP_SAVE"}
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        """A scene, and a worker that has nothing else to do."""
+        if _mode is not None:
+            return "A hand is being added already"
+        if context.scene is None or not context.scene.is_editable:
+            return "This scene is linked from another file: open or make one of your own"
+        if jobs.busy():
+            return "A capture is running: wait for it, or stop it"
+        if context.mode not in ("OBJECT", "POSE"):
+            return "Go to Object or Pose Mode first"
+        return shared_worker.capture_sentence()
+
+    @errors_reported
+    def invoke(self, context, _event):
+        """Begin in the viewport under the mouse, or the largest one; the picture is shown first."""
+        global _mode
+        viewport = view.first_viewport(context)
+        if viewport is None:
+            raise OptionError("Hands are added in a 3D viewport: open one in this window")
+        capture = capture_here(context)
+        if capture is None and self.shown:
+            raise OptionError("The picture is not in this scene: press Add Hand again")
+        if capture is None:
+            jobs.submit(new_job(context, only_frame=False, bare=True))
+            return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+        _mode = _Mode(context, viewport, capture)
+        self._tell(context, _KEYS)
+        return self._wait(context, _TICK)
+
+    @errors_reported
+    def execute(self, context):
+        """Add it where wrist and knuckle say: for scripts, and without a window."""
+        capture = capture_here(context)
+        if capture is None:
+            jobs.submit(new_job(context, only_frame=False, bare=True))
+            for job in jobs.run():
+                if job.state != "done":
+                    raise OptionError(job.message)
+            capture = capture_here(context)
+        if capture is None:
+            raise OptionError("The picture is not in this scene: press Add Hand again")
+        add_hand(context, capture, self.side, np.array([self.wrist, self.knuckle], dtype=float), self.seen)
+        bpy.ops.ed.undo_push(message="Add Hand")
+        return {"FINISHED"}
+
+    def modal(self, context, event):
+        """One event."""
+        viewport = view.viewport_at(context, _mode.view.address) if _mode is not None else None
+        if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
+            return self._end(context)
+        mouse = np.array([event.mouse_x - viewport.region.x, event.mouse_y - viewport.region.y], dtype=float)
+        inside, settings = viewport.contains(event.mouse_x, event.mouse_y), context.scene.manient
+        if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
+            _mode.follow(viewport, mouse)
+        elif event.type == "LEFTMOUSE" and event.value == "PRESS" and inside:
+            _mode.pressed, _mode.message = mouse, ""
+            _mode.follow(viewport, mouse)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and _mode.pressed is not None:
+            _mode.follow(viewport, mouse)
+            return self._add(context)
+        elif event.value == "PRESS" and event.type in ("ESC", "RIGHTMOUSE"):
+            if _mode.pressed is None:
+                return self._end(context)
+            _mode.pressed = None
+        elif event.value == "PRESS" and event.type == "S" and inside and not (event.ctrl or event.alt):
+            settings.added_side = "left" if settings.added_side == "right" else "right"
+        elif event.value == "PRESS" and event.type == "P" and inside and not (event.ctrl or event.alt):
+            _mode.seen = "palm" if _mode.seen == "back" else "back"
+        else:
+            return {"PASS_THROUGH"}
+        viewport.region.tag_redraw()
+        return {"PASS_THROUGH"} if event.type.endswith("MOUSEMOVE") else {"RUNNING_MODAL"}
+
+    def cancel(self, context):
+        """Blender ends the operator, as on loading a file."""
+        self._end(context)
+
+    def _add(self, context):
+        assert _mode is not None
+        capture = bpy.data.collections.get(_mode.capture)
+        if capture is None or _mode.ends is None:
+            return self._end(context)
+        try:
+            add_hand(context, capture, context.scene.manient.added_side, _mode.ends, _mode.seen)
+        except HandfitError as error:
+            _mode.pressed, _mode.message = None, str(error)
+            return {"RUNNING_MODAL"}
+        self._end(context)
+        bpy.ops.ed.undo_push(message="Add Hand")
+        bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
+        return {"FINISHED"}
+
+    def _end(self, context):
+        unregister()
+        self._wait_no_more(context)
+        return {"FINISHED"}
+
+
+def capture_here(context: bpy.types.Context) -> bpy.types.Collection | None:
+    """The capture whose picture a hand is added to: one of the panel's source, that of the active hand before
+    others and the newest before older ones; without a source the active hand's. Raises HandfitError."""
+    settings, hand = context.scene.manient, active_hand(context)
+    if not settings.source and hand is not None:
+        return hand.collection if hand.camera is not None else None
+    source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
+    first = [hand.collection] if hand is not None else []
+    for capture in [*first, *reversed(context.scene.collection.children_recursive)]:
+        camera = capture.manient.camera
+        if (
+            capture.manient.is_capture
+            and camera is not None
+            and camera.type == "CAMERA"
+            and camera.users_collection
+        ):
+            took = kept_take(capture).source
+            if took.kind == source.kind and set(took.files) <= set(source.files):
+                return capture
+    return None
+
+
+def add_hand(
+    context: bpy.types.Context, capture: bpy.types.Collection, side: Side, ends: np.ndarray, seen: Any
+) -> bpy.types.Object:
+    """Lay a hand into the capture's picture at the scene's current frame, with wrist and knuckle at `ends`
+    (2, 2) pixels, and make it the active one. Returns its armature. Raises HandfitError."""
+    take: Take = kept_take(capture)
+    (row,) = rows_at(capture, take, np.array([context.scene.frame_current_final]))
+    if row < 0:
+        raise OptionError("this frame is not in the capture: go to one of its frames")
+    take = with_added(take, kept_model(take.model, side), int(row), ends[0], ends[1], seen)
+    armature = add_last_hand(capture, take).armature
+    if context.mode == "POSE":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    select_alone(context, armature)
+    context.scene.frame_set(context.scene.frame_current, subframe=context.scene.frame_subframe)
+    return armature
+
+
+@bpy.app.handlers.persistent
+def unregister(*_args) -> None:
+    """End the mode; its operator finds out with its next event."""
+    global _mode
+    if _mode is not None:
+        _mode.end(bpy.context)
+        _mode = None
+
+
+HANDLERS = {"load_pre": unregister, "undo_pre": unregister}
