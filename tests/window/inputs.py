@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 
+from handfit_core.edit import landmark_points
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
-from handfit_core.skeleton import SIDES
+from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES
+from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
+from scripts.benchmark.poses import random_pose
 from tests.takes import take_of, track_of
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
@@ -53,4 +60,43 @@ writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (width, 
 for i in range(frames):
     writer.write(pictures[i % len(pictures)] if i < blank else np.full_like(pictures[0], 90))
 writer.release()
+"""
+
+
+def write_robot_hand(path: Path) -> np.ndarray:
+    """A drawing of a robot's right hand that points, in which no network sees a hand. Returns where its 21
+    keypoints are, (21, 2) pixels."""
+    camera = Intrinsics.assumed(900, 700)
+    angles = random_pose("point", RightHand(np.zeros(10)), np.random.default_rng(3))
+    upright, aside = (rotvec_to_rotmat(np.radians(a)) for a in ([-90.0, 0.0, 0.0], [10.0, -30.0, 25.0]))
+    pose = rotmat_to_rotvec(aside @ upright)[None], hand_pose_from_angles(angles, "right")[None]
+    points = landmark_points(
+        load_model("open-hand", "right"), np.zeros(10), *pose, np.array([[-0.1, 0.07, 0.4]])
+    )
+    points[..., :2] -= points[..., :2].mean(axis=1, keepdims=True)
+    pixels = camera.project(points)[0]
+    drawn = json.dumps(pixels.round(1).tolist())
+    arguments = [str(path), drawn, json.dumps(KEYPOINT_PARENTS)]
+    subprocess.run([sys.executable, "-c", _DRAW_ROBOT, *arguments], check=True, timeout=60)
+    return pixels
+
+
+_DRAW_ROBOT = """
+import json, sys
+import cv2, numpy as np
+path, points, parents = sys.argv[1], np.array(json.loads(sys.argv[2])), json.loads(sys.argv[3])
+paper = np.full((700, 900, 3), (214, 232, 238), np.uint8)
+palm = cv2.convexHull(points[[0, 1, 5, 9, 13, 17]].round().astype(np.int32))
+cv2.fillConvexPoly(paper, palm, (150, 130, 110), cv2.LINE_AA)
+cv2.polylines(paper, [palm], True, (60, 50, 40), 5, cv2.LINE_AA)
+for k in range(20, 0, -1):
+    if k % 4 != 1:
+        ends = [tuple(points[i].round().astype(int).tolist()) for i in (parents[k], k)]
+        cv2.line(paper, *ends, (60, 50, 40), 36, cv2.LINE_AA)
+        cv2.line(paper, *ends, (190, 165, 140), 26, cv2.LINE_AA)
+for point in points:
+    at = tuple(point.round().astype(int).tolist())
+    cv2.circle(paper, at, 11, (60, 50, 40), -1, cv2.LINE_AA)
+    cv2.circle(paper, at, 5, (120, 200, 255), -1, cv2.LINE_AA)
+cv2.imwrite(path, paper)
 """
