@@ -21,13 +21,14 @@ if str(ROOT) not in sys.path:
 import cv2
 
 from tests.window.blender_window import BlenderWindow
+from tests.window.inputs import write_robot_hand
 
 SIZE = (1600, 1000)
 SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PICTURES = ("empty", "capturing", "captured", "keypoints", "find", "box")
+PICTURES = ("empty", "capturing", "captured", "keypoints", "find", "box", "add-laid", "add-point-12")
 
 
 def main() -> int:
@@ -44,6 +45,10 @@ def main() -> int:
         try:
             window.play("pictures.tour", folder=folder, source="wave", timeout=300)
             window.play("pictures.choosing", folder=folder, source="mona_lisa.jpg", timeout=300)
+            robot = Path(folder) / "robot.png"
+            points = write_robot_hand(robot).tolist()
+            order = [(k, points[k]) for k in (0, 9, 8, 4, 20, 12)]
+            window.play("adding.posed", source=robot, side="right", points=order, timeout=300)
         finally:
             window.stop()
         for name in PICTURES:

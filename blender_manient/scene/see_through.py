@@ -86,6 +86,7 @@ def take_away(camera: bpy.types.Camera) -> None:
                 camera.background_images.remove(background)
                 break
     camera.manient_see_through.clear()
+    camera.update_tag()
 
 
 def _is_own(camera: bpy.types.Camera) -> bool:

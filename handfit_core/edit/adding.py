@@ -21,6 +21,8 @@ WRIST, KNUCKLE = 0, 9
 """The two keypoints that say where a hand lies: the second is the middle finger's knuckle"""
 USUAL_PALM = 0.12
 """of the picture's shorter side: how long the palm is where nobody says"""
+_BENT = 0.5
+"""of a relaxed hand's bends: its fingertips lie apart from its knuckles, where one can take hold of them"""
 _SHORTEST_PALM = 1.0
 """pixels"""
 
@@ -35,7 +37,7 @@ def laid(
     length = float(np.linalg.norm(step))
     if not length * intrinsics.fx >= _SHORTEST_PALM:
         raise OptionError("a hand needs a size: drag from its wrist to the knuckle of its middle finger")
-    betas, still, pose = np.zeros(NUM_BETAS), np.zeros((1, 3)), relaxed_pose(model)
+    betas, still, pose = np.zeros(NUM_BETAS), np.zeros((1, 3)), _BENT * relaxed_pose(model)
     flat = landmark_points(model, betas, still, pose[None], still)[0]
     palm = flat[KNUCKLE] - flat[WRIST]
     # The model's back is up, the camera looks along z.

@@ -39,8 +39,7 @@ _TURNED_OVER: Final = 4.0
 _FOLLOW: Final = 0.7
 """How much a finger's bends go with those of the next one; with those of the second next, its square"""
 _ROUGHLY: Final = 0.02
-"""of the hand's size: how near hands come to their pins before the best of them go all the way"""
-_CANDIDATES: Final = 4
+"""of the hand's size: how near hands come to their pins at first"""
 _NOWHERE: Final = 1e9
 """pixels: the expected error of what nobody sees"""
 _BENDS: Final = [2, 5, 8]
@@ -93,8 +92,8 @@ def freely_posed(
         np.full(count, np.nan),
     )
     seen = replace(observation_of(seen, intrinsics), kept=kept)
-    # Pins that are all but exact are hard to follow from far away.
-    for nearness, left in ((_ROUGHLY, _CANDIDATES), (0.0, 1)):
+    # Pins that are all but exact are hard to follow from far away: the best hands come nearer, and one all the way.
+    for nearness, left in ((_ROUGHLY, 4), (0.2 * _ROUGHLY, 2), (0.0, 1)):
         least = nearness * pinning.sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
         problem = replace(fitter.problem(about, held=held), reach=fitter.reach)
