@@ -92,7 +92,7 @@ def freely_posed(
         np.full(count, np.nan),
     )
     seen = replace(observation_of(seen, intrinsics), kept=kept)
-    # Pins that are all but exact are hard to follow from far away. So the best hands come nearer step by step.
+    # Pins that are all but exact are hard to follow from far away, so that the best hands come nearer in steps.
     for nearness, left in ((_ROUGHLY, 4), (0.2 * _ROUGHLY, 2), (0.0, 1)):
         least = nearness * pinning.sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
@@ -147,19 +147,15 @@ def _starts(
 def _following(
     fitter: FastFitter, found: np.ndarray, own: np.ndarray, at: np.ndarray, locked: np.ndarray
 ) -> np.ndarray:
-    """Angles (1, 5, 9) in which long fingers without a pin beyond their knuckle bend as far from their `own`
-    pose as those with one make likely. Nothing else depends on them."""
+    """Angles (1, 5, 9) in which fingers without a pin beyond their knuckle have those of their `own` pose.
+    Long ones bend as far from it as those with a pin make likely. Nothing else depends on them."""
     known = np.asarray(at[1:].reshape(5, 4)[:, 1:].any(axis=1))
-    known[0] = False
     left = np.asarray(~(known | locked[JOINTS_BY_FINGER].any(axis=1)))
-    left[0] = False
-    if not known.any():
-        return found
     alike = _FOLLOW ** np.abs(np.arange(5)[:, None] - np.arange(5))
+    alike[0], alike[:, 0], alike[0, 0] = 0.0, 0.0, 1.0  # the thumb goes its own way
     share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
-    bends = (found - own)[0][:, _BENDS]
     followed = own[0, left]
-    followed[:, _BENDS] += share @ bends[known]
+    followed[:, _BENDS] += share @ (found - own)[0][known][:, _BENDS]
     least, most = (end[left] for end in fitter.reach)
     angles = found.copy()
     angles[0, left] = np.clip(followed, np.minimum(least, own[0, left]), np.maximum(most, own[0, left]))
