@@ -92,7 +92,7 @@ def freely_posed(
         np.full(count, np.nan),
     )
     seen = replace(observation_of(seen, intrinsics), kept=kept)
-    # Pins that are all but exact are hard to follow from far away, so that the best hands come nearer in steps.
+    # Pins that are all but exact are hard to follow from far away, so the best hands come nearer in steps.
     for nearness, left in ((_ROUGHLY, 4), (0.2 * _ROUGHLY, 2), (0.0, 1)):
         least = nearness * pinning.sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
