@@ -70,6 +70,8 @@ class Job:
     """Whether more than a few hands are not built before somebody has chosen among them"""
     bare: bool = False
     """Whether nobody looks for hands: the picture is shown for an artist to add some"""
+    adds: bool = False
+    """Whether the artist goes on by adding a hand to its picture"""
     crowd: int = 0
     """How many hands were found where there were too many to build without asking"""
     state: State = "waiting"

@@ -21,7 +21,6 @@ from handfit_core.options import CaptureOptions, Region
 from handfit_core.skeleton import other_side
 
 from .. import cache, details, jobs, screen, shared_worker
-from ..blender_versions import has_operator
 from ..keypoint_mode import view
 from ..wording import capitalised, counted
 from . import drawing
@@ -39,7 +38,10 @@ _KEYS = (
     "A: All or None    Wheel: Zoom    Middle Mouse: Move    Home: Whole Picture    Ctrl Z: Undo    "
     "Enter: Capture    Esc: Leave"
 )
-NOTHING_THERE: Final = "No hand was found in the box: draw it closer around the hand, or over all of it"
+NOTHING_THERE: Final = (
+    "No hand was found in the box: draw it closer around the hand, or over all of it, or lay a hand there "
+    "yourself with Add Hand"
+)
 
 
 class Source(NamedTuple):
@@ -230,8 +232,8 @@ class FindMode:
         names = [("leave", "Leave")]
         if self.choice.chosen:
             names.insert(0, ("capture", f"Capture {counted(len(self.choice.chosen), 'Hand')}"))
-        if self.nothing_there and has_operator("manient.add_hand"):
-            names.insert(0, ("add", "Add Hand by Clicking"))
+        if self.nothing_there:
+            names.insert(0, ("add", "Add Hand"))
         return tags + drawing.row_of(names, free)
 
     def line(self) -> tuple[str, bool]:

@@ -126,7 +126,7 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
                     screen.look_through_camera(context)
                 if job.crowd and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")
-                if job.bare and job.state == "done" and not jobs.busy():
+                if (job.bare or job.adds) and job.state == "done" and not jobs.busy():
                     bpy.ops.manient.add_hand("INVOKE_DEFAULT", shown=True)
 
     def _report(self, job: jobs.Job) -> None:

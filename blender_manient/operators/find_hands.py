@@ -168,22 +168,22 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
             now.sight.whole()
 
     def _do(self, context, now, todo):
-        """What a button or a key asks for."""
-        if todo == "capture":
-            if now.busy:
-                now.message = "The worker is still looking: wait a moment"
-                return {"RUNNING_MODAL"}
-            if not now.choice.chosen:
-                now.message = "No hand is chosen: click one, or drag a box around one that you see"
-                return {"RUNNING_MODAL"}
+        """What a button or a key asks for; a hand is added to the picture of the chosen ones, if there are
+        any."""
+        chosen = bool(now.choice.chosen)
+        if todo in ("capture", "add") and now.busy:
+            now.message = "The worker is still looking: wait a moment"
+        elif todo == "capture" and not chosen:
+            now.message = "No hand is chosen: click one, or drag a box around one that you see"
+        elif todo:
             try:
-                capture_chosen(context)
+                if todo != "leave" and chosen:
+                    capture_chosen(context, adds=todo == "add")
             except HandfitError as error:
                 now.message = str(error)
                 return {"RUNNING_MODAL"}
-        if todo in ("capture", "leave", "add"):
             ended = self._end(context)
-            if todo == "capture":
+            if jobs.busy():
                 bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
             elif todo == "add":
                 bpy.ops.manient.add_hand("INVOKE_DEFAULT")
@@ -219,10 +219,12 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def capture_chosen(context: bpy.types.Context) -> None:
-    """Queue a capture of the hands that are chosen. Raises HandfitError."""
+def capture_chosen(context: bpy.types.Context, *, adds: bool = False) -> None:
+    """Queue a capture of the hands that are chosen; `adds`: as of a job. Raises HandfitError."""
     assert mode.current is not None
-    jobs.submit(new_job(context, only_frame=False, regions=mode.current.regions()))
+    job = new_job(context, only_frame=False, regions=mode.current.regions())
+    job.adds = adds
+    jobs.submit(job)
 
 
 def source_of(context: bpy.types.Context) -> mode.Source:

@@ -52,6 +52,10 @@ def test_a_box_around_a_missed_hand_finds_it(blender, rendered_hand, tmp_path):
     assert played["built"] == ["left"]
 
 
+def test_where_a_box_is_empty_a_hand_can_be_added(blender, photo):
+    assert blender.play("finding.added", source=photo, timeout=300).value == ["right"]
+
+
 def test_a_crowd_is_built_only_after_it_was_asked_for(blender, four_hands):
     played = blender.play("finding.crowded", source=four_hands, most=3, timeout=300).value
     assert (played["state"], played["message"]) == ("cancelled", "4 hands: choose those to build")

@@ -65,6 +65,30 @@ def captured(stage, shot):
     return {"built": sorted(armature.manient.side for armature in hands()), "left": left}
 
 
+def added(stage, source):
+    """A box with nothing in it, and the button that is offered then: the chosen hand is captured, and another
+    one can be laid into its picture."""
+    yield from stage.open_sidebar()
+    yield from begun(stage, source)
+    yield from boxed(stage, (2.0, 2.0), (60.0, 60.0))
+    there = viewport()
+    (box,) = [b.box for b in mode().buttons(there) if b.name == "add"]
+    place = (box[0] + box[2]) / 2 + there.region.x, (box[1] + box[3]) / 2 + there.region.y
+    yield from stage.move_to(place)
+    yield from stage.screenshot("find-add-offered")
+    yield from stage.key("LEFTMOUSE")
+    (job,) = yield from stage.until(jobs, 10.0, "the capture of what was chosen")
+    yield from finish(stage, job, timeout=180.0)
+    done(job)
+    adding = part("operators.add_hand")
+    yield from stage.until(lambda: adding._mode is not None, 10.0, "the mode in which a hand is added")
+    yield from stage.screenshot("find-add-begun")
+    yield from stage.move_to(stage.region())
+    yield from stage.key("ESC")
+    yield from stage.until(lambda: adding._mode is None, 5.0, "the mode to end")
+    return [armature.manient.side for armature in hands()]
+
+
 def crowded(stage, source, most):
     """A photo with more than `most` hands, which are not built before somebody has chosen."""
     for module in ("jobs", "find_mode.choice"):
