@@ -6,8 +6,8 @@
 Clips are painted, so that the truth is known; the same numbers paint the same clips. For each kind:
 
 * near, apart: shares of hands that have a pose, in frames in which points of one hand lie on the other, and
-  in other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent of
-  the hand's size;
+  in other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent
+  of the hand's size;
 * switched: how often a track goes on with the other hand; sides: frames of tracks of the wrong side;
 * astray: poses that are nearer to no hand than 0.4 of its size.
 """

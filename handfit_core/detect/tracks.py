@@ -49,6 +49,9 @@ FORESIGHT = 6
 STRAY_WEIGHT = 0.05
 """A track with less than this share of the surest track's confidence is a misdetection, not a hand."""
 
+SURE_SIDE = 0.8
+"""A track whose side has less than this share of its detections' confidence may be of the other side"""
+
 SIDE_PENALTY = 0.3
 """Added to the distance when the detector names the other side, so that crossing hands keep theirs."""
 
@@ -175,7 +178,8 @@ def _choose(
     if hands == "auto":
         most = max(t.weight for t in tracks)
         sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
-        return [(t, t.side) for t in sure[:max_hands]]
+        less = _less_sure(*sure) if len(sure) == 2 else None
+        return [(t, other_side(t.side) if t is less else t.side) for t in sure[:max_hands]]
     if hands == "both":
         first = tracks[0]
         for second in tracks[1:]:
@@ -190,6 +194,19 @@ def _choose(
         return [(first, first.side), (second, other_side(second.side))]
     of_side: list[tuple[_OpenTrack, Side]] = [(t, t.side) for t in tracks if t.side == hands]
     return of_side[:1]
+
+
+def _less_sure(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | None:
+    """Of two hands that are named alike and touch, most likely the left and the right one of one person,
+    the one whose side is in doubt; None where neither is, as where two people shake hands."""
+    common = first.detections.keys() & second.detections.keys()
+    if first.side != second.side or not any(
+        overlapped(first.detections[i], second.detections[i]).any() for i in common
+    ):
+        return None
+    shares = {t.side_votes[t.side] / t.weight: t for t in (first, second) if t.given_side is None}
+    share = min(shares, default=1.0)
+    return shares[share] if share < SURE_SIDE else None
 
 
 def _sureness(track: _OpenTrack) -> float:

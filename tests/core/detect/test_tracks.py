@@ -186,6 +186,7 @@ def test_where_places_are_undecided_the_networks_word_decides() -> None:
 
 def test_points_where_another_hand_is_are_marked() -> None:
     frames = [[hand(100 + 20 * t, "left"), hand(500 - 20 * t, y=340)] for t in range(21)]
+    marked: list[bool] = []
     for track in link_tracks(frames):
         marked = [d is not None and d.overlapped is not None for d in track.detections]
         assert not any(marked[:5] + marked[-5:])
@@ -195,6 +196,22 @@ def test_points_where_another_hand_is_are_marked() -> None:
     assert sum(d is not None and d.overlapped is not None for d in one.detections) == sum(marked)
     (twice,) = link_tracks([[hand(100 + t), hand(130 + t, "left", 0.6)] for t in range(10)])
     assert all(d is not None and d.overlapped is None for d in twice.detections)
+
+
+@pytest.mark.parametrize(
+    ("unsure", "apart", "sides"),
+    [(0.4, 60, {"left", "right"}), (0.05, 60, {"right"}), (0.4, 400, {"right"})],
+    ids=["one person's", "two people's", "apart"],
+)
+def test_hands_that_touch_are_left_and_right(unsure: float, apart: float, sides: set[Side]) -> None:
+    """The detector names both right, one of them with so much doubt."""
+    frames = [[hand(100 + t), replace(hand(100 + apart + t), right_side=1.0 - unsure)] for t in range(9)]
+    tracks = link_tracks(frames)
+    assert {t.side for t in tracks} == sides
+    assert len(tracks) == 2
+    assert [x_of(t.detections[0]) for t in tracks if t.side == "left"] in ([], [100 + apart])
+    given = [[replace(h, given_side=h.side) for h in frame] for frame in frames]
+    assert {t.side for t in link_tracks(given)} == {"right"}
 
 
 def test_tracks_know_the_clips_rate() -> None:
