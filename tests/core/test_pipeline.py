@@ -18,6 +18,7 @@ from handfit_core.detect.tracks import HandChoice
 from handfit_core.errors import (
     Cancelled,
     HandModelError,
+    InputError,
     NoHandFoundError,
     OptionError,
     PlugInError,
@@ -28,6 +29,7 @@ from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import _rate, hand_summaries, hand_track
 from handfit_core.registry import Registry
 from handfit_core.solvers import SOLVERS, Solver, TrackFit, TrackSolver, get_solver
@@ -207,6 +209,20 @@ def test_hand_length_decides_size_and_distance(caplog: pytest.LogCaptureFixture)
     assert not caplog.records
     capture(photo, hand_length=0.16, solver="paper-a")
     assert "paper-a takes no notice of the hand's length" in caplog.text
+
+
+@pytest.mark.parametrize("frames", [None, "3-9:2"])
+def test_a_bare_take_has_what_a_captures_has_but_hands(frames: str | None) -> None:
+    captured = capture(PATTERN, frames=frames, lens=(1.5, 0.5, 0.25), solver="fast-per-frame")
+    options = CaptureOptions(frames=frames, lens=(1.5, 0.5, 0.25), solver="fast-per-frame")
+    bare = pipeline.bare_take(PATTERN, options)
+    np.testing.assert_array_equal(bare.frame_numbers, captured.frame_numbers)
+    for name in ("source", "fps", "width", "height", "intrinsics", "solver", "model"):
+        assert getattr(bare, name) == getattr(captured, name)
+    assert bare.hands == ()
+    assert Take.from_bytes(bare.to_bytes()).hands == ()
+    with pytest.raises(InputError):
+        pipeline.bare_take(SAMPLE / "gone.jpg", CaptureOptions())
 
 
 def test_lens_is_in_parts_of_the_picture() -> None:

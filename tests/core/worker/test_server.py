@@ -274,6 +274,15 @@ def test_a_compact_take_has_numbers_of_32_bits(warm: Worker, tmp_path: Path) -> 
     assert "compact must be true or false" in error["message"]
 
 
+def test_a_bare_take_is_written_without_looking_for_hands(warm: Worker, tmp_path: Path) -> None:
+    output = tmp_path / "bare.npz"
+    done = warm.ask(67, "capture", input=[PHOTO], output=str(output), bare=True)
+    assert (done["event"], done["frames"], done["hands"]) == ("done", 1, [])
+    assert Take.load(output).hands == ()
+    error = warm.ask(68, "capture", input=[PHOTO], output=str(output), bare=1)
+    assert "bare must be true or false" in error["message"]
+
+
 def test_warm_and_check(warm: Worker) -> None:
     assert warm.ask(70, "warm")["event"] == "done"
     assert warm.ask(71, "warm", model="/nowhere.pkl")["type"] == "HandModelError"
