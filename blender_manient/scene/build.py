@@ -298,7 +298,8 @@ def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None
     if track.placed is None or not kept_here():
         return
     pins: dict[float, Correction] = {}
-    for row in np.flatnonzero(np.isfinite(track.placed).all(axis=2).any(axis=1) & track.present).tolist():
+    own = np.asarray(np.isfinite(track.placed).all(axis=2))
+    for row in np.flatnonzero(own.any(axis=1) & track.present).tolist():
         places = enumerate(track.placed[row].tolist())
         pins[int(take.frame_numbers[row])] = Correction(
             {k: (x, y) for k, (x, y) in places if isfinite(x + y)}
