@@ -179,8 +179,8 @@ class ClipFinder(Detector):
     def _follow(self, rgb: np.ndarray) -> list[Followed]:
         """Look for the followed hands where they should be; returns those that are not there."""
         lost, self.followed, before = [], [], self.followed
-        for followed in before:
-            hand = there(self._networks, rgb, followed)
+        hands = self._networks.each(lambda networks, followed: there(networks, rgb, followed), before)
+        for followed, hand in zip(before, hands, strict=True):
             if hand is None or meets(hand, [other.last for other in self.followed]):
                 lost.append(followed)
             else:

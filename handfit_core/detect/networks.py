@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Self
+from itertools import islice
+from queue import SimpleQueue
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
@@ -45,6 +49,12 @@ OF_HAND: Final = 2.0
 BEYOND_HAND: Final = 0.1
 _BOXED: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
 """Landmarks that the box of a hand is about"""
+
+MOST_THREADS: Final = 4
+"""Each has networks of its own: some 30 MB"""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +146,12 @@ class Networks:
 
     def __init__(self, landmark_model: str | os.PathLike[str] | None = None) -> None:
         path = landmark_model_path(landmark_model)
+        self.threads = min(usable_cores(), MOST_THREADS)
+        """How many run the networks where several views of a picture are to be looked at"""
+        self._landmark_model = landmark_model
+        self._pool: ThreadPoolExecutor | None = None
+        self._idle: SimpleQueue[Networks | None] = SimpleQueue()
+        """What threads run; None: networks that are not loaded yet"""
         # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
         os.environ.setdefault("GLOG_minloglevel", "2")
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
@@ -171,7 +187,44 @@ class Networks:
 
     def close(self) -> None:
         """Give MediaPipe's threads and memory back."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+        while not self._idle.empty():
+            if (other := self._idle.get()) not in (None, self):
+                other.close()
         self._open.close()
+
+    def each(
+        self, do: Callable[[Networks, Item], Result], items: Sequence[Item]
+    ) -> Generator[Result, None, None]:
+        """What comes of doing something with each item, in their order. `do` gets the networks to do it with:
+        these, or those of another thread. The results are the same with any number of threads, since a
+        network's answer hangs on its view alone. Whoever asks for no more has the rest left undone."""
+        if self.threads < 2 or len(items) < 2:
+            yield from (do(self, item) for item in items)
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads, "handfit-networks")
+            for networks in (self, *[None] * (self.threads - 1)):
+                self._idle.put(networks)
+        left = iter(items)
+        begun = deque(self._pool.submit(self._lent, do, item) for item in islice(left, 2 * self.threads))
+        try:
+            while begun:
+                yield begun.popleft().result()
+                begun.extend(self._pool.submit(self._lent, do, item) for item in islice(left, 1))
+        finally:
+            for future in begun:
+                future.cancel()
+
+    def _lent(self, do: Callable[[Networks, Item], Result], item: Item) -> Result:
+        """Do something with networks that nobody else uses."""
+        networks = self._idle.get() or Networks(self._landmark_model)
+        try:
+            return do(networks, item)
+        finally:
+            self._idle.put(networks)
 
     def _run(self, network: Any, rgb: np.ndarray) -> Sequence[np.ndarray]:
         image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=rgb)
@@ -207,6 +260,14 @@ class Networks:
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
         )
         return Look(float(presence[0]), view.to_picture(found))
+
+
+def usable_cores() -> int:
+    """How many there are for this process; fewer where OpenMP was told so."""
+    free = getattr(os, "sched_getaffinity", None)
+    cores = len(free(0)) if free else os.cpu_count() or 1
+    told = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, min(cores, int(told) if told.isdecimal() else cores))
 
 
 @lru_cache(maxsize=1)

@@ -253,9 +253,9 @@ class Search:
         """The best score of a hand's palm in views that show much around it: 0 where it is not seen."""
         centre, _, upwards = _crop(hand.keypoints)
         best = 0.0
-        for turn in (0.0, upwards, *(upwards + more for more in FAR_TURNS)):
-            view = View.of_square(centre, FAR * hand.extent, PALM_SIZE, turn=turn)
-            palms = self._networks.palms(rgb, view, LEAST_FAR)
+        turns = (0.0, upwards, *(upwards + more for more in FAR_TURNS))
+        views = [View.of_square(centre, FAR * hand.extent, PALM_SIZE, turn=turn) for turn in turns]
+        for palms in self._networks.each(lambda n, view: n.palms(rgb, view, LEAST_FAR), views):
             best = max(best, *(float(palms.score[i]) for i in range(len(palms)) if palms.is_of(i, hand)), 0.0)
         return best
 
@@ -263,23 +263,30 @@ class Search:
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
     ) -> Iterator[Look | None]:
         """What the landmark network settles on about a box with that longer side, whatever its angle."""
-        for span in spans:
-            for turn in np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS):
-                view = View.of_square(middle, span * side, HAND_SIZE, turn=turn)
-                yield self._settled(rgb, view, least=IN_BOX_PRESENCE)
+        turns = np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS)
+        views = [View.of_square(middle, span * side, HAND_SIZE, turn=t) for span in spans for t in turns]
+        return self._networks.each(lambda n, view: settled(n, rgb, view, IN_BOX_PRESENCE), views)
 
     def _palms_in(self, rgb: np.ndarray, views: Sequence[View]) -> Palms:
-        return Palms.of([self._networks.palms(rgb, view, self._palm) for view in views])
+        found = self._networks.each(lambda n, view: n.palms(rgb, view, self._palm), views)
+        return Palms.of(list(found))
 
     def _with(
         self, rgb: np.ndarray, palms: Palms, known: Sequence[Sighting], *, once: bool = False
     ) -> list[Sighting]:
         """What is known, and the hands of those palms, each hand once, the surest first."""
         found = list(known)
+        looks: dict[int, Look | None] = {}
         for i in range(len(palms)):
             palm = float(palms.score[i])
             again = next((s for s in found if palms.is_of(i, s.hand)), None)
-            look = None if again is not None else self._settled(rgb, palms.view(i))
+            if again is None and i not in looks:
+                others = (j for j in range(i, len(palms)) if not any(palms.is_of(j, s.hand) for s in found))
+                ahead = list(islice(others, self._networks.threads))
+                views = [palms.view(j) for j in ahead]
+                seen = self._networks.each(lambda n, view: settled(n, rgb, view), views)
+                looks |= dict(zip(ahead, seen, strict=True))
+            look = None if again is not None else looks[i]
             if look is not None:
                 again = next((s for s in found if distance(s.hand, look.hand) < SETTLED), None)
             if again is not None and palm > again.palm:
@@ -295,26 +302,28 @@ class Search:
                 kept.append(sighting)
         return kept
 
-    def _settled(self, rgb: np.ndarray, view: View, least: float = LEAST_PRESENCE) -> Look | None:
-        """What the landmark network finds in a view, once it finds it again where it was; None: no hand."""
-        look = self._networks.look(rgb, view)
-        for _ in range(PASSES - 1):
-            if look.presence < HOPELESS:
-                return None
-            before, look = look, self._networks.look(rgb, view_of(look.hand.keypoints))
-            if min(before.presence, look.presence) > SURE and distance(before.hand, look.hand) < STAYS:
-                break
-        return look if look.presence >= least else None
-
-    def _sighted(self, rgb: np.ndarray, settled: Look, palm: float) -> Sighting:
+    def _sighted(self, rgb: np.ndarray, first: Look, palm: float) -> Sighting:
         """The mean of several looks at a hand that was found through a palm of that score."""
-        looks, seen = [settled], Sighting(settled.hand, settled.presence, palm)
-        for view in islice(around(settled.hand.keypoints), 1, self._looks):
-            looks.append(self._networks.look(rgb, view))
+        looks, seen = [first], Sighting(first.hand, first.presence, palm)
+        views = list(islice(around(first.hand.keypoints), 1, self._looks))
+        for look in self._networks.each(lambda n, view: n.look(rgb, view), views):
+            looks.append(look)
             seen = replace(seen, presence=float(np.mean([look.presence for look in looks])))
             if len(looks) == FEW_LOOKS and seen.certainty < HARDLY:
                 break
         return replace(seen, hand=mean_of([look.hand for look in looks]))
+
+
+def settled(networks: Networks, rgb: np.ndarray, view: View, least: float = LEAST_PRESENCE) -> Look | None:
+    """What the landmark network finds in a view, once it finds it again where it was; None: no hand."""
+    look = networks.look(rgb, view)
+    for _ in range(PASSES - 1):
+        if look.presence < HOPELESS:
+            return None
+        before, look = look, networks.look(rgb, view_of(look.hand.keypoints))
+        if min(before.presence, look.presence) > SURE and distance(before.hand, look.hand) < STAYS:
+            break
+    return look if look.presence >= least else None
 
 
 def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:

@@ -78,6 +78,10 @@ class ClipDetector:
         self._networks.close()
         self.media.close()
 
+    def single_threaded(self) -> None:
+        """Leave the other cores to others."""
+        self._networks.threads = 1
+
     def stretch(
         self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]
     ) -> Stretch:

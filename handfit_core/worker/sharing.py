@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -16,6 +15,7 @@ import numpy as np
 from handfit_core.detect.clips import Followed
 from handfit_core.detect.cuts import Glance
 from handfit_core.detect.keypoints import hands_from_arrays, hands_to_arrays
+from handfit_core.detect.networks import usable_cores
 from handfit_core.detect.stretches import STRETCH, ClipDetector, Stretch
 from handfit_core.doors.values import Unfit, shortly, whole
 from handfit_core.errors import HandfitError, OptionError, ProtocolError
@@ -54,9 +54,7 @@ def shared(
 
 def usable_processes(asked: int | None, frames: int) -> int:
     """How many look at a clip of that many frames (0: nobody knows). Not asked: all cores but one."""
-    free = getattr(os, "sched_getaffinity", None)
-    cores = len(free(0)) if free else os.cpu_count() or 1
-    wanted = min(cores - 1, MOST) if asked is None else asked
+    wanted = min(usable_cores() - 1, MOST) if asked is None else asked
     return max(1, min(wanted, -(-frames // STRETCH)) if frames else wanted)
 
 
@@ -96,6 +94,8 @@ class _Shared:
         self._told = 0
         media = detector.media
         count = usable_processes(options.processes, media.expected_frames) if media.given is not None else 1
+        if count > 1:
+            detector.single_threaded()
         self._helpers = [_Helper(Worker(sys.executable, threads=1)) for _ in range(count - 1)]
 
     def stretches(self) -> list[Stretch]:

@@ -196,7 +196,8 @@ def test_a_picture_of_100_megapixels(tmp_path: Path) -> None:
 
 
 def runs_of(finder: ClipFinder | StillFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How often its networks run."""
+    """How often its networks run, those of one thread."""
+    monkeypatch.setattr(finder._networks, "threads", 1)
     counts = {"look": 0, "palms": 0}
     for name in counts:
         run = getattr(finder._networks, name)
@@ -218,6 +219,28 @@ def test_a_followed_hand_costs_one_look_a_frame(networks: Networks, monkeypatch:
         assert counts == {"look": clips.SEARCH_EVERY - 1, "palms": 0}
         finder.find(picture(1 + clips.SEARCH_EVERY))
         assert counts == {"look": clips.SEARCH_EVERY, "palms": 1}
+
+
+def test_any_number_of_threads_finds_the_same(networks: Networks) -> None:
+    """Which look at views, palms and hands at the same time, and leave undone what nobody asks for."""
+    rgb = four_hands()[..., ::-1]
+    box = [0.0, 0.0, 640.0, 480.0]
+    found = []
+    for threads in (1, 3):
+        with StillFinder(DetectorSettings(max_hands=None)) as finder:
+            finder._networks.threads = threads
+            hands = [*finder.find(rgb), finder.look_in(rgb, box)]
+            found.append([(h.side, h.certainty, *h.keypoints.ravel(), *h.world.ravel()) for h in hands if h])
+    assert found[0] == found[1]
+    assert len(found[0]) >= 4
+    done = []
+    networks.threads = 2
+    each = networks.each(lambda _, item: done.append(item) or item, range(1000))
+    assert [next(each) for _ in range(5)] == [*range(5)]
+    each.close()
+    assert len(done) < 100
+    with pytest.raises(ZeroDivisionError):
+        list(networks.each(lambda _, item: 1 // item, [2, 1, 0, 1]))
 
 
 def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -> None:

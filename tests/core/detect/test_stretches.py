@@ -242,6 +242,9 @@ def test_how_many_processes(asked: int, frames: int, expected: int) -> None:
 
 
 def test_all_cores_but_one_help_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     for cores, expected in ((1, 1), (2, 1), (5, 4), (64, sharing.MOST)):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: range(cores), raising=False)
         assert sharing.usable_processes(None, 10_000) == expected
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert sharing.usable_processes(None, 10_000) == 2
