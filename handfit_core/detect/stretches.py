@@ -123,8 +123,8 @@ class ClipDetector:
         carried: list[Followed] = []
         for start, end, (before, after) in zip(starts[1:], starts[2:], pairwise(stretches), strict=False):
             going, carried = [*before.followed, *carried], []
-            if start in cuts:
-                continue
+            if start in cuts or before.last is None or after.first is None:
+                continue  # another shot, or frames that nobody could look at
             new = [
                 Followed.of(hand, self._settings.threshold)
                 for hand in after.frames[0]

@@ -92,6 +92,7 @@ class _Shared:
         """Stretches at which a process has died: they are for other ones alone, since this one is to live"""
         self._died: set[int] = set()
         self._told = 0
+        self._heard = 0.0
         media = detector.media
         count = usable_processes(options.processes, media.expected_frames) if media.given is not None else 1
         if count > 1:
@@ -103,7 +104,7 @@ class _Shared:
         each other."""
         with ExitStack() as opened:
             for helper in self._helpers:
-                opened.enter_context(helper.worker)
+                opened.callback(helper.worker.stop)
             self._start()
             while not self._should_stop():
                 if (index := self._taken()) is not None:
@@ -154,8 +155,18 @@ class _Shared:
             self._end = index if self._end is None else min(index, self._end)
 
     def _look_around(self, done: int) -> None:
-        """Hear from the other processes and give those that are free something to do; `done`: frames that
-        this one has looked at in its stretch."""
+        """Hear from the other processes now and then, and give those that are free something to do; `done`:
+        frames that this one has looked at in its stretch."""
+        if self._helpers and time.monotonic() > self._heard + _PAUSE:
+            self._hear_all()
+            self._heard = time.monotonic()
+        done += sum(len(stretch.numbers) for stretch in self._found.values())
+        done += sum(helper.done for helper in self._helpers)
+        if done > self._told:
+            self._told = done
+            self._on_progress(done)
+
+    def _hear_all(self) -> None:
         for helper in list(self._helpers):
             try:
                 self._hear(helper)
@@ -167,11 +178,6 @@ class _Shared:
             for index in self._again:
                 self._give_up(index, "no other process could be started")
             self._again = []
-        done += sum(len(stretch.numbers) for stretch in self._found.values())
-        done += sum(helper.done for helper in self._helpers)
-        if done > self._told:
-            self._told = done
-            self._on_progress(done)
 
     def _occupy(self, helper: _Helper) -> None:
         """Give a process the next stretch, of those that the clip is expected to have. Raises WorkerError."""

@@ -181,6 +181,7 @@ def test_a_process_that_dies(
     else:
         assert found.numbers == alone.numbers
         assert len(said) == 1
+        assert found.frames[96:192] == [()] * 96
         assert said[0].startswith("frames 97 to 192 count as not seen: the process that looked at them ended")
 
 
