@@ -45,10 +45,9 @@ def main() -> int:
         try:
             window.play("pictures.tour", folder=folder, source="wave", timeout=300)
             window.play("pictures.choosing", folder=folder, source="mona_lisa.jpg", timeout=300)
-            robot = Path(folder) / "robot.png"
-            points = write_robot_hand(robot).tolist()
+            points = write_robot_hand(Path(folder) / "robot.png").tolist()
             order = [(k, points[k]) for k in (0, 9, 8, 4, 20, 12)]
-            window.play("adding.posed", source=robot, side="right", points=order, timeout=300)
+            window.play("pictures.placing", folder=folder, source="robot.png", points=order, timeout=300)
         finally:
             window.stop()
         for name in PICTURES:

@@ -8,6 +8,7 @@ import addon_utils
 import bpy
 from stage import ADDON
 
+from scenarios.adding import posed
 from scenarios.capturing import begin, done, finish, hands
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
 from scenarios.panels import sections
@@ -59,6 +60,12 @@ def choosing(stage, folder, source):
     yield from stage.key("X")
     yield from boxed_around(stage, HER_LEFT_HAND, shot="box")
     yield from stage.key("ESC")
+
+
+def placing(stage, folder, source, points):
+    """A drawn hand is laid into its picture and posed by some points, as `adding.posed` takes them."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/drawing.blend")
+    return (yield from posed(stage, f"//{source}", "right", points))
 
 
 def _drag_a_fingertip(stage):
