@@ -412,7 +412,8 @@ def test_photos(samples: Path, photo: str, sides: list[str]) -> None:
     assert [track.side for track in found.hands] == sides
     for track in found.hands:
         size = np.ptp(track.keypoints_2d[0], axis=0).max()
-        assert track.reprojection_error[0] < 0.05 * size
+        half_hidden = (photo, track.side) == ("mona_lisa.jpg", "left")  # measured: 4.01 %
+        assert track.reprojection_error[0] < (0.05 if half_hidden else 0.04) * size
 
 
 def test_detector_agrees_with_mediapipes_own_output(samples: Path) -> None:
