@@ -20,6 +20,7 @@ from handfit_core.evaluate.scores import ProtocolName
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel
+from handfit_core.hand_model.surface import surface_of
 from handfit_core.paper import EXPERIMENTS
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS, get_solver, solver_names
@@ -46,6 +47,15 @@ class TrackResult:
         if not len(row) or not np.isfinite(row).all():
             return None
         return model.posed(row[:10], row[10:13], row[13:58], row[58:]).vertices
+
+    def penetration(self, model: HandModel, frame: int) -> float:
+        """Metres that the deepest two parts of the hand stand in each other; NaN where there is no hand
+        model or no hand."""
+        row = self.parameters[[frame]]
+        if not row.size or not np.isfinite(row).all():
+            return float("nan")
+        surface = surface_of(model)
+        return float(surface.depths(surface.of(row[:, :10], row[:, 13:58]))[0])
 
 
 Method = Callable[[Models, DetectedTrack, Intrinsics], TrackResult]

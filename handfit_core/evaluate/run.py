@@ -180,6 +180,7 @@ def _results(fits: Fits, name: str) -> Callable[[Row], RowResult | None]:
             fit_ms=float(found.milliseconds[row.frame]),
             model=model,
             vertices=found.vertices(model, row.frame) if row.label.mesh else None,
+            penetration=found.penetration(model, row.frame),
         )
 
     return result_of

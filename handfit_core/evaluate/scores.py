@@ -71,6 +71,8 @@ class Scores:
     """(N,) F-score at 5 mm of the aligned surfaces; NaN without a mesh"""
     f15: np.ndarray
     """(N,) F-score at 15 mm"""
+    penetration: np.ndarray
+    """(N,) mm that the deepest two parts of the hand stand in each other; NaN without a hand model"""
     detect_ms: np.ndarray
     """(N,) milliseconds of detection for the picture; NaN where not measured"""
     fit_ms: np.ndarray

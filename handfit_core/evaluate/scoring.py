@@ -41,6 +41,8 @@ class RowResult:
     model: HandModel | None = None
     vertices: np.ndarray | None = None
     """(V, 3) metres in the camera frame"""
+    penetration: float = float("nan")
+    """metres that the deepest two parts of the hand stand in each other"""
 
 
 def score(
@@ -58,7 +60,7 @@ def score(
     problems = {} if problems is None else problems
     count = len(rows)
     per_point = {name: np.full((count, NUM_KEYPOINTS), np.nan) for name in _PER_POINT}
-    per_hand = {name: np.full(count, np.nan) for name in ("pa_mpvpe", "f5", "f15", "fit_ms")}
+    per_hand = {name: np.full(count, np.nan) for name in ("pa_mpvpe", "f5", "f15", "penetration", "fit_ms")}
     points_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
     points_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
     detected = np.zeros(count, dtype=bool)
@@ -69,6 +71,7 @@ def score(
         detected[i] = True
         points_3d[i], points_2d[i] = result.points_3d, result.picture_points[:, :2]
         per_hand["fit_ms"][i] = result.fit_ms
+        per_hand["penetration"][i] = MM * result.penetration
         errors = _published(row, result) if protocol == "paper" else _strict(row, result)
         for name, values in errors.items():
             per_point[name][i] = values

@@ -49,6 +49,9 @@ METRICS: Final[dict[str, Metric]] = {
         Metric("f15", "F@15 mm", "", "surfaces aligned by similarity; mean over hands", False),
         Metric("camera_error", "Camera error", "mm", "none, in the camera frame; mean over hands", True),
         Metric("error_2d", "2D error", "% of hand", "none; share of the hand's size; mean over hands", True),
+        Metric("deeper_2", "In itself > 2 mm", "%", "none needed; share of hands, by their capsules", True),
+        Metric("deeper_4", "In itself > 4 mm", "%", "none needed; share of hands, by their capsules", True),
+        Metric("penetration_95", "In itself, 95 %", "mm", "none needed; 95th percentile of hands", True),
         Metric("bone_variation", "Bone variation", "%", "none needed; deviation over a clip", True),
         Metric("acceleration_error", "Acceleration error", "m/s²", "wrists made to meet; clips", True),
         Metric("jitter", "Jitter above 5 Hz", "mm", "wrists made to meet; RMS over clips", True),
@@ -89,6 +92,7 @@ def hands_table(scores: Scores) -> pd.DataFrame:
             **{"clip": scores.clips, "time": scores.times, "view": scores.views},
             "detected": scores.detected.astype(int),
             **{metric: hand_means(scores, metric) for metric in HAND_METRICS},
+            "penetration": scores.penetration,
             **{"detect_ms": scores.detect_ms, "fit_ms": scores.fit_ms},
         }
     )
@@ -172,6 +176,7 @@ def _strict(scores: Scores) -> dict[str, float]:
         "pa_mpjpe_median": _median(hand_means(scores, "pa_mpjpe")),
         "f5": _mean(scores.f5),
         "f15": _mean(scores.f15),
+        **_in_itself(scores.penetration),
         # A picture is detected once, however many of its hands are labelled.
         "detect_ms": _median(scores.detect_ms[first_rows]),
         "fit_ms": _median(scores.fit_ms),
@@ -179,6 +184,16 @@ def _strict(scores: Scores) -> dict[str, float]:
         **_of_clips(scores),
     }
     return {key: values[key] for key in METRICS}
+
+
+def _in_itself(depths: np.ndarray) -> dict[str, float]:
+    """How much of (N,) mm is deeper than skin gives, NaN left out."""
+    known = depths[~np.isnan(depths)]
+    return {
+        "deeper_2": 100.0 * _mean((known > 2.0).astype(float)),
+        "deeper_4": 100.0 * _mean((known > 4.0).astype(float)),
+        "penetration_95": float(np.percentile(known, 95)) if len(known) else float("nan"),
+    }
 
 
 def _detection_rate(scores: Scores) -> float:

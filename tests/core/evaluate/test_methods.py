@@ -6,6 +6,7 @@ import pytest
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.methods import (
+    TrackResult,
     fused_landmarks,
     get_method,
     in_metres,
@@ -47,6 +48,20 @@ def test_raw_landmarks_in_metres_have_the_world_landmarks_size_and_stand_where_t
     # A similarity transform apart from the detection itself, so PA errors are the detector's own.
     moved = align(detection.keypoints, placed, with_scale=True).apply(detection.keypoints)
     np.testing.assert_allclose(moved, placed, atol=1e-9)
+
+
+def test_a_fitted_hand_tells_how_deep_it_stands_in_itself_and_points_without_one_do_not() -> None:
+    model, nothing = load_model(None, "right"), np.empty((4, 0))
+    crossed = np.zeros((15, 3))
+    crossed[0, 1] = np.radians(-25.0)  # the index finger's first joint, sideways into the middle finger
+    crossed[3, 1] = np.radians(25.0)
+    poses = np.stack([np.zeros(45), model.hands_mean, crossed.ravel(), np.full(45, np.nan)])
+    parameters = np.concatenate([np.zeros((4, 13)), poses, np.zeros((4, 3))], axis=1)
+    fitted, bare = (TrackResult(nothing, nothing, nothing, p) for p in (parameters, nothing))
+    assert fitted.penetration(model, 0) == 0.0
+    assert fitted.penetration(model, 1) < 0.001
+    assert 0.004 < fitted.penetration(model, 2) < 0.02
+    assert np.isnan([fitted.penetration(model, 3), bare.penetration(model, 0)]).all()
 
 
 @pytest.mark.parametrize("name", ["raw-image", "raw-world", "fused", "paper-a"])

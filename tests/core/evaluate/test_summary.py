@@ -71,6 +71,7 @@ def test_surfaces_sides_and_times() -> None:
         pa_mpvpe=np.array([4.0, nan, 8.0, nan]),
         f5=np.array([0.5, nan, 0.7, nan]),
         f15=np.array([0.9, nan, 1.0, nan]),
+        penetration=np.array([3.0, nan, 5.0, nan]),
         side_correct=np.array([1.0, 0.0, nan, nan]),
         # The first picture has two hands; it was detected once.
         samples=("a", "a", "b", "c"),
@@ -82,6 +83,8 @@ def test_surfaces_sides_and_times() -> None:
     assert found["pa_mpvpe"] == 6.0
     assert found["f5"] == pytest.approx(0.6)
     assert found["f15"] == pytest.approx(0.95)
+    assert (found["deeper_2"], found["deeper_4"]) == (100.0, 50.0)  # of hands that have a model
+    assert found["penetration_95"] == pytest.approx(4.9)
     assert found["handedness"] == 50.0
     assert found["detect_ms"] == 30.0
     assert found["fit_ms"] == 2.0
