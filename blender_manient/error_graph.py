@@ -7,7 +7,6 @@ one make *View All* useless for either.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Final
 
 import blf
@@ -15,10 +14,8 @@ import bpy
 import gpu
 import numpy as np
 
-from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
-
 from . import screen
-from .scene.confidence import colors_of
+from .scene.confidence import Errors, colors_of, errors_of
 from .scene.store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
 
 _HEIGHT: Final = (18.0, 64.0)
@@ -27,31 +24,22 @@ _BELOW: Final = 14.0
 """pixels under the graph at scale 1, for the scroll bar"""
 _ABOVE: Final = 26.0
 """pixels over the graph at scale 1, for the frame numbers"""
-LEVELS: Final = (GOOD_BELOW, FAIR_BELOW, 2.0 * FAIR_BELOW)
-"""Green, yellow, red: a hand that is called poor is yellow at best"""
 _SPACES: Final = {"GRAPH_EDITOR": "SpaceGraphEditor", "DOPESHEET_EDITOR": "SpaceDopeSheetEditor"}
 """Area type -> class; the Timeline is a Dope Sheet"""
 
 _handles: dict[str, object] = {}
-_errors = lru_cache(maxsize=8)(relative_errors)  # takes are kept as they are read, and every redraw asks
-
-
-def errors_of(hand: CapturedHand) -> np.ndarray:
-    """(T,) parts of the hand, as the panel says them; NaN where it was not detected."""
-    return _errors(hand.track, hand.take.intrinsics)
 
 
 def segments(
-    frames: np.ndarray, errors: np.ndarray, span: tuple[float, float], size: tuple[float, float]
+    frames: np.ndarray, errors: np.ndarray, span: tuple[float, float], size: tuple[float, float], most: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The graph's lines: (N, 2, 2) pixels from its lower left corner, and (N, 2) errors at their ends.
 
-    `frames` (T,) and `errors` (T,), parts of the hand, NaN where it was not detected: no line leads there.
-    `span`: first and last visible frame; `size`: width and height in pixels, of which the full height
-    stands for the last of LEVELS or the largest error.
+    `frames` (T,) and `errors` (T,), NaN where there is none: no line leads there. `span`: first and last
+    visible frame; `size`: width and height in pixels, of which the full height stands for the error `most`.
     """
     x = (frames - span[0]) / ((span[1] - span[0]) or 1.0) * size[0]
-    y = errors / np.nanmax(np.append(errors, LEVELS[-1])) * size[1]
+    y = errors / most * size[1]
     points = np.stack([x, y], axis=-1)
     ends = np.stack([points[:-1], points[1:]], axis=1)
     values = np.stack([errors[:-1], errors[1:]], axis=-1)
@@ -59,17 +47,18 @@ def segments(
     return ends[seen], values[seen]
 
 
-def label(hand: CapturedHand, errors: np.ndarray, frame: float) -> str:
+def label(hand: CapturedHand, errors: Errors, frame: float) -> str:
     """What is written over the graph: the error at a scene frame and the largest one."""
     row = int(rows_at(hand.collection, hand.take, np.array([frame]))[0])
-    here = "" if row < 0 or np.isnan(errors[row]) else f"{100 * errors[row]:.1f} % here, "
-    return f"{hand.armature.name}: off by {here}{100 * np.nanmax(errors):.1f} % of the hand at most"
+    title, said, most = errors.scale.title.lower(), errors.scale.said, float(np.nanmax(errors.frames))
+    here = "" if row < 0 or np.isnan(errors.frames[row]) else f"{said(errors.frames[row])} here, "
+    return f"{hand.armature.name}: {title} {here}{said(most)} at most"
 
 
 def shown_hands(scene: bpy.types.Scene) -> list[CapturedHand]:
-    """The hands whose graph is switched on, by name, and that were ever detected."""
+    """The hands whose graph is switched on, by name, and that have anything to show."""
     found = [hand_of(o) for o in captured_hands(scene) if o.manient.show_error]
-    return [hand for hand in found if hand is not None and hand.track.detected.any()]
+    return [hand for hand in found if hand is not None and errors_of(hand).mean is not None]
 
 
 def shown_changed(*_: object) -> None:
@@ -108,14 +97,15 @@ def _draw_one(
     scale: float,
 ) -> None:
     width, height = size
-    errors = errors_of(hand)
+    errors, levels = errors_of(hand), errors_of(hand).scale.levels
+    most = float(np.nanmax(np.append(errors.frames, levels[-1])))
     frames = scene_frames(hand.collection, hand.take)
     _rectangle((0.0, low, width, low + height), (0.0, 0.0, 0.0, 0.45))
-    fair = low + height * FAIR_BELOW / float(np.nanmax(np.append(errors, LEVELS[-1])))
+    fair = low + height * errors.scale.fair_below / most
     _rectangle((0.0, fair, width, fair + scale), (1.0, 1.0, 1.0, 0.15))
-    ends, values = segments(frames, errors, span, size)
+    ends, values = segments(frames, errors.frames, span, size, most)
     if len(ends):
-        colors = np.pad(colors_of(values.reshape(-1), LEVELS), ((0, 0), (0, 1)), constant_values=1.0)
+        colors = np.pad(colors_of(values.reshape(-1), levels), ((0, 0), (0, 1)), constant_values=1.0)
         screen.draw_shape("LINES", ends.reshape(-1, 2) + np.array((0.0, low)), colors, 2.0 * scale)
     blf.size(0, 11.0 * scale)
     blf.color(0, 0.92, 0.92, 0.92, 1.0)

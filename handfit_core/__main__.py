@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.fit_quality import quality
+from handfit_core.fit_quality import IN_PICTURE
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.options import CaptureOptions, add_options
 from handfit_core.pipeline import Progress, capture_to_file
@@ -225,7 +225,7 @@ def _mean_error(hand: dict[str, Any]) -> str:
     share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
     if share is None or pixels is None:
         return "no mean error"
-    return f"mean error {100 * share:.1f} % of the hand ({quality(share)}, {pixels:.1f} px)"
+    return f"mean error {IN_PICTURE.said(share)} ({IN_PICTURE.quality(share)}, {pixels:.1f} px)"
 
 
 class _LogHandler(logging.Handler):

@@ -1,14 +1,17 @@
-"""How well a fitted hand meets the picture, in shares of its own size, and in a word.
+"""How good a fitted hand is, in numbers and in a word: by how far it is likely to be off, in millimetres, and
+where the solver did not tell, by how far it lies from the picture, in shares of its own size.
 
 Pixels alone say little: ten are much for a hand of a hundred pixels and nothing for one of a thousand.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
+from handfit_core.fit.doubt import DOUBTFUL_ERROR
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS
 from handfit_core.take import HandTrack
@@ -20,6 +23,38 @@ FAIR_BELOW: Final = 0.035
 """Mean errors as shares of the hand's length. Of 103 hands in photos and clips, drawn over their pictures:
 below 2.5 % the outline lies on the hand's; from there to 3.5 % a finger or the wrist lies beside it by up to
 its own width; above, a finger or the whole hand is elsewhere."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What errors are told in, and what they are called."""
+
+    title: str
+    unit: str
+    per_unit: float
+    good_below: float
+    fair_below: float
+
+    @property
+    def levels(self) -> tuple[float, float, float]:
+        """What is green, yellow and red: a hand that is called poor is yellow at best."""
+        return self.good_below, self.fair_below, 2.0 * self.fair_below
+
+    def said(self, error: float) -> str:
+        """An error with its unit."""
+        return f"{self.per_unit * error:.1f} {self.unit}"
+
+    def quality(self, error: float) -> Quality:
+        """The word for it."""
+        if error < self.good_below:
+            return "good"
+        return "fair" if error < self.fair_below else "poor"
+
+
+IN_PICTURE: Final = Scale("Error", "% of the hand", 100.0, GOOD_BELOW, FAIR_BELOW)
+"""For `relative_errors`"""
+EXPECTED: Final = Scale("Likely error", "mm", 1000.0, 0.008, DOUBTFUL_ERROR)
+"""For `HandTrack.expected_error`"""
 
 _MIDDLE: Final = [1 + 4 * FINGERS.index("middle") + i for i in range(4)]
 """The middle finger's keypoints; the first one's parent is the wrist"""
@@ -49,10 +84,3 @@ def mean_relative_error(track: HandTrack, intrinsics: Intrinsics) -> float | Non
     errors = relative_errors(track, intrinsics)[track.detected]
     mean = float(errors.mean()) if len(errors) else np.nan
     return mean if np.isfinite(mean) else None
-
-
-def quality(share: float) -> Quality:
-    """The word for a mean error that is this share of the hand's length."""
-    if share < GOOD_BELOW:
-        return "good"
-    return "fair" if share < FAIR_BELOW else "poor"

@@ -329,6 +329,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         score=spread([d.score for d in found], seen, count),
         filled=present & ~seen,
         doubtful=fit.doubtful,
+        expected_error=fit.expected_error,
         keypoints_depth=points[..., 2],
         world_landmarks=world,
         right_side=spread([np.nan if d.right_side is None else d.right_side for d in found], seen, count),

@@ -39,6 +39,9 @@ class TrackFit:
     """(T,) bool: frames of short gaps that were bridged from their neighbours; None: there are none"""
     doubtful: np.ndarray | None = None
     """(T,) bool: frames whose pose may well be wrong; None where the solver does not tell"""
+    expected_error: np.ndarray | None = None
+    """(T, 5) metres that each finger is likely to be off (`fit.doubt` says what is meant), NaN where nothing
+    was detected; None where the solver does not tell"""
 
     @property
     def present(self) -> np.ndarray:

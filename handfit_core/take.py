@@ -23,7 +23,7 @@ from handfit_core.errors import OptionError, TakeError
 from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import SOURCE_KINDS, Source
-from handfit_core.skeleton import NUM_BETAS, SIDES, Side, other_side
+from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side, other_side
 from handfit_core.slices import result_of
 
 FORMAT_NAME = "handfit-take"
@@ -75,6 +75,7 @@ _ARRAYS: Final[dict[str, _Array]] = {
     "score": _Array(),
     "filled": _Array(kind="b", optional=True),
     "doubtful": _Array(kind="b", optional=True),
+    "expected_error": _Array((len(FINGERS),), finite="none", optional=True),
     "keypoints_depth": _Array((21,), optional=True),
     "world_landmarks": _Array((21, 3), optional=True),
     "right_side": _Array(finite="none", optional=True),
@@ -91,7 +92,7 @@ class HandTrack:
 
     Float arrays but `placed` hold NaN in the frames where neither `detected` nor `filled` is True; what the
     detector found (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`, `world_landmarks`,
-    `right_side`) also where only `filled` is.
+    `right_side`), and `expected_error`, also where only `filled` is.
 
     Model parameters are MANO's: axis-angle in radians relative to the flat hand (hands_mean is not
     added), root rotation about the wrist joint, camera frame (x right, y down, z forward), metres.
@@ -120,6 +121,9 @@ class HandTrack:
     """(T,) bool: frames of short gaps, bridged from their neighbours; None: there are none"""
     doubtful: np.ndarray | None = None
     """(T,) bool: frames whose pose may well be wrong; None: nobody looked"""
+    expected_error: np.ndarray | None = None
+    """(T, 5) metres that each finger, thumb first, is likely to be off once the hand is laid over the true
+    one; NaN where nobody can tell, as where a person has corrected the pose; None: nobody looked"""
     keypoints_depth: np.ndarray | None = None
     """(T, 21) pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not
     kept"""

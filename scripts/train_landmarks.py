@@ -48,12 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--install", action="store_true", help="write the results into the package")
     args = parser.parse_args(argv)
     try:
-        parts = [_samples(args.folder, seed, stills) for seed, stills in _asked(args.stills)]
-        kept = [rows for rows in parts if rows]
-        if not kept:
-            raise OptionError("the detector found no hand in these pictures; ask for more --stills")
-        samples = {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]}
-        _train(samples, args.folder, install=args.install)
+        _train(samples_of_stills(args.folder, args.stills), args.folder, install=args.install)
     except HandfitError as error:
         print(f"train_landmarks: {error}", file=sys.stderr)
         return 2
@@ -71,6 +66,15 @@ def _asked(text: str) -> list[tuple[int, int]]:
             f"--stills wants seeds of {LEAST_SEED} or more and counts of 1 or more, not {text!r}"
         )
     return pairs
+
+
+def samples_of_stills(folder: Path, text: str) -> dict[str, np.ndarray]:
+    """Stacked rows of the stills that `SEED:COUNT,...` asks for; made where `folder` does not keep them.
+    Raises OptionError."""
+    kept = [rows for seed, stills in _asked(text) if (rows := _samples(folder, seed, stills))]
+    if not kept:
+        raise OptionError("the detector found no hand in these pictures; ask for more --stills")
+    return {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]}
 
 
 def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core.files import written_whole
-from handfit_core.fit_quality import mean_relative_error, quality
+from handfit_core.fit_quality import IN_PICTURE, mean_relative_error
 from handfit_core.take import Take
 
 
@@ -68,4 +68,4 @@ def line(result: Result) -> str:
 
 def _error(hand: dict[str, Any]) -> str:
     share = hand["mean_error_of_hand"]
-    return "" if share is None else f" ({100 * share:.1f} %, {quality(share)})"
+    return "" if share is None else f" ({100 * share:.1f} %, {IN_PICTURE.quality(share)})"

@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import OptionError
-from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
 
+from ..scene.confidence import errors_of
 from ..scene.markers import doubtful_ranges, filled_ranges, is_marked, mark_doubtful, next_doubtful
 from ..scene.store import scene_frames
 from .needs_hand import Refuses, errors_reported, named_hand
@@ -72,7 +72,7 @@ class MANIENT_OT_jump_doubtful(_OfNamedHand, bpy.types.Operator):
 class MANIENT_OT_jump_worst(_OfNamedHand, bpy.types.Operator):
     bl_idname = "manient.jump_worst"
     bl_label = "Jump to Worst Frame"
-    bl_description = "Go to the frame in which the hand lies farthest from the points found in the picture"
+    bl_description = "Go to the frame in which the hand is likely to be farthest off"
 
     @classmethod
     def description(cls, context, properties):
@@ -84,18 +84,19 @@ class MANIENT_OT_jump_worst(_OfNamedHand, bpy.types.Operator):
         if not hand.track.detected.any():
             return cls.bl_description
         pixels = float(np.mean(hand.track.reprojection_error[hand.track.detected]))
+        scale = errors_of(hand).scale
+        good, fair = scale.said(scale.good_below), scale.said(scale.fair_below)
         return (
-            f"The hand's points lie {pixels:.1f} px from those found in the picture, in the mean. Of the "
-            f"hand's length, less than {100 * GOOD_BELOW:g} % is good and {100 * FAIR_BELOW:g} % or more is "
-            "poor. Click to go to the worst frame"
+            f"The hand's points lie {pixels:.1f} px from those found in the picture, in the mean. "
+            f"{scale.title}: less than {good} is good, {fair} or more is poor. Click to go to the worst frame"
         )
 
     @errors_reported
     def execute(self, context):
         hand = named_hand(context, self.hand)
-        if not hand.track.detected.any():
+        errors = errors_of(hand)
+        if errors.mean is None:
             raise OptionError("No captured hand with points in a picture: select one")
-        errors = relative_errors(hand.track, hand.take.intrinsics)
-        frame = float(scene_frames(hand.collection, hand.take)[np.nanargmax(errors)])
+        frame = float(scene_frames(hand.collection, hand.take)[np.nanargmax(errors.frames)])
         context.scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))
         return {"FINISHED"}

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import bpy
 
-from handfit_core.fit_quality import mean_relative_error, quality
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.take import HandTrack
-
 from ..scene import corrections, markers
+from ..scene.confidence import errors_of
 from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
 from ..section import Section, fitted, sentence
 from ..wording import counted
-
-
-@lru_cache(maxsize=8)
-def _mean_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:
-    """Takes are kept as they are read, so that a long one is not measured with every redraw."""
-    return mean_relative_error(track, intrinsics)
 
 
 class MANIENT_PT_result(Section, bpy.types.Panel):
@@ -65,12 +54,13 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         filled = 0 if track.filled is None else int(track.filled.sum())
         more = f", {filled} filled" if filled else ""
         lines.label(text=f"Found in {found} of {count} frames{more}", translate=False)
-        share = _mean_error(track, hand.take.intrinsics)
-        if share is not None:
-            row = box.row(align=True)
-            row.label(text=f"Error {100 * share:.1f} % of the hand: {quality(share)}", translate=False)
+        errors = errors_of(hand)
+        if errors.mean is not None:
+            row, scale = box.row(align=True), errors.scale
+            said = f"{scale.title} {scale.said(errors.mean)}: {scale.quality(errors.mean)}"
+            row.label(text=said, translate=False)
             row.operator("manient.jump_worst", text="", icon="INFO").hand = armature.name
-        doubtful = 0 if track.doubtful is None else int(track.doubtful.sum())
+        doubtful = int(errors.doubtful.sum())
         row = box.row(align=True)
         frames = "frame" if doubtful == 1 else "frames"
         row.label(text=f"{doubtful or 'No'} doubtful {frames}", translate=False)

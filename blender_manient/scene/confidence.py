@@ -1,39 +1,96 @@
-"""Bones coloured by how well they meet the picture: green where the fit lies on the detected keypoints, red
-where it is far off, grey where nothing was detected.
+"""How far a captured hand is off, as its take tells, and bones coloured by it: green where they can be
+trusted, red where they are likely elsewhere, grey where nothing is told.
 
-What counts is the distance in the picture from the fitted keypoint to the detected one, in parts of the
-hand's length as the picture shows it, so that near and far hands are judged alike.
+That is how far each finger is likely to be off, in metres, where the solver told it, else how far the hand
+lies from what was detected, in parts of its length in the picture. It is said of the captured pose: frames
+that the artist has corrected have none.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import bpy
 import numpy as np
 
-from handfit_core.fit_quality import length_in_picture
-from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
+from handfit_core.edit.corrections import CorrectionField
+from handfit_core.errors import TakeError
+from handfit_core.fit_quality import EXPECTED, IN_PICTURE, Scale, length_in_picture, relative_errors
+from handfit_core.skeleton import JOINTS_BY_FINGER, KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
+from .corrections import corrections_of
 from .store import CapturedHand, captured_hands, hand_of, rows_at
 
-GOOD: Final = 0.02
-"""Distance over the hand's length that is green; half of all keypoints of a good capture are nearer"""
-FAIR: Final = 0.05
-"""Yellow; nine in ten of a good capture are nearer"""
-POOR: Final = 0.10
-"""Red"""
+_CORRECTED: Final = 0.5
+"""So much of a correction makes the frame the artist's"""
+_BONE_LEVELS: Final = (0.02, 0.05, 0.10)
+"""Distance of a bone from the picture over the hand's length that is green, yellow and red: of all keypoints
+of a good capture half are nearer than the first, and nine in ten nearer than the second"""
 
 UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
 _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
-"""sRGB of GOOD, FAIR and POOR"""
+"""sRGB of what is good, fair and poor"""
 
 
-@lru_cache(maxsize=8)  # takes are kept as they are read, and every frame asks
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Of a hand's T frames; NaN where nothing was detected, and where the artist has corrected it."""
+
+    scale: Scale
+    frames: np.ndarray
+    """(T,)"""
+    bones: np.ndarray
+    """(T, 16) in MANO's order"""
+    bone_levels: tuple[float, float, float]
+    """Which of the bones' are green, yellow and red"""
+    doubtful: np.ndarray
+    """(T,) bool"""
+
+    @property
+    def mean(self) -> float | None:
+        """Over the frames that have one; None: none has."""
+        known = self.frames[np.isfinite(self.frames)]
+        return float(known.mean()) if len(known) else None
+
+
+def errors_of(hand: CapturedHand) -> Errors:
+    """Those of a captured hand, computed once."""
+    field = _NO_CORRECTIONS
+    with contextlib.suppress(TakeError):  # corrections that cannot be read
+        field = corrections_of(hand.armature)
+    return _errors(hand.take, hand.track, field)
+
+
+_NO_CORRECTIONS: Final = CorrectionField()
+
+
+@lru_cache(maxsize=8)  # takes and corrections are kept as they are read, and every redraw asks
+def _errors(take: Take, track: HandTrack, field: CorrectionField) -> Errors:
+    own = [not field.corrections[frame].is_anchor for frame in field.frames.tolist()]
+    captured = np.asarray(~(field.weights(take.frame_numbers)[:, own] >= _CORRECTED).any(axis=1))
+    if track.expected_error is None:
+        scale, levels = IN_PICTURE, _BONE_LEVELS
+        frames, bones = relative_errors(track, take.intrinsics), bone_errors(take, track)
+    else:
+        scale, levels = EXPECTED, EXPECTED.levels
+        frames = track.expected_error.mean(axis=1)
+        bones = np.repeat(frames[:, None], NUM_JOINTS, axis=1)
+        bones[:, JOINTS_BY_FINGER] = track.expected_error[..., None]
+    doubtful = np.zeros(len(captured), dtype=bool) if track.doubtful is None else track.doubtful
+    return Errors(
+        scale=scale,
+        frames=np.where(captured, frames, np.nan),
+        bones=np.where(captured[:, None], bones, np.nan),
+        bone_levels=levels,
+        doubtful=captured & doubtful,
+    )
+
+
 def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
     """(T, 16) mean distance of each bone's ends from their detected keypoints, over the hand's length in the
     picture; NaN in frames where the hand was not detected. A finger's bone has two ends, the wrist's six."""
@@ -49,9 +106,8 @@ def bone_errors(take: Take, track: HandTrack) -> np.ndarray:
     return errors
 
 
-def colors_of(errors: np.ndarray, levels: tuple[float, float, float] = (GOOD, FAIR, POOR)) -> np.ndarray:
-    """(...,) errors -> (..., 3) colours, sRGB 0..1; `levels`: what is green, yellow and red, by default of
-    what `bone_errors` gives."""
+def colors_of(errors: np.ndarray, levels: tuple[float, float, float]) -> np.ndarray:
+    """(...,) errors -> (..., 3) colours, sRGB 0..1; `levels`: what is green, yellow and red."""
     colors = np.stack([np.interp(errors, levels, _COLORS[:, i]) for i in range(3)], axis=-1)
     colors[np.isnan(errors)] = UNSEEN_COLOR
     return colors
@@ -73,9 +129,10 @@ def shown_changed(group: bpy.types.PropertyGroup) -> None:
 
 def _color(hand: CapturedHand, frame: float) -> None:
     row = int(rows_at(hand.collection, hand.take, np.array([frame]))[0])
-    errors = np.full(NUM_JOINTS, np.nan) if row < 0 else bone_errors(hand.take, hand.track)[row]
+    errors = errors_of(hand)
+    shown = np.full(NUM_JOINTS, np.nan) if row < 0 else errors.bones[row]
     bones = hand.armature.pose.bones
-    for name, color in zip(hand.rig.bones, colors_of(errors), strict=True):
+    for name, color in zip(hand.rig.bones, colors_of(shown, errors.bone_levels), strict=True):
         bone = bones.get(name)
         if bone is None:
             continue
@@ -176,4 +233,4 @@ def unregister() -> None:
             armature.manient.show_confidence = False
     if _on_frame in bpy.app.handlers.frame_change_pre:
         bpy.app.handlers.frame_change_pre.remove(_on_frame)
-    bone_errors.cache_clear()
+    _errors.cache_clear()

@@ -7,6 +7,7 @@ from typing import Literal
 import bpy
 import numpy as np
 
+from .confidence import errors_of
 from .store import CapturedHand, captured_hands, scene_frames
 
 Direction = Literal["PREVIOUS", "NEXT"]
@@ -16,7 +17,7 @@ _END = " End"
 
 def doubtful_ranges(hand: CapturedHand) -> list[tuple[int, int]]:
     """First and last scene frame of each run of frames whose pose may well be wrong, in order."""
-    return _ranges(hand, hand.track.doubtful)
+    return _ranges(hand, errors_of(hand).doubtful)
 
 
 def filled_ranges(hand: CapturedHand) -> list[tuple[int, int]]:

@@ -17,6 +17,7 @@ from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
+from .confidence import errors_of
 from .corrections import corrections_of
 from .keys import read_pose_keys
 from .own_scene import object_mode, own_scene, shown_in_pose
@@ -65,6 +66,9 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
     detected = np.asarray(track.detected, dtype=bool)
     joints_3d = _spread(joints, present)
     errors = np.linalg.norm(hand.take.intrinsics.project(joints_3d) - track.keypoints_2d, axis=-1)
+    told, expected = errors_of(hand), track.expected_error
+    if expected is not None:
+        expected = np.where(np.isnan(told.frames)[:, None], np.nan, expected)
     return replace(
         track,
         betas=betas,
@@ -73,6 +77,8 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
         transl=_spread(transl, present),
         joints_3d=joints_3d,
         reprojection_error=np.where(detected, errors.mean(axis=-1), np.nan),
+        doubtful=None if track.doubtful is None else told.doubtful,
+        expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
         placed=_placed(hand),
     )

@@ -13,6 +13,7 @@ from handfit_core.batch import spread
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.clips import smoothed
+from handfit_core.fit.doubt import doubtful, evidence, expected_error, side_certainty
 from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
 from handfit_core.fit.observation import Observation, observation_of
@@ -30,7 +31,6 @@ from handfit_core.fit.terms import (
     near_pose,
     reprojection,
 )
-from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
@@ -51,12 +51,6 @@ SLICE: Final = 256
 """Frames solved at once; bounds the memory, and what is computed of so many stays near the processor"""
 SHAPE_EVIDENCE: Final = 3.0
 """So many of a clip's frames count as independent evidence of the shape: what is off is off in all"""
-
-DOUBTFUL_ERROR: Final = 0.05
-"""Of the hand's size in the picture: where landmarks' sigmas (half of what the network expects) are larger on
-average, the pose may be wrong. On rendered pictures such hands err twice as much as the others."""
-DOUBTFUL_RESIDUAL: Final = 0.2
-"""Of the hand's size: where the fit is so far from the landmarks on average, they are no hand's"""
 
 SMOOTH_ROTATION: Final = 12.5
 """radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
@@ -79,8 +73,18 @@ class FrameFits:
     transl: np.ndarray
     """(B, 3) metres"""
     solution: Solution
-    doubtful: np.ndarray
-    """(B,) bool: landmarks that are expected to be far off, or that no hand fits"""
+    evidence: np.ndarray
+    """(B, 5, 6) what tells of their errors, see `doubt.evidence`"""
+
+    @property
+    def expected_error(self) -> np.ndarray:
+        """(B, 5) metres that each finger is likely to be off."""
+        return expected_error(self.evidence)
+
+    @property
+    def doubtful(self) -> np.ndarray:
+        """(B,) bool: hands that may well be wrong."""
+        return doubtful(self.expected_error)
 
 
 class FastFitter:
@@ -161,23 +165,8 @@ def fit_frames(
     return FrameFits(
         *fitter.chain.parameters(solution.state),
         solution=solution,
-        doubtful=_uncertain(fitter, seen, solution.state),
+        evidence=evidence(seen, fitter.chain.points(solution.state), side_certainty(detections, model.side)),
     )
-
-
-@np.errstate(all="ignore")
-def _uncertain(fitter: FastFitter, seen: Observation, state: State) -> np.ndarray:
-    """(B,) bool: landmarks that the network expects to be far off, or that no hand fits."""
-    size = np.ptp(seen.pixels, axis=1).max(axis=1)
-    points = fitter.chain.points(state)
-    slope = points[..., :2] / np.maximum(points[..., 2:], NEAREST)
-    projected = slope * seen.focal[:, None] + seen.centre[:, None]
-    residual = np.linalg.norm(projected - seen.pixels, axis=-1).mean(axis=1)
-    expected = seen.pixel_sigma.mean(axis=(1, 2))
-    # Written so that NaN is doubtful.
-    sure = (expected <= DOUBTFUL_ERROR * size) & (residual <= DOUBTFUL_RESIDUAL * size)
-    sure &= points[..., 2].min(axis=1) > NEAREST
-    return ~sure
 
 
 def fit_track(
@@ -196,7 +185,10 @@ def fit_track(
     """
     found, count = np.flatnonzero(track.detected), len(track.detections)
     fitter = fitter_of(model, hand_length)
-    seen = fitter.observe([d for d in track.detections if d is not None], intrinsics)
+    detections = [d for d in track.detections if d is not None]
+    seen = fitter.observe(detections, intrinsics)
+    # A track's side is voted for by all of its frames.
+    certainty = np.average(side_certainty(detections, model.side), weights=[d.score for d in detections])
     if len(found) == 1:
         solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
         frames, state = found, solution.state
@@ -209,6 +201,8 @@ def fit_track(
     for _ in found:
         on_frame()
     betas, orient, pose, transl = fitter.chain.parameters(state)
+    points = fitter.chain.points(state.select(np.isin(frames, found)))
+    expected = expected_error(evidence(seen, points, np.full(len(found), certainty)))
     return TrackFit(
         betas=betas[0],
         global_orient=spread(orient, frames, count),
@@ -216,7 +210,8 @@ def fit_track(
         transl=spread(transl, frames, count),
         converged=spread(solution.converged, found, count, False),
         filled=spread(True, np.setdiff1d(frames, found), count, False),
-        doubtful=spread(_uncertain(fitter, seen, solution.state), found, count, False),
+        doubtful=spread(doubtful(expected), found, count, False),
+        expected_error=spread(expected, found, count),
     )
 
 

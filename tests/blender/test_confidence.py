@@ -11,9 +11,14 @@ import pytest
 
 import blender_manient
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene import confidence
+from blender_manient.scene import confidence, corrections
 from blender_manient.scene.build import build_take
-from blender_manient.scene.confidence import FAIR, GOOD, POOR, UNSEEN_COLOR, bone_errors, colors_of
+from blender_manient.scene.confidence import UNSEEN_COLOR, bone_errors, errors_of
+from blender_manient.scene.keys import pose_at
+from blender_manient.scene.retake import retaken
+from blender_manient.scene.store import hand_of
+from handfit_core.fit_quality import EXPECTED
+from handfit_core.skeleton import FINGERS
 
 from .conftest import FRAMES, UNSEEN
 
@@ -21,7 +26,12 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 
 BAD_FRAME, INDEX_TIP = 8, 8
+GOOD, FAIR, POOR = 0.02, 0.05, 0.10
 ROW = int(np.flatnonzero(FRAMES == BAD_FRAME)[0])
+
+
+def colors_of(errors):
+    return confidence.colors_of(errors, (GOOD, FAIR, POOR))
 
 
 def off_at_the_index(take):
@@ -240,3 +250,58 @@ def test_a_frame_costs_as_much_in_a_long_take_as_in_a_short_one(make_take):
     print(f"{short * 1000:.2f} and {long * 1000:.2f} ms, a frame {frame * 1000:.2f} ms")
     assert short < 6 * frame
     assert long < 3 * short
+
+
+FINGERS_OFF = np.array([0.002, 0.014, 0.005, 0.005, 0.005])
+"""metres: the thumb is sure, the index finger is not"""
+
+
+@pytest.fixture
+def expecting(make_take):
+    """A hand whose take tells what errors are expected, more in frame BAD_FRAME, which is doubtful."""
+    take = make_take(sides=("right",)).take
+    times = np.where(FRAMES == BAD_FRAME, 4.0, 1.0)
+    times[UNSEEN] = np.nan
+    track = replace(
+        take.hands[0], expected_error=times[:, None] * FINGERS_OFF, doubtful=np.arange(len(FRAMES)) == ROW
+    )
+    return hand_of(build_take(replace(take, hands=(track,))).hands[0].armature)
+
+
+def test_expected_errors_are_shown_finger_by_finger(expecting):
+    errors = errors_of(expecting)
+    assert errors.scale is EXPECTED
+    assert np.isnan(errors.frames).tolist() == [row == UNSEEN for row in range(len(FRAMES))]
+    assert errors.frames[ROW] == pytest.approx(4 * FINGERS_OFF.mean())
+    assert errors.doubtful.tolist() == (FRAMES == BAD_FRAME).tolist()
+    expecting.armature.manient.show_confidence = True
+    for frame, times in ((3, 1.0), (BAD_FRAME, 4.0)):
+        bpy.context.scene.frame_set(frame)
+        colors = shown(expecting.armature)
+        for finger, off in zip(FINGERS, FINGERS_OFF, strict=True):
+            (expected,) = confidence.colors_of(np.array([times * off]), EXPECTED.levels)
+            bones = [name for name in colors if name.startswith(finger)]
+            assert len(bones) == 3
+            assert all(is_close(colors[name], expected) for name in bones)
+        (whole,) = confidence.colors_of(np.array([times * FINGERS_OFF.mean()]), EXPECTED.levels)
+        assert is_close(colors["wrist.R"], whole)
+
+
+def test_what_the_artist_has_corrected_is_not_doubted_any_more(expecting):
+    armature = expecting.armature
+    quats, locations = pose_at(expecting.rig, np.array([float(BAD_FRAME)]))
+    quats[0, 5] = [0.9, 0.1, 0.2, 0.3]
+    before = errors_of(expecting)
+    corrections.correct_frame(armature, BAD_FRAME, {8: (1.0, 2.0)}, quats[0], locations[0], 2)
+    errors = errors_of(expecting)
+    assert np.flatnonzero(np.isnan(errors.frames) & np.isfinite(before.frames)).tolist() == [ROW]
+    assert not errors.doubtful.any()
+    armature.manient.show_confidence = True
+    bpy.context.scene.frame_set(BAD_FRAME)
+    assert all(is_close(color, UNSEEN_COLOR) for color in shown(armature).values())
+    (track,) = retaken([expecting]).hands
+    assert not track.doubtful.any()
+    np.testing.assert_array_equal(np.isnan(track.expected_error).all(axis=1), np.isnan(errors.frames))
+    corrections.clear_corrections(armature)
+    np.testing.assert_array_equal(errors_of(expecting).frames, before.frames)
+    assert errors_of(expecting).doubtful[ROW]

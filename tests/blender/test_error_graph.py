@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from blender_manient import error_graph
-from blender_manient.scene.confidence import colors_of
+from blender_manient.scene.confidence import colors_of, errors_of
 from blender_manient.scene.store import hand_of
-from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, relative_errors
+from handfit_core.fit_quality import EXPECTED, IN_PICTURE, relative_errors
 
 from .conftest import FRAMES, UNSEEN
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-POOR = error_graph.LEVELS[-1]
+POOR = IN_PICTURE.levels[-1]
 
 
 def test_errors_are_the_takes_own_in_parts_of_the_hand(make_take):
@@ -31,21 +31,19 @@ def test_errors_are_the_takes_own_in_parts_of_the_hand(make_take):
 
 
 def test_its_colors_are_the_panels_words():
-    green, yellow, red = (colors_of(np.array([level]))[0] for level in (0.0, 0.05, 1.0))
-    shown = colors_of(np.array([0.9 * GOOD_BELOW, FAIR_BELOW, 2 * FAIR_BELOW]), error_graph.LEVELS)
-    np.testing.assert_allclose(shown, [green, yellow, red])
+    green, yellow, red = colors_of(np.array([0.0, 1.0, 9.0]), (0.5, 1.0, 2.0))
+    for scale in (IN_PICTURE, EXPECTED):
+        steps = np.array([0.9 * scale.good_below, scale.fair_below, 2 * scale.fair_below])
+        np.testing.assert_allclose(colors_of(steps, scale.levels), [green, yellow, red])
 
 
 def test_lines_lie_over_their_frames_and_leave_gaps_open():
     frames = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     errors = np.array([0.0, POOR / 2, np.nan, POOR / 4, 2 * POOR])
-    lines, values = error_graph.segments(frames, errors, (-10.0, 90.0), (1000.0, 80.0))
+    lines, values = error_graph.segments(frames, errors, (-10.0, 90.0), (1000.0, 80.0), 2 * POOR)
     np.testing.assert_allclose(lines, [[[100, 0], [200, 20]], [[400, 10], [500, 80]]])
     np.testing.assert_allclose(values, [[0.0, POOR / 2], [POOR / 4, 2 * POOR]])
-    assert len(error_graph.segments(frames, errors, (50.0, 90.0), (1000.0, 80.0))[0]) == 0
-    # What is small looks small: the full height stands at least for a poor hand.
-    low, _ = error_graph.segments(frames[:2], errors[:2] / 100, (0.0, 10.0), (100.0, 80.0))
-    assert low[..., 1].max() == pytest.approx(0.4)
+    assert len(error_graph.segments(frames, errors, (50.0, 90.0), (1000.0, 80.0), POOR)[0]) == 0
 
 
 def test_it_is_shown_for_hands_that_were_detected_and_follows_copies(armature):
@@ -65,10 +63,11 @@ def test_it_is_shown_for_hands_that_were_detected_and_follows_copies(armature):
 
 def test_its_words_name_the_error_here_and_the_largest(armature):
     hand = hand_of(armature)
-    errors = error_graph.errors_of(hand)
-    assert error_graph.errors_of(hand) is errors, "not anew in every redraw"
+    errors = errors_of(hand)
+    assert errors_of(hand) is errors, "not anew in every redraw"
     said = error_graph.label(hand, errors, float(FRAMES[2]))
-    assert f"{100 * errors[2]:.1f} % here, {100 * np.nanmax(errors):.1f} % of the hand at most" in said
+    here, most = errors.frames[2], np.nanmax(errors.frames)
+    assert f"error {100 * here:.1f} % of the hand here, {100 * most:.1f} % of the hand at most" in said
     assert "here" not in error_graph.label(hand, errors, float(FRAMES[UNSEEN]))
     assert "here" not in error_graph.label(hand, errors, 1000.0)
 

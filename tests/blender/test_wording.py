@@ -159,6 +159,13 @@ def test_a_hands_block_has_units_and_a_word(registered, make_take, count, pixels
     assert "px" not in block
 
 
+def test_a_hands_block_tells_the_error_that_is_expected(registered, make_take):
+    take = make_take(sides=("right",)).take
+    track = replace(take.hands[0], expected_error=np.full((len(take.frame_numbers), 5), 0.0093))
+    store.hand_of(build_take(replace(take, hands=(track,))).hands[0].armature)
+    assert "Likely error 9.3 mm: fair " in drawn(MANIENT_PT_result).said
+
+
 def test_proportions_without_a_name_are_folded_away(registered, make_take):
     hand = store.hand_of(build_take(make_take(sides=("right",)).take).hands[0].armature)
     bpy.context.view_layer.objects.active = hand.armature

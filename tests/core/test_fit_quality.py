@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.fit_quality import FAIR_BELOW, GOOD_BELOW, mean_relative_error, quality, relative_errors
+from handfit_core.fit_quality import (
+    EXPECTED,
+    FAIR_BELOW,
+    GOOD_BELOW,
+    IN_PICTURE,
+    mean_relative_error,
+    relative_errors,
+)
 from handfit_core.take import Take
 from tests.conftest import ROOT
 
@@ -52,4 +59,9 @@ def test_frames_without_a_detection_do_not_count(take: Take) -> None:
 
 
 def test_words() -> None:
-    assert [quality(s) for s in (0.0, GOOD_BELOW, FAIR_BELOW)] == ["good", "fair", "poor"]
+    for scale in (IN_PICTURE, EXPECTED):
+        steps = (0.0, scale.good_below, scale.fair_below)
+        assert [scale.quality(s) for s in steps] == ["good", "fair", "poor"]
+    assert IN_PICTURE.said(GOOD_BELOW) == "2.5 % of the hand"
+    assert EXPECTED.said(0.0071) == "7.1 mm"
+    assert IN_PICTURE.levels[:2] == (GOOD_BELOW, FAIR_BELOW)

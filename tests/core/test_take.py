@@ -143,6 +143,16 @@ def test_filled_and_doubtful_frames_come_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plain.present, plain.detected)
 
 
+def test_expected_errors_come_back_finger_by_finger(tmp_path: Path) -> None:
+    expected = np.where(track().detected[:, None], np.linspace(0.004, 0.03, 5), np.nan)
+    expected[0] = np.nan  # corrected by hand
+    loaded = Take.load(take(hands=(track(expected_error=expected), track("left"))).save(tmp_path / "t.npz"))
+    np.testing.assert_array_equal(loaded.hands[0].expected_error, expected)
+    assert loaded.hands[1].expected_error is None, "a take that an older version made has none"
+    with pytest.raises(TakeError, match="expected_error has shape"):
+        take(hands=(track(expected_error=expected[:, 0]),))
+
+
 def test_takes_from_before_there_were_flags(tmp_path: Path) -> None:
     path = edited(take(hands=(bridged(),)).save(tmp_path / "t.npz"), hand0_filled=None, hand0_doubtful=None)
     (hand,) = Take.load(path).hands

@@ -1,0 +1,96 @@
+"""How far off a fitted hand is likely to be, finger by finger, in metres.
+
+The error is the mean distance of a finger's four keypoints from the true ones, once all 21 are laid over
+these by a similarity; the mean over the fingers is, but for the wrist, PA-MPJPE. Its logarithm is linear in
+`evidence`: what can be seen without knowing the truth. The weights come from painted hands that no network
+was trained on (scripts/train_doubt.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.skeleton import Side
+
+FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
+
+DOUBTFUL_ERROR: Final = 0.012
+"""metres; of rendered hands that err by less than 15 mm, a tenth is expected to err by more than this"""
+WRONG: Final = 0.015
+"""metres; hands that err by more than this are what doubt is for"""
+MOST: Final = 0.2
+"""metres: no hand is farther off than its own length"""
+
+_LEAST: Final = 5e-4
+"""metres; what is less than this tells nothing more"""
+_SUREST: Final = 6.0
+"""Logit of a side that counts as certain"""
+_ACROSS, _ALONG = (17, 5), (0, 9)
+"""Keypoints between which the palm lies"""
+
+
+def side_certainty(detections: Sequence[HandDetection], side: Side) -> np.ndarray:
+    """(B,) probability that each is a hand of that side; 1 where a person has said so, or nobody judged."""
+    return np.array(
+        [
+            1.0
+            if d.right_side is None or d.given_side is not None
+            else d.right_side
+            if d.side == side
+            else 1.0 - d.right_side
+            for d in detections
+        ]
+    )
+
+
+@np.errstate(all="ignore")
+def evidence(seen: Observation, points: np.ndarray, certainty: np.ndarray) -> np.ndarray:
+    """(B, 5, 6) what tells of each finger's error: the logarithms of what the landmark network expects of its
+    points and of all, and of how far these project from where they were seen, in metres at the hand's
+    distance; whether the palm is seen from the front (1) or edge on (0); the logit of the hand's side.
+
+    `points`: (B, 21, 3) metres, the fitted landmarks. `certainty`: (B,) that the side is the true one.
+    """
+    metres = np.maximum(points[..., 2].mean(axis=1), NEAREST) / seen.focal.mean(axis=1)
+    slope = points[..., :2] / np.maximum(points[..., 2:], NEAREST)
+    projected = slope * seen.focal[:, None] + seen.centre[:, None]
+    off = np.linalg.norm(projected - seen.pixels, axis=-1) * metres[:, None]
+    expected = seen.pixel_sigma.mean(axis=-1) * metres[:, None]
+    across, along = (points[:, b] - points[:, a] for a, b in (_ACROSS, _ALONG))
+    normal = np.cross(across, along)
+    facing = np.abs((normal * seen.ray).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    sure = np.clip(np.log(certainty / (1.0 - certainty)), -_SUREST, _SUREST)
+
+    def of_fingers(values: np.ndarray) -> list[np.ndarray]:
+        fingers, hand = values[:, 1:].reshape(-1, 5, 4).mean(axis=2), values.mean(axis=1)
+        return [np.log(fingers + _LEAST), np.log(hand + _LEAST)[:, None]]
+
+    told = [*of_fingers(expected), *of_fingers(off), facing[:, None], sure[:, None]]
+    return np.stack([np.broadcast_to(values, (len(points), 5)) for values in told], axis=-1)
+
+
+@lru_cache(maxsize=1)
+def _weights() -> tuple[np.ndarray, np.ndarray]:
+    with np.load(FILE, allow_pickle=False) as arrays:
+        return arrays["weights"], arrays["constants"]
+
+
+@np.errstate(all="ignore")
+def expected_error(told: np.ndarray) -> np.ndarray:
+    """(B, 5) metres that each finger is likely to be off, of `evidence` (B, 5, 6); `MOST` where that has no
+    numbers."""
+    weights, constants = _weights()
+    return np.nan_to_num(np.minimum(np.exp(told @ weights + constants), MOST), nan=MOST)
+
+
+def doubtful(expected: np.ndarray) -> np.ndarray:
+    """(B,) bool: hands that may well be wrong, by their fingers' expected errors (B, 5)."""
+    return expected.mean(axis=1) > DOUBTFUL_ERROR

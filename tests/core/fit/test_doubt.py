@@ -1,0 +1,117 @@
+"""How far off hands are expected to be: more the worse they are seen, always a number, right in the mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.fit import doubt
+from handfit_core.fit.fast import fit_frames, fit_track, fitter_of
+from handfit_core.skeleton import SIDES, Side
+from scripts.train_doubt import calibrated
+from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, mirrored, model_of, poses, seen
+
+COUNT = 16
+
+
+def detections_of(noise: float = 0.0, side: Side = "right") -> list[HandDetection]:
+    true = poses(COUNT) if side == "right" else mirrored(*poses(COUNT))
+    return [seen(points, side, noise=noise, seed=i) for i, points in enumerate(landmarks_of(side, *true))]
+
+
+def expected_of(detections: list[HandDetection]) -> np.ndarray:
+    return fit_frames(model_of("right"), detections, CAMERA).expected_error
+
+
+def test_the_worse_hands_are_seen_the_more_they_are_expected_to_err() -> None:
+    means = [expected_of(detections_of(noise)).mean() for noise in (0.0, 6.0, 20.0, 60.0)]
+    assert np.all(np.diff(means) > 0.0)
+    assert means[0] < doubt.DOUBTFUL_ERROR < means[-1] < doubt.MOST
+
+
+def test_a_finger_that_is_somewhere_else_is_doubted_more_than_the_others() -> None:
+    clean = detections_of()
+    spoilt = []
+    for detection in clean:
+        points = detection.keypoints.copy()
+        points[6:9, :2] += 40.0  # the index finger, of hands some 150 pixels large
+        spoilt.append(replace(detection, keypoints=points))
+    grown = expected_of(spoilt) / expected_of(clean)
+    assert np.all(grown.mean(axis=0) > 1.0)
+    assert grown.mean(axis=0).argmax() == 1
+
+
+def test_left_and_right_are_doubted_alike() -> None:
+    ours = detections_of(noise=3.0)
+    theirs = fit_frames(model_of("left"), [mirror_image(d) for d in ours], CAMERA)
+    np.testing.assert_allclose(theirs.expected_error, expected_of(ours), rtol=1e-2)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_hand_that_may_be_the_other_one_is_doubted_more(side: Side) -> None:
+    (one,) = detections_of(side=side)[:1]
+    cases = [
+        (None, None, 1.0),  # nobody judged
+        (0.3, side, 1.0),  # a person has said it
+        (0.99, None, 0.99),
+        (0.6, None, 0.6),
+    ]
+    for probability, given, certain in cases:
+        detection = replace(one, right_side=probability, given_side=given)
+        assert doubt.side_certainty([detection], side).item() == certain
+    other = replace(one, side="left" if side == "right" else "right", right_side=0.4)
+    assert doubt.side_certainty([other], side).item() == pytest.approx(0.6)
+    fits = [
+        fit_frames(model_of(side), [replace(one, right_side=p)], CAMERA).expected_error.mean()
+        for p in (0.999, 0.9, 0.6)
+    ]
+    assert fits[0] < fits[1] < fits[2]
+
+
+def test_what_is_no_hand_has_numbers_too() -> None:
+    """All in one point, far away, behind the camera, at the camera, and nowhere."""
+    fitter = fitter_of(model_of("right"))
+    (one,) = detections_of()[:1]
+    flat = replace(one, keypoints=np.full((21, 3), 50.0), world=np.zeros((21, 3)))
+    observed = fitter.observe([flat], CAMERA)
+    start = fitter.chain.points(fitter.start(fitter.observe([one], CAMERA)))
+    for points in (start, 1e6 * start, -start, 0.0 * start, np.nan * start, np.inf * start):
+        for certainty in (0.0, 0.5, 1.0):
+            expected = doubt.expected_error(doubt.evidence(observed, points, np.array([certainty])))
+            assert expected.shape == (1, 5)
+            assert np.all((expected > 0.0) & (expected <= doubt.MOST))
+    assert doubt.doubtful(doubt.expected_error(doubt.evidence(observed, np.nan * start, np.ones(1)))).all()
+
+
+def test_the_threshold_is_of_the_mean_over_fingers() -> None:
+    at = np.full((1, 5), doubt.DOUBTFUL_ERROR)
+    assert not doubt.doubtful(at).any()
+    assert doubt.doubtful(at + np.array([1e-3, 0.0, 0.0, 0.0, 0.0])).all()
+
+
+def test_a_track_has_them_in_its_detected_frames() -> None:
+    found: list[HandDetection | None] = list(with_side_judged(detections_of(noise=2.0)))
+    found[3] = None
+    track = DetectedTrack("right", tuple(found), 25.0)
+    fit = fit_track(0.0, model_of("right"), track, CAMERA, lambda: None)
+    assert fit.expected_error is not None
+    assert fit.doubtful is not None
+    np.testing.assert_array_equal(np.isfinite(fit.expected_error).all(axis=1), track.detected)
+    np.testing.assert_array_equal(fit.doubtful, fit.expected_error.mean(axis=1) > doubt.DOUBTFUL_ERROR)
+
+
+def test_calibration_finds_the_weights_that_made_the_errors() -> None:
+    rng = np.random.default_rng(0)
+    told = rng.normal(size=(4000, 5, 6))
+    weights, constants = (
+        np.array([0.4, 0.1, -0.2, 0.0, 0.3, -0.1]),
+        np.log([0.004, 0.006, 0.008, 0.01, 0.012]),
+    )
+    true = np.exp(told @ weights + constants)
+    found = calibrated(told, true * rng.exponential(size=true.shape))
+    np.testing.assert_allclose(found["weights"], weights, atol=0.03)
+    np.testing.assert_allclose(found["constants"], constants, atol=0.06)
