@@ -20,6 +20,7 @@ from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, over_time
 from handfit_core.fit.gaps import jumps, missing_between
 from handfit_core.fit.observation import Kept, Observation, observation_of
 from handfit_core.fit.problem import Held
+from handfit_core.fit.solution import Solution
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
@@ -33,7 +34,7 @@ LOOSE: Final = 4.0
 MAX_ITERATIONS: Final = 50
 """More than captures take. Where they are too few, a drag's result does still not depend on the way there:
 from the frame's own pose the steps are the same every time."""
-DRAFT_ITERATIONS: Final = 6
+DRAFT_ITERATIONS: Final = 8
 """While a point is dragged, each answer goes on where the one before ended"""
 FREE_DRAFT_ITERATIONS: Final = 10
 """of hands that begin anew each time, from all sides"""
@@ -205,7 +206,8 @@ class _Frames(Batch):
         limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
         near = Kept(kept.wrist, far, kept.angles, turned, limits)
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
-        return _cheapest(self.fitter, replace(observed, kept=near), starts, _held(held, kept), most)
+        observed = replace(observed, kept=near)
+        return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
 
 def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
@@ -231,23 +233,27 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
         )  # fmt: skip
 
     observed = observation_of(seen, hand.intrinsics)
-    states = []
+    parts = []
     for at, part in _chunks(rows):
         _check(should_stop)
         here = observed.select(part)
         own = _start(fitter, hand, hand, posed[at], here, at)
-        states.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
-    alone = State.joined(states)
+        parts.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
+    held = None if everywhere is None else everywhere.select(rows)
+    observed, solution = fitter.solve_solid(observed, Solution.joined(parts), rows, held)
+    alone = solution.state
     frames, state = smoothly(observed, alone)
     if hand.pinned[rows].any():
         plain = state.select(np.searchsorted(frames, rows))
-        observed, touched = _corrected(hand, seen, rows, plain)
+        pinned, touched = _corrected(hand, seen, rows, plain)
+        observed = replace(pinned, meeting=observed.meeting)
         corrected = [alone]
         for at, _ in _chunks(touched):
             _check(should_stop)
             held = None if everywhere is None else everywhere.select(rows[at])
             start = [plain.select(at)]
-            corrected.append(_cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS))
+            found = _cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS, solid=True)
+            corrected.append(found.state)
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
         frames, state = smoothly(observed, State.joined(corrected).select(latest))
@@ -397,20 +403,23 @@ def _cheapest(
     starts: Sequence[State],
     held: Held | None,
     max_iterations: int | None = None,
-) -> State:
+    *,
+    solid: bool = False,
+) -> Solution:
     """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
     difference, from the first. `max_iterations`: None for those of captures."""
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     held = held if held is None or len(starts) == 1 else held.select(index)
     start = State.joined(starts)
-    problem = fitter.problem(observed if len(starts) == 1 else observed.select(index), held=held)
+    observed = observed if len(starts) == 1 else observed.select(index)
+    problem = fitter.problem(observed, held=held, solid=solid)
     solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)
     if len(starts) == 1:
-        return solution.state
+        return solution
     cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
     cost[0] *= CHEAPER
-    return solution.state.select(cost.argmin(axis=0) * count + np.arange(count))
+    return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 
 def _held(joints: np.ndarray, state: State) -> Held | None:

@@ -2,7 +2,8 @@
 
 A finger's nine angles move its own four points only, so that the matrix of a hand is an arrow: a corner of
 the hand's own variables (root, shape, place, depth's zero), five blocks of 9, and what couples each with the
-corner. The blocks are eliminated first (Schur complement). In a clip with one shape, each frame's own
+corner. The blocks are eliminated first (Schur complement), or, in hands whose fingers touch, all five as one.
+In a clip with one shape, each frame's own
 variables are eliminated next, and the shape is solved over all frames.
 """
 
@@ -27,11 +28,14 @@ class Blocks(Batch):
     """(B, 5, 9, 9 + n + 1): the block, what couples it with the hand, and the gradient"""
     cost: np.ndarray
     """(B,)"""
+    between: np.ndarray | None = None
+    """(B, 45, 45) what couples fingers with each other, where some of a batch's do; its blocks of a finger
+    with itself are zero. None: none do"""
 
     def put(self, index: Index, other: Blocks) -> None:
-        """The other's problems in place of these, where the index says so."""
-        for name in self.__dataclass_fields__:
-            getattr(self, name)[index] = getattr(other, name)[index]
+        """The other's problems, which are of the same terms, in place of these, where the index says so."""
+        for name, values in self._rows():
+            values[index] = getattr(other, name)[index]
 
     def holding(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
         """The same problems with some variables held: their increments come out as exactly zero, and the
@@ -44,7 +48,11 @@ class Blocks(Batch):
         finger = self.finger * finger_free[..., None] * beside[:, :, None]
         np.einsum("bii->bi", hand[..., :n])[...] += of_hand
         np.einsum("bfii->bfi", finger[..., :9])[...] += of_fingers
-        return Blocks(hand, finger, self.cost)
+        between = self.between
+        if between is not None:
+            every = finger_free.reshape(batch, 45)
+            between = between * every[:, :, None] * every[:, None]
+        return Blocks(hand, finger, self.cost, between)
 
     def step(self, damping: np.ndarray, *, shared_shape: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Increments (B, n) and (B, 5, 9) under Levenberg-Marquardt damping (B,), relative to the diagonals.
@@ -53,8 +61,14 @@ class Blocks(Batch):
         """
         batch, n, _ = self.hand.shape
         # Faster than to solve for the few right sides, and as good for a step.
-        inverse = np.linalg.inv(_damped(self.finger[..., :9], damping[:, None]))
-        solved = inverse @ self.finger[..., 9:]
+        own = _damped(self.finger[..., :9], damping[:, None])
+        solved = np.linalg.inv(own) @ self.finger[..., 9:]
+        if self.between is not None:
+            coupled = np.flatnonzero(self.between.any(axis=(1, 2)))
+            whole = self.between[coupled].reshape(-1, 5, 9, 5, 9)
+            np.einsum("bfifj->bfij", whole)[...] = own[coupled]
+            right = self.finger[coupled, ..., 9:].reshape(-1, 45, n + 1)
+            solved[coupled] = np.linalg.solve(whole.reshape(-1, 45, 45), right).reshape(-1, 5, 9, n + 1)
         mixed = self.finger.reshape(batch, 45, 10 + n)[..., 9:-1]
         reduced = self.hand - mixed.swapaxes(1, 2) @ solved.reshape(batch, 45, n + 1)
         diagonal = np.einsum("bii->bi", reduced[..., :n])

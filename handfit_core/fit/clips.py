@@ -88,7 +88,8 @@ def _data(problem: Problem, state: State) -> Blocks:
         return blocks
     nothing = ~problem.looked_at
     for name in Blocks.__dataclass_fields__:
-        getattr(blocks, name)[nothing] = 0.0
+        if (values := getattr(blocks, name)) is not None:
+            values[nothing] = 0.0
     return blocks
 
 
@@ -123,6 +124,8 @@ def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray
         dense[:, part, part] += blocks.finger[:, f, :, :9]
         dense[:, part, :3] += blocks.finger[:, f, :, 9:12]
         dense[:, 48:, part] += blocks.finger[:, f, :, 12:15].swapaxes(1, 2)
+    if blocks.between is not None:
+        dense[:, 3:48, 3:48] += blocks.between
     band = np.zeros((_BAND + 1, count, SIZE))
     for below in range(SIZE):
         band[below, :, : SIZE - below] = dense[:, np.arange(below, SIZE), np.arange(SIZE - below)]

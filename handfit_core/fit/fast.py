@@ -16,15 +16,19 @@ from handfit_core.fit.clips import smoothed
 from handfit_core.fit.doubt import doubtful, evidence, expected_error, side_certainty
 from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
+from handfit_core.fit.meeting import meeting
 from handfit_core.fit.observation import Observation, observation_of
 from handfit_core.fit.problem import Held, Motion, Problem, SharedShape
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.terms import (
+    Apart,
+    InFront,
     Limits,
     PosePrior,
     Shape,
     Term,
+    Touch,
     coupling,
     depth,
     distance,
@@ -36,6 +40,7 @@ from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import FILE, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
+from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import NUM_BETAS
 from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
 
@@ -103,6 +108,9 @@ class FastFitter:
         limits = Limits(model.side)
         self.reach = limits.reach
         self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
+        self.surface = surface_of(model)
+        self._apart = Apart(self.surface)
+        self._meeting = (InFront(self.surface), Touch(self.surface))
         self._betas, self._length_rates = np.zeros(NUM_BETAS), None
         if hand_length is not None:
             self._betas = betas_of_measured(model, hand_length)
@@ -116,9 +124,23 @@ class FastFitter:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
         return relaxed_start(self.chain, seen, self._relaxed, self._betas if betas is None else betas)
 
-    def problem(self, seen: Observation, shape: SharedShape = "given", held: Held | None = None) -> Problem:
-        """Those hands as the solver is to find them; near to poses where `seen` has some to keep."""
+    def problem(
+        self,
+        seen: Observation,
+        shape: SharedShape = "given",
+        held: Held | None = None,
+        *,
+        solid: bool = False,
+    ) -> Problem:
+        """Those hands as the solver is to find them; near to poses where `seen` has some to keep.
+
+        `solid`: their parts do not pass through each other, and meet as `seen` says if it has been asked. The
+        shape must be given, and the start roughly right: a finger on the wrong side would be held there.
+        """
         terms = self._terms
+        if solid:
+            terms = (*terms, self._apart)
+            terms = terms if seen.meeting is None else (*terms, *self._meeting)
         if seen.kept is not None:
             terms = (*terms, near_pose, distance)
         if shape != "given":
@@ -137,6 +159,24 @@ class FastFitter:
                 for part in parts
             ]
         )
+
+    def solve_solid(
+        self, seen: Observation, plain: Solution, frames: np.ndarray | None = None, held: Held | None = None
+    ) -> tuple[Observation, Solution]:
+        """The same hands as solid ones, from where they are without; and what is seen of how their parts
+        meet. `frames` (B,) int: which of a clip; None: they know nothing of each other."""
+        state = plain.state
+        seen = replace(seen, meeting=meeting(self.chain, self.surface, seen, state, frames))
+        problem = self.problem(seen, held=held, solid=True)
+        posed = self.chain.pose(state)
+        pairs = [term(posed, seen).hand for term in (self._apart, *self._meeting)]
+        meet = np.unique(np.concatenate(pairs))
+        if not len(meet):
+            return seen, plain
+        found = self.solve_each(problem.select(meet), state.select(meet))
+        order = np.arange(len(plain))
+        order[meet] = len(plain) + np.arange(len(meet))
+        return seen, Solution.joined([plain, found]).select(order)
 
     def solve_shape(self, seen: Observation) -> np.ndarray:
         """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
@@ -161,7 +201,8 @@ def fit_frames(
     length (metres; None: an average one)."""
     fitter = fitter_of(model, hand_length)
     seen = fitter.observe(detections, intrinsics)
-    solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
+    plain = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
+    seen, solution = fitter.solve_solid(seen, plain)
     return FrameFits(
         *fitter.chain.parameters(solution.state),
         solution=solution,
@@ -191,11 +232,12 @@ def fit_track(
     certainty = np.average(side_certainty(detections, model.side), weights=[d.score for d in detections])
     if len(found) == 1:
         solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
+        seen, solution = fitter.solve_solid(seen, solution)
         frames, state = found, solution.state
     else:
         solution = _clip(fitter, seen, should_stop)
         found = found[: len(solution)]
-        seen = seen.select(slice(len(found)))
+        seen, solution = fitter.solve_solid(seen.select(slice(len(found))), solution, found)
         cuts = jumps(seen.pixels) | missing_between(found, track.holes)
         frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
     for _ in found:
@@ -262,7 +304,7 @@ def over_time(
         if smoothing > 0:
             # Rows of frames without a detection repeat another's; they are not looked at.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
-            problem = fitter.problem(seen.select(nearest), held=here)
+            problem = fitter.problem(seen.select(nearest), held=here, solid=True)
             guess = smoothed(replace(problem, motion=motion, looked_at=known), guess, before_each)
         frames.append(stretch)
         states.append(guess)

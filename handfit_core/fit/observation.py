@@ -30,6 +30,20 @@ class Kept(Batch):
     keep have it"""
 
 
+@dataclass(frozen=True, eq=False)
+class Meeting(Batch):
+    """What is seen of parts that meet, of B hands. `fit.meeting` says of which."""
+
+    along: np.ndarray
+    """(B, Q, 2) how far along their bones pairs of `CROSSING` cross in the picture, 0..1"""
+    front: np.ndarray
+    """(B, Q) 1 where the first is in front, -1 where it is behind, 0 where they do not cross"""
+    apart: np.ndarray
+    """(B, Q) metres along the line of sight from the one's axis to the other's, where their skins touch"""
+    touching: np.ndarray
+    """(B, T) how sure it is that pairs of `TIPS` touch, 0..1"""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Observation(Landmarked):
     """Landmarks of B pictures of one model's hand, seen through a camera. Pixels, camera frame; depth is in
@@ -43,6 +57,8 @@ class Observation(Landmarked):
     """(B, 2) pixels"""
     kept: Kept | None = None
     """Poses that the hands are to stay near; None: there are none"""
+    meeting: Meeting | None = None
+    """Where their parts meet; None: nobody has asked"""
 
 
 def observation_of(seen: Landmarked, intrinsics: Intrinsics) -> Observation:

@@ -12,7 +12,7 @@ from handfit_core.batch import Batch
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
-from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, Group
+from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, Group, PairRows
 from handfit_core.hand_model.chain import FIXED_SHAPE, Chain, State
 from handfit_core.skeleton import JOINTS_BY_FINGER
 
@@ -93,8 +93,13 @@ class Problem(Batch):
         free = self.shape != "given"
         columns: dict[Group, list[np.ndarray]] = {POINTS: [], FINGERS: [], HAND: []}
         cost = np.zeros(len(state))
+        pairs: list[PairRows] = []
         for term in self.terms:
             rows = term(posed, self.seen)
+            if isinstance(rows, PairRows):
+                pairs.append(rows)
+                np.add.at(cost, rows.hand, rows.cost)
+                continue
             weighted, of_term = rows.weighted()
             columns[rows.of].append(weighted)
             cost += of_term
@@ -113,7 +118,19 @@ class Problem(Batch):
             rows = np.concatenate(columns[HAND], axis=2)[:, 0]
             rows = rows if free else rows[..., _GIVEN]
             hand += rows[..., :-1].swapaxes(1, 2) @ rows
-        blocks = Blocks(hand, finger, cost)
+        between = None
+        if pairs:
+            between = _paired(pairs, batch)
+            own = np.einsum("bfifj->bfij", between[:, :45, :45].reshape(batch, 5, 9, 5, 9))
+            beside = between[:, :45, 45:].reshape(batch, 5, 9, 4)
+            finger[..., :9] += own
+            finger[..., 9:12] += beside[..., :3]
+            finger[..., -1] += beside[..., 3]
+            hand[:, :3, :3] += between[:, 45:, 45:48]
+            hand[:, :3, -1] += between[:, 45:, 48]
+            between = between[:, :45, :45].copy()
+            np.einsum("bfifj->bfij", between.reshape(batch, 5, 9, 5, 9))[...] = 0.0
+        blocks = Blocks(hand, finger, cost, between)
         if self.held is None:
             return blocks
         held = self.held.variables
@@ -121,6 +138,19 @@ class Problem(Batch):
         of_hand = np.zeros((batch, n), dtype=bool)
         of_hand[:, :3], of_hand[:, n - 4 : n - 1] = held[:, :3], held[:, 48:]
         return blocks.holding(of_hand, held[:, 3:48].reshape(-1, 5, 9))
+
+
+def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:
+    """(B, 48, 49) Gauss-Newton matrices of rows between parts of hands, by all angles (45) and the root's
+    turn (3), with their gradients as the last column."""
+    hand = np.concatenate([rows.hand for rows in pairs])
+    columns = np.concatenate([rows.columns for rows in pairs])
+    fingers = np.concatenate([rows.fingers for rows in pairs])
+    of_fingers = (9 * fingers[..., None] + np.arange(9)).reshape(-1, 18)
+    at = np.concatenate([of_fingers, np.broadcast_to(45 + np.arange(4), (len(hand), 4))], axis=1)
+    squared = columns[:, :-1, None] * columns[:, None]
+    flat = (hand[:, None, None] * 48 + at[:, :-1, None]) * 49 + at[:, None]
+    return np.bincount(flat.reshape(-1), squared.reshape(-1), batch * 48 * 49).reshape(batch, 48, 49)
 
 
 _GIVEN = np.append(FIXED_SHAPE, -1)

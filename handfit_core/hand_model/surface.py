@@ -34,7 +34,8 @@ def _may_touch(first: int, second: int) -> bool:
     if second >= PALM:
         # The thumb's root and the fingers' first bones meet the palm in the flat hand, too.
         return first < PALM and (first % 3 == 2 or (first % 3 == 1 and first != 1))
-    return first // 3 != second // 3
+    # So do the thumb's root and the next two fingers' first bones, through the web between them.
+    return first // 3 != second // 3 and (first, second) not in ((0, 3), (0, 6))
 
 
 PAIRS: Final = np.array(
@@ -129,15 +130,19 @@ class Surface:
         first, second = PAIRS.T
         apart = np.linalg.norm(middle[:, first] - middle[:, second], axis=-1)
         hand, pair = np.nonzero(apart < reach[:, first] + reach[:, second] + within)
+        near = self.gaps(capsules, hand, pair)
+        kept = near.gap < within
+        return Near(*(getattr(near, name)[kept] for name in Near.__dataclass_fields__))
+
+    def gaps(self, capsules: Capsules, hand: np.ndarray, pair: np.ndarray) -> Near:
+        """Those pairs (K,), as numbered in `PAIRS`, of those hands (K,), however far they are apart."""
+        ends, radii = capsules.ends, capsules.radii
         a, b = PAIRS[pair].T
-        along = _nearest(ends[hand, a], radii[hand, a], ends[hand, b], radii[hand, b])
-        places, gap = gaps_along(ends[hand, a], radii[hand, a], ends[hand, b], radii[hand, b], along)
-        gap -= capsules.grown[hand, pair]
-        kept = gap < within
-        hand, pair, places, gap = hand[kept], pair[kept], places[kept], gap[kept]
+        parts = ends[hand, a], radii[hand, a], ends[hand, b], radii[hand, b]
+        places, gap = gaps_along(*parts, _nearest(*parts))
         towards = places[:, 0] - places[:, 1]
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-        return Near(hand, pair, places, towards, gap)
+        return Near(hand, pair, places, towards, gap - capsules.grown[hand, pair])
 
 
 @lru_cache(maxsize=8)

@@ -9,6 +9,7 @@ import numpy as np
 
 from handfit_core.fit.observation import Observation
 from handfit_core.hand_model.chain import HAND_SIZE, Posed
+from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE
 
 Group = Literal["points", "fingers", "hand"]
 
@@ -63,9 +64,42 @@ class Rows:
         return self.columns * np.sqrt(1.0 / beyond)[..., None, None], cost
 
 
+@dataclass(frozen=True, eq=False)
+class PairRows:
+    """K residuals between two parts of hands, in sigmas. There are few, of some hands only."""
+
+    hand: np.ndarray
+    """(K,) which hand"""
+    fingers: np.ndarray
+    """(K, 2) which fingers, as in `skeleton.FINGERS`; a part of the palm counts as one that does not move"""
+    columns: np.ndarray
+    """(K, 22) to be squared: derivatives by both fingers' nine angles and by the root's turn (3), and the
+    residual"""
+    cost: np.ndarray
+    """(K,)"""
+
+
+def between(
+    posed: Posed, hand: np.ndarray, bones: np.ndarray, places: np.ndarray, direction: np.ndarray
+) -> np.ndarray:
+    """(K, 21) derivatives of direction . (p - q), as `PairRows` orders them, for places p and q (K, 2, 3)
+    that ride on `surface` bones (K, 2) of those hands, and directions (K, 3) that stay."""
+    found = np.empty((len(hand), 21))
+    for which, sign in ((0, 1.0), (1, -1.0)):
+        finger, level = FINGER_OF_BONE[bones[:, which]], LEVEL_OF_BONE[bones[:, which]]
+        arms = places[:, which, None] - posed.origins[hand, finger, :3]
+        turned = np.cross(arms, sign * direction[:, None])[:, :, None] @ posed.axes[hand, finger, :3]
+        # A joint moves what lies beyond it; the palm's parts are beyond none.
+        beyond = (np.arange(3) <= level[:, None]) & (level[:, None] < 3)
+        found[:, 9 * which : 9 * which + 9] = (turned[:, :, 0] * beyond[..., None]).reshape(-1, 9)
+    by_root = np.cross(places[:, 0] - places[:, 1], direction)
+    found[:, 18:] = (by_root[:, None] @ posed.state.root[hand])[:, 0]
+    return found
+
+
 class Term(Protocol):
     """One thing that hands are judged by."""
 
-    def __call__(self, posed: Posed, seen: Observation) -> Rows:
+    def __call__(self, posed: Posed, seen: Observation) -> Rows | PairRows:
         """The rows of B posed hands, of which `seen` tells."""
         ...

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,11 @@ from handfit_core.hand_model.chain import BETAS
 from tests.core.fit.differences import close, random
 
 
-def make_blocks(batch: int, n: int, seed: int = 0) -> tuple[Blocks, np.ndarray, np.ndarray]:
-    """Blocks, and the whole matrices (B, n + 45, n + 45) and gradients (B, n + 45) that they are parts of."""
+def make_blocks(
+    batch: int, n: int, seed: int = 0, *, coupled: bool = False
+) -> tuple[Blocks, np.ndarray, np.ndarray]:
+    """Blocks, of which fingers of all but the first problem may be coupled, and the whole matrices
+    (B, n + 45, n + 45) and gradients (B, n + 45) that they are parts of."""
     rows = random(batch, 5, 12, n + 9, seed=seed)
     own = random(batch, 3, n, seed=seed + 1)
     gradient = random(batch, n + 45, seed=seed + 2)
@@ -22,11 +27,19 @@ def make_blocks(batch: int, n: int, seed: int = 0) -> tuple[Blocks, np.ndarray, 
         part = rows[:, f].swapaxes(-1, -2) @ rows[:, f]
         for i, column in enumerate(columns):
             whole[:, column, columns] += part[:, i]
+    between = np.zeros((batch, 45, 45))
+    if coupled:
+        pairs = random(batch, 4, 45, seed=seed + 4)
+        pairs[0] = 0.0
+        between = pairs.swapaxes(-1, -2) @ pairs
+        whole[:, n:, n:] += between
+        np.einsum("bfifj->bfij", between.reshape(batch, 5, 9, 5, 9))[...] = 0.0
     finger = np.stack([whole[:, n + 9 * f : n + 9 * f + 9, n + 9 * f : n + 9 * f + 9] for f in range(5)], 1)
     mixed = whole[:, n:, :n].reshape(batch, 5, 9, n)
     hand = np.concatenate([whole[:, :n, :n], gradient[:, :n, None]], axis=2)
     fingers = [finger, mixed, gradient[:, n:].reshape(batch, 5, 9, 1)]
     blocks = Blocks(hand, np.concatenate(fingers, axis=3), np.abs(random(batch, seed=seed + 3)))
+    blocks = replace(blocks, between=between) if coupled else blocks
     return blocks, whole, gradient
 
 
@@ -35,9 +48,13 @@ def damped(whole: np.ndarray, damping: np.ndarray) -> np.ndarray:
     return whole + (diagonal * damping[:, None] + FLOOR)[..., None] * np.eye(whole.shape[-1])
 
 
+fingers_alone_or_coupled = pytest.mark.parametrize("coupled", [False, True])
+
+
+@fingers_alone_or_coupled
 @pytest.mark.parametrize("n", [7, 17])
-def test_step_equals_a_dense_solve(n: int) -> None:
-    blocks, whole, gradient = make_blocks(4, n)
+def test_step_equals_a_dense_solve(n: int, coupled: bool) -> None:
+    blocks, whole, gradient = make_blocks(4, n, coupled=coupled)
     damping = np.array([1e-7, 1e-3, 0.1, 100.0])
     expected = -np.linalg.solve(damped(whole, damping), gradient[..., None])[..., 0]
     of_hand, of_fingers = blocks.step(damping)
@@ -76,10 +93,11 @@ def test_huge_damping_is_a_short_step_down_the_gradient() -> None:
     close(of_hand[0], -(gradient[0] / diagonal / 1e9)[:7], rtol=1e-6, atol=0)
 
 
-def test_held_variables_stay_and_the_others_are_solved_without_them() -> None:
+@fingers_alone_or_coupled
+def test_held_variables_stay_and_the_others_are_solved_without_them(coupled: bool) -> None:
     """Against a dense solve without their rows and columns; another set in each problem."""
     n = 7
-    blocks, whole, gradient = make_blocks(3, n)
+    blocks, whole, gradient = make_blocks(3, n, coupled=coupled)
     held = random(3, n + 45, seed=5) > 0.8
     held[0, :6] = True
     held[1] = False

@@ -125,8 +125,8 @@ def test_batch_equals_loop() -> None:
     whole = problem.blocks(state)
     for i in range(4):
         one = problem.select(np.array([i])).blocks(state.select(np.array([i])))
-        for name in Blocks.__dataclass_fields__:
-            close(getattr(whole, name)[i], getattr(one, name)[0], rtol=1e-9, atol=1e-7)
+        for name, values in whole._rows():
+            close(values[i], getattr(one, name)[0], rtol=1e-9, atol=1e-7)
 
 
 def held_of(state: State, *joints: int) -> Held:

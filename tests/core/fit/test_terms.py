@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -96,17 +97,28 @@ VARIABLES: dict[
 """What each kind's rows are derivatives by: which columns, where it stands, and how it is changed"""
 
 
+def residual_of(
+    term: Term,
+    posed: Posed,
+    seen: Observation,
+    changed: Callable[[Posed, np.ndarray], Posed],
+    value: np.ndarray,
+) -> np.ndarray:
+    rows = term(changed(posed, value), seen)
+    assert isinstance(rows, Rows)
+    return rows.residual[0]
+
+
 @every_term
 def test_derivatives(term: Term) -> None:
     """Rows depend on their own point, finger or hand, and on nothing that they have no derivative by."""
     posed, seen = hands(1)
     rows = term(posed, seen)
+    assert isinstance(rows, Rows)
     groups = SIZES[rows.of][0]
     for columns, value, changed in VARIABLES[rows.of]:
         at = value(posed)
-        found = by_each(
-            lambda v, changed=changed: term(changed(posed, v), seen).residual[0], at
-        )  # (groups, c, n)
+        found = by_each(partial(residual_of, term, posed, seen, changed), at)  # (groups, c, n)
         own = rows.jacobian[0, ..., columns]
         expected = np.zeros((groups, *own.shape[1:]))
         if found.shape[-1] == own.shape[-1]:  # one value for all groups

@@ -1,0 +1,33 @@
+"""Fingers, thumb and palm do not pass through each other."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.rows import PairRows, between
+from handfit_core.hand_model.chain import Posed
+from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
+
+SIGMA: Final = 0.001
+"""metres of depth that cost as much as one sigma"""
+GIVES: Final = 0.0015
+"""metres by which flesh gives where parts touch"""
+
+
+class Apart:
+    """One row for each two parts that stand in each other: (depth - GIVES) / SIGMA."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+
+    def __call__(self, posed: Posed, seen: Observation) -> PairRows:  # noqa: ARG002 (a term)
+        """The rows of B posed hands."""
+        near = self.surface.near(self.surface.capsules(posed), within=-GIVES)
+        # The places are the nearest ones: to first order the gap does not change as they move on.
+        slope = between(posed, near.hand, near.bones, near.places, -near.towards / SIGMA)
+        residual = -(near.gap + GIVES) / SIGMA
+        columns = np.concatenate([slope, residual[:, None]], axis=1)
+        return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, np.square(residual))
