@@ -90,6 +90,7 @@ class Surface:
         self._end_dirs = np.stack([ends - mean[0] for ends, _ in steps], axis=-1)  # (19, 2, 3, 10)
         self._radius_dirs = np.stack([radii - mean[1] for _, radii in steps], axis=-1)  # (19, 2, 10)
         self._flat, self._flat_dirs = np.zeros(len(PAIRS)), np.zeros((len(PAIRS), NUM_BETAS))
+        self._last: tuple[Posed, Capsules] | None = None
         betas = np.concatenate([np.zeros((1, NUM_BETAS)), np.eye(NUM_BETAS)])
         flat = self.of(betas, np.zeros((len(betas), 45)))
         gaps = self.near(flat, np.inf).gap.reshape(len(betas), -1)
@@ -101,7 +102,9 @@ class Surface:
         return self.capsules(self._chain.pose(self._chain.state(betas, zero, hand_pose, zero, zero[:, 0])))
 
     def capsules(self, posed: Posed) -> Capsules:
-        """The capsules of B posed hands."""
+        """The capsules of B posed hands. The last ones are kept: several terms ask for them."""
+        if self._last is not None and self._last[0] is posed:
+            return self._last[1]
         betas = posed.state.betas
         batch = len(betas)
         # Frames' columns are those of three joints and the root.
@@ -112,7 +115,9 @@ class Surface:
         )
         ends = origins[:, :, None] + local @ frames.transpose(1, 0, 3, 2)
         radii = self._radii + (self._radius_dirs @ betas.T).transpose(2, 0, 1)
-        return Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, 0.0))
+        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, 0.0))
+        self._last = posed, found
+        return found
 
     def depths(self, capsules: Capsules) -> np.ndarray:
         """(B,) metres: how deep the deepest two parts of each hand stand in each other; 0 where none do."""
@@ -125,17 +130,20 @@ class Surface:
         """The pairs whose skins are no farther apart than `within` metres. How deep parts stand in each other
         in the flat hand, where fingers grow out of the palm side by side, does not count."""
         ends, radii = capsules.ends, capsules.radii
-        middle, half = ends.mean(axis=2), np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=-1) / 2.0
-        reach = half + radii.max(axis=2)
+        axis = (ends[:, :, 1] - ends[:, :, 0]) / 2.0
+        middle = ends[:, :, 0] + axis
+        reach = np.sqrt((axis * axis).sum(axis=-1)) + np.maximum(radii[..., 0], radii[..., 1]) + within / 2.0
         first, second = PAIRS.T
-        apart = np.linalg.norm(middle[:, first] - middle[:, second], axis=-1)
-        hand, pair = np.nonzero(apart < reach[:, first] + reach[:, second] + within)
+        apart = middle[:, first] - middle[:, second]
+        hand, pair = np.nonzero((apart * apart).sum(axis=-1) < np.square(reach[:, first] + reach[:, second]))
         near = self.gaps(capsules, hand, pair)
         kept = near.gap < within
         return Near(*(getattr(near, name)[kept] for name in Near.__dataclass_fields__))
 
     def gaps(self, capsules: Capsules, hand: np.ndarray, pair: np.ndarray) -> Near:
         """Those pairs (K,), as numbered in `PAIRS`, of those hands (K,), however far they are apart."""
+        if not len(hand):
+            return Near(hand, pair, np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0))
         ends, radii = capsules.ends, capsules.radii
         a, b = PAIRS[pair].T
         parts = ends[hand, a], radii[hand, a], ends[hand, b], radii[hand, b]
@@ -154,69 +162,86 @@ def surface_of(model: HandModel) -> Surface:
 def _nearest(ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray) -> np.ndarray:
     """(K, 2) how far along their axes, 0..1, capsules are nearest to each other: ends (K, 2, 3) and radii
     (K, 2) of both."""
-    starts = ends_a[:, 0], ends_b[:, 0]
-    lengths, axes, tapers = [], [], []
-    for ends, radii in ((ends_a, radii_a), (ends_b, radii_b)):
+    a, b = _Axis.of(ends_a, radii_a), _Axis.of(ends_b, radii_b)
+    tried = np.empty((5, len(ends_a), 2))
+    tried[:2, :, 0], tried[2:4, :, 1] = ((0.0,), (1.0,)), ((0.0,), (1.0,))
+    tried[:2, :, 1] = b.nearest(ends_a.swapaxes(0, 1))
+    tried[2:4, :, 0] = a.nearest(ends_b.swapaxes(0, 1))
+    tried[4] = _within(a, b)
+    outside = ~((tried[4] >= 0.0) & (tried[4] <= 1.0)).all(axis=1)
+    tried[4, outside] = tried[0, outside]
+    _, gaps = gaps_along(ends_a, radii_a, ends_b, radii_b, tried)
+    return tried[gaps.argmin(axis=0), np.arange(len(ends_a))]
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """Axes of K capsules."""
+
+    start: np.ndarray
+    """(K, 3)"""
+    unit: np.ndarray
+    """(K, 3)"""
+    length: np.ndarray
+    """(K,)"""
+    taper: np.ndarray
+    """(K,) by how much the radius grows along them"""
+
+    @classmethod
+    def of(cls, ends: np.ndarray, radii: np.ndarray) -> _Axis:
         axis = ends[:, 1] - ends[:, 0]
-        length = np.linalg.norm(axis, axis=1)
-        lengths.append(length)
-        axes.append(axis / length[:, None])
-        tapers.append((radii[:, 1] - radii[:, 0]) / length)
+        length = np.sqrt((axis * axis).sum(axis=1))
+        return cls(ends[:, 0], axis / length[:, None], length, (radii[:, 1] - radii[:, 0]) / length)
 
-    def along(which: int, point: np.ndarray) -> np.ndarray:
-        """Metres along one axis to where its skin is nearest to a point (K, 3)."""
-        off = point - starts[which]
-        foot = (off * axes[which]).sum(axis=1)
-        height = np.sqrt(np.maximum((off * off).sum(axis=1) - foot**2, 0.0))
-        taper = tapers[which]
-        return np.clip(foot + height * taper / np.sqrt(1.0 - taper**2), 0.0, lengths[which])
-
-    tried = []
-    for end in (0, 1):
-        tried.append((lengths[0] * end, along(1, ends_a[:, end])))
-        tried.append((along(0, ends_b[:, end]), lengths[1] * end))
-    tried.append(_within(starts[0] - starts[1], axes[0], axes[1], tapers[0], tapers[1]))
-    best, least = np.zeros((len(ends_a), 2)), np.full(len(ends_a), np.inf)
-    for s, t in tried:
-        inside = (s >= 0.0) & (s <= lengths[0]) & (t >= 0.0) & (t <= lengths[1])
-        there = np.stack([s / lengths[0], t / lengths[1]], axis=1)
-        there[~inside] = 0.0
-        _, gap = gaps_along(ends_a, radii_a, ends_b, radii_b, there)
-        better = inside & (gap < least)
-        best[better], least[better] = there[better], gap[better]
-    return best
+    def nearest(self, points: np.ndarray) -> np.ndarray:
+        """(..., K) how far along, 0..1, the skin is nearest to points (..., K, 3)."""
+        off = points - self.start
+        foot = (off * self.unit).sum(axis=-1)
+        height = np.sqrt(np.maximum((off * off).sum(axis=-1) - foot**2, 0.0))
+        along = (foot + height * self.taper / np.sqrt(1.0 - self.taper**2)) / self.length
+        return np.minimum(np.maximum(along, 0.0), 1.0)
 
 
 @np.errstate(all="ignore")
-def _within(
-    off: np.ndarray, a: np.ndarray, b: np.ndarray, k: np.ndarray, m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Metres along two axes, from starts that are `off` (K, 3) apart, where the gap is least if they had no
-    ends; NaN where it is least nowhere, as along parallel ones."""
+def _within(first: _Axis, second: _Axis) -> np.ndarray:
+    """(K, 2) how far along both axes the gap would be least if they had no ends; NaN where it is least
+    nowhere, as along parallel ones."""
+    a, b, k, m = first.unit, second.unit, first.taper, second.taper
+    off = first.start - second.start
     cos = (a * b).sum(axis=1)
     sin2 = 1.0 - cos**2
-    normal = np.cross(a, b)
+    normal = cross(a, b)
     # n = x a + y b + z a x b, with n . a = k, n . b = -m and |n| = 1.
     x, y = (k + m * cos) / sin2, (-m - k * cos) / sin2
-    z = np.sqrt((1.0 - k * x + m * y) / sin2) * np.sign((off * normal).sum(axis=1))
-    n = x[:, None] * a + y[:, None] * b + z[:, None] * normal
+    beside = (off * normal).sum(axis=1)
+    z = np.sqrt((1.0 - k * x + m * y) / sin2) * np.sign(beside)
     # off + s a - t b = d n
-    d = (off * normal).sum(axis=1) / (n * normal).sum(axis=1)
-    rest = d[:, None] * n - off
+    d = beside / (z * sin2)
+    rest = d[:, None] * (x[:, None] * a + y[:, None] * b) - off
     of_a, of_b = (rest * a).sum(axis=1), (rest * b).sum(axis=1)
-    return (of_a - cos * of_b) / sin2, (cos * of_a - of_b) / sin2
+    s, t = (of_a - cos * of_b) / sin2, (cos * of_a - of_b) / sin2
+    return np.stack([s / first.length, t / second.length], axis=1)
 
 
 def gaps_along(
     ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray, along: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places (K, 2, 3) on both axes, `along` (K, 2) of them, and the gaps (K,) between the spheres there."""
-    share = np.stack([1.0 - along, along], axis=-1)  # (K, 2 capsules, 2 ends)
-    places = np.stack(
-        [(ends_a * share[:, 0, :, None]).sum(axis=1), (ends_b * share[:, 1, :, None]).sum(axis=1)], axis=1
-    )
-    radii = (radii_a * share[:, 0]).sum(axis=1) + (radii_b * share[:, 1]).sum(axis=1)
-    return places, np.linalg.norm(places[:, 0] - places[:, 1], axis=1) - radii
+    """Places (..., K, 2, 3) on both axes, `along` (..., K, 2) of them, and the gaps (..., K) between the
+    spheres there."""
+    places = np.empty((*along.shape, 3))
+    for k, ends in enumerate((ends_a, ends_b)):
+        places[..., k, :] = ends[:, 0] + along[..., k, None] * (ends[:, 1] - ends[:, 0])
+    radii = radii_a[:, 0] + along[..., 0] * (radii_a[:, 1] - radii_a[:, 0])
+    radii = radii + radii_b[:, 0] + along[..., 1] * (radii_b[:, 1] - radii_b[:, 0])
+    off = places[..., 0, :] - places[..., 1, :]
+    return places, np.sqrt((off * off).sum(axis=-1)) - radii
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b of vectors (..., 3): NumPy's own takes several times as long for a few."""
+    x, y, z = (a[..., i] for i in range(3))
+    u, v, w = (b[..., i] for i in range(3))
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
 _SECTIONS: Final = np.array([(0.1, 0.5), (0.5, 0.9)])

@@ -9,7 +9,7 @@ import numpy as np
 
 from handfit_core.fit.observation import Observation
 from handfit_core.hand_model.chain import HAND_SIZE, Posed
-from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE
+from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE, cross
 
 Group = Literal["points", "fingers", "hand"]
 
@@ -85,14 +85,16 @@ def between(
     """(K, 21) derivatives of direction . (p - q), as `PairRows` orders them, for places p and q (K, 2, 3)
     that ride on `surface` bones (K, 2) of those hands, and directions (K, 3) that stay."""
     found = np.empty((len(hand), 21))
+    if not len(hand):
+        return found
     for which, sign in ((0, 1.0), (1, -1.0)):
         finger, level = FINGER_OF_BONE[bones[:, which]], LEVEL_OF_BONE[bones[:, which]]
         arms = places[:, which, None] - posed.origins[hand, finger, :3]
-        turned = np.cross(arms, sign * direction[:, None])[:, :, None] @ posed.axes[hand, finger, :3]
+        turned = cross(arms, sign * direction[:, None])[:, :, None] @ posed.axes[hand, finger, :3]
         # A joint moves what lies beyond it; the palm's parts are beyond none.
         beyond = (np.arange(3) <= level[:, None]) & (level[:, None] < 3)
         found[:, 9 * which : 9 * which + 9] = (turned[:, :, 0] * beyond[..., None]).reshape(-1, 9)
-    by_root = np.cross(places[:, 0] - places[:, 1], direction)
+    by_root = cross(places[:, 0] - places[:, 1], direction)
     found[:, 18:] = (by_root[:, None] @ posed.state.root[hand])[:, 0]
     return found
 
