@@ -4,9 +4,9 @@
     python scripts/train_landmarks.py FOLDER                  makes samples (an hour or two), then trains
     python scripts/train_landmarks.py FOLDER --install        and puts the results into the package
 
-Samples are what MediaPipe's networks see in painted pictures of the open hand, beside the truth. Seeds are
-100 and above; the rendered benchmark's test seed is 0. Needs no Blender. FOLDER keeps the samples: an
-interrupted run goes on where it stopped.
+Samples are what MediaPipe's networks see in painted pictures of the open hand, beside the truth,
+in usual poses and closed ones. Seeds are 100 and above; the rendered benchmark's test seed is 0. Needs no
+Blender. FOLDER keeps the samples: an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ from handfit_core.detect.correction import network
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import written_whole
 from handfit_core.hand_model import landmarks
+from scripts.benchmark.stills import Poses
 
 LEAST_SEED = 100
 """Seeds below are for rendered benchmarks: nothing is trained on what is tested"""
-SHIPPED = "100:12000,101:6500"
+SHIPPED = "100:12000,101:6500,102:4000:closed"
 NETWORK_SEED = 0
 CHUNK = 250
 """Stills per file of samples"""
@@ -42,8 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--stills",
         default=SHIPPED,
-        metavar="SEED:COUNT,...",
-        help=f"painted pictures, of which seeds ({LEAST_SEED} or more); what ships: {SHIPPED}",
+        metavar="SEED:COUNT[:closed],...",
+        help=f"painted pictures, maybe of closed hands, of seeds {LEAST_SEED} or more; what ships: {SHIPPED}",
     )
     parser.add_argument("--install", action="store_true", help="write the results into the package")
     args = parser.parse_args(argv)
@@ -55,29 +56,34 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _asked(text: str) -> list[tuple[int, int]]:
-    """`SEED:COUNT,...` -> pairs. Raises OptionError."""
+def _asked(text: str) -> list[tuple[int, int, Poses]]:
+    """`SEED:COUNT[:closed],...` -> seeds, counts and which hands. Raises OptionError."""
+    found: list[tuple[int, int, Poses]] = []
     try:
-        pairs = [(int(seed), int(count)) for seed, count in (part.split(":") for part in text.split(","))]
+        for part in text.split(","):
+            seed, count, *closed = part.split(":")
+            if closed not in ([], ["closed"]):
+                raise ValueError
+            found.append((int(seed), int(count), "closed" if closed else "usual"))
     except ValueError:
-        raise OptionError(f"--stills wants SEED:COUNT,..., as in {SHIPPED}, not {text!r}") from None
-    if any(seed < LEAST_SEED or count < 1 for seed, count in pairs):
+        raise OptionError(f"--stills wants SEED:COUNT[:closed],..., as in {SHIPPED}, not {text!r}") from None
+    if any(seed < LEAST_SEED or count < 1 for seed, count, _ in found):
         raise OptionError(
             f"--stills wants seeds of {LEAST_SEED} or more and counts of 1 or more, not {text!r}"
         )
-    return pairs
+    return found
 
 
 def samples_of_stills(folder: Path, text: str) -> dict[str, np.ndarray]:
-    """Stacked rows of the stills that `SEED:COUNT,...` asks for; made where `folder` does not keep them.
+    """Stacked rows of the stills that `SEED:COUNT[:closed],...` asks for; made where `folder` does not keep them.
     Raises OptionError."""
-    kept = [rows for seed, stills in _asked(text) if (rows := _samples(folder, seed, stills))]
+    kept = [rows for asked in _asked(text) if (rows := _samples(folder, *asked))]
     if not kept:
         raise OptionError("the detector found no hand in these pictures; ask for more --stills")
     return {name: np.concatenate([rows[name] for rows in kept]) for name in kept[0]}
 
 
-def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
+def _samples(folder: Path, seed: int, stills: int, poses: Poses) -> dict[str, np.ndarray]:
     """Stacked rows of all stills; made where they are not kept."""
     from handfit_core.detect.networks import Networks
     from scripts.training.samples import samples_of
@@ -88,7 +94,9 @@ def _samples(folder: Path, seed: int, stills: int) -> dict[str, np.ndarray]:
             path = folder / f"samples-{seed}-{first:06d}-{min(first + CHUNK, stills):06d}.npz"
             if not path.is_file():
                 numbers = range(first, min(first + CHUNK, stills))
-                found = [row for number in numbers for row in samples_of(seed, number, networks)[1]]
+                found = [
+                    row for number in numbers for row in samples_of(seed, number, networks, poses=poses)[1]
+                ]
                 names = found[0] if found else ()
                 columns: dict[str, Any] = {name: np.array([row[name] for row in found]) for name in names}
                 with written_whole(path) as beside, open(beside, "wb") as stream:

@@ -90,18 +90,19 @@ class JointLimits:
 
 
 # Degrees, right hand. Bends: Bain et al. 2015, active range. The knuckles' spread of +-20 and the
-# thumb's totals (53 flexion, 42 abduction, 17 rotation) are laid about the rest pose; hinges get the
-# few degrees of play that real ones have too.
+# thumb's rotation of 17 are laid about the rest pose; hinges get the few degrees of play that real ones have
+# too. Bain's totals of the thumb's flexion and abduction (53, 42), laid so, did not take its tip beyond the
+# middle finger nor around a fist: fits of fists go to 48 and 28 where nothing holds them.
 _BENDS: dict[str, tuple[tuple[float, float], ...]] = {
     "index": ((-13, 86), (-5, 102), (-5, 77)),
     "middle": ((-18, 92), (-7, 100), (-6, 85)),
     "ring": ((-20, 92), (-7, 104), (-5, 86)),
     "little": ((-25, 90), (-7, 99), (-6, 89)),
-    "thumb": ((-20, 33), (-10, 55), (-15, 80)),
+    "thumb": ((-20, 50), (-10, 55), (-15, 80)),
 }
 _KNUCKLE_TWIST_SPREAD = ((-5.0, 5.0), (-20.0, 20.0))
 _HINGE_TWIST_SPREAD = ((-3.0, 3.0), (-5.0, 5.0))
-_THUMB_ROOT_TWIST_SPREAD = ((-8.5, 8.5), (-21.0, 21.0))
+_THUMB_ROOT_TWIST_SPREAD = ((-8.5, 8.5), (-21.0, 30.0))
 
 
 def joint_limits(side: Side) -> JointLimits:

@@ -37,9 +37,18 @@ def right_limits() -> JointLimits:
     return joint_limits("right")
 
 
-def within_limits(angles: np.ndarray) -> np.ndarray:
-    """Clip (..., 15, 3) angles to the active ranges."""
-    limits = right_limits()
+@functools.cache
+def first_limits() -> JointLimits:
+    """The ranges when the first kinds of poses were drawn: their seeds give the same poses for ever."""
+    limits = joint_limits("right")
+    upper = limits.upper.copy()
+    upper[FINGER_JOINTS["thumb"][0] - 1, 1:] = np.radians([21.0, 33.0])
+    return JointLimits(limits.lower, upper)
+
+
+def within_limits(angles: np.ndarray, limits: JointLimits | None = None) -> np.ndarray:
+    """Clip (..., 15, 3) angles to the active ranges; None: the first ones."""
+    limits = limits or first_limits()
     return np.clip(angles, limits.lower, limits.upper)
 
 

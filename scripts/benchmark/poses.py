@@ -23,8 +23,8 @@ _DIP: Final = {
     "ring": (0.73, -20.5),
     "little": (0.73, -20.5),
 }
-_LONG: Final = ("index", "middle", "ring", "little")
-_FAN: Final = {"index": 1.0, "middle": 0.25, "ring": -0.45, "little": -1.0}
+LONG: Final = ("index", "middle", "ring", "little")
+FAN: Final = {"index": 1.0, "middle": 0.25, "ring": -0.45, "little": -1.0}
 """Spread of the fingers when the hand opens, as fractions of the range; towards the thumb is positive"""
 _THUMB_ACROSS: Final = ((24.0, 42.0, 40.0), 10.0)
 """Bends and spread of a thumb that lies across curled fingers, degrees"""
@@ -58,10 +58,10 @@ def random_pose(kind: str, hand: RightHand, rng: np.random.Generator) -> np.ndar
 
 def _pinch_gap(hand: RightHand, angles: np.ndarray) -> float:
     points = hand.keypoints(angles)
-    return min(tip_distance(points, finger) for finger in _LONG)
+    return min(tip_distance(points, finger) for finger in LONG)
 
 
-def _angles(
+def with_play(
     bends: dict[str, tuple[float, float, float]], spreads: dict[str, float], rng: np.random.Generator
 ) -> np.ndarray:
     """Degrees per finger -> (15, 3) radians, with the play that no two hands share."""
@@ -75,24 +75,24 @@ def _angles(
     return np.radians(angles)
 
 
-def _finger(name: str, mcp: float, pip: float, rng: np.random.Generator) -> tuple[float, float, float]:
+def bent(name: str, mcp: float, pip: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Knuckle and middle joint in degrees -> all three, the last one following."""
     slope, offset = _DIP[name]
     return mcp, pip, max(slope * pip + offset, 0.03 * pip) + rng.normal(0.0, 3.0)
 
 
 def _straight(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    return _finger(name, rng.uniform(-8, 12), rng.uniform(-2, 12), rng)
+    return bent(name, rng.uniform(-8, 12), rng.uniform(-2, 12), rng)
 
 
 def _curled(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    return _finger(name, rng.uniform(68, 84), rng.uniform(84, 99), rng)
+    return bent(name, rng.uniform(68, 84), rng.uniform(84, 99), rng)
 
 
 def _relaxed(name: str, rng: np.random.Generator, more: float = 0.0) -> tuple[float, float, float]:
-    place = _LONG.index(name)
+    place = LONG.index(name)
     mcp, pip = 14 + 5 * place + more, 26 + 4 * place + 1.2 * more
-    return _finger(name, mcp + rng.normal(0, 5), pip + rng.normal(0, 6), rng)
+    return bent(name, mcp + rng.normal(0, 5), pip + rng.normal(0, 6), rng)
 
 
 def _thumb_out(rng: np.random.Generator) -> tuple[float, float, float]:
@@ -101,17 +101,17 @@ def _thumb_out(rng: np.random.Generator) -> tuple[float, float, float]:
 
 def _open(_: RightHand, rng: np.random.Generator) -> np.ndarray:
     fan, bend = rng.uniform(-0.15, 1.0), rng.uniform(-6, 14)
-    bends = {f: _finger(f, bend + rng.normal(0, 3), rng.uniform(-2, 14), rng) for f in _LONG}
-    spreads = {f: 17 * fan * _FAN[f] + rng.normal(0, 1.5) for f in _LONG}
-    return _angles({**bends, "thumb": _thumb_out(rng)}, {**spreads, "thumb": rng.uniform(-4, 14)}, rng)
+    bends = {f: bent(f, bend + rng.normal(0, 3), rng.uniform(-2, 14), rng) for f in LONG}
+    spreads = {f: 17 * fan * FAN[f] + rng.normal(0, 1.5) for f in LONG}
+    return with_play({**bends, "thumb": _thumb_out(rng)}, {**spreads, "thumb": rng.uniform(-4, 14)}, rng)
 
 
 def _relaxed_hand(_: RightHand, rng: np.random.Generator) -> np.ndarray:
     more = rng.uniform(-10, 22)
-    bends = {f: _relaxed(f, rng, more) for f in _LONG}
-    spreads = {f: rng.uniform(0, 5) * _FAN[f] for f in _LONG}
+    bends = {f: _relaxed(f, rng, more) for f in LONG}
+    spreads = {f: rng.uniform(0, 5) * FAN[f] for f in LONG}
     thumb = (rng.uniform(-6, 12), rng.uniform(2, 24), rng.uniform(2, 28))
-    return _angles({**bends, "thumb": thumb}, {**spreads, "thumb": rng.uniform(-6, 6)}, rng)
+    return with_play({**bends, "thumb": thumb}, {**spreads, "thumb": rng.uniform(-6, 6)}, rng)
 
 
 def _thumb_over(hand: RightHand, angles: np.ndarray, over: str, rng: np.random.Generator) -> np.ndarray:
@@ -132,10 +132,10 @@ def _thumb_over(hand: RightHand, angles: np.ndarray, over: str, rng: np.random.G
 
 def _fist(hand: RightHand, rng: np.random.Generator) -> np.ndarray:
     tight = rng.uniform(-12, 0) if rng.random() < 0.4 else 0.0
-    bends = {f: _curled(f, rng) for f in _LONG}
+    bends = {f: _curled(f, rng) for f in LONG}
     bends = {f: (mcp + tight, pip + tight, dip) for f, (mcp, pip, dip) in bends.items()}
-    spreads = {f: rng.normal(0, 1) - 1.5 * _FAN[f] for f in _LONG}
-    angles = _angles({**bends, "thumb": _THUMB_ACROSS[0]}, {**spreads, "thumb": _THUMB_ACROSS[1]}, rng)
+    spreads = {f: rng.normal(0, 1) - 1.5 * FAN[f] for f in LONG}
+    angles = with_play({**bends, "thumb": _THUMB_ACROSS[0]}, {**spreads, "thumb": _THUMB_ACROSS[1]}, rng)
     if rng.random() < 0.2:  # the thumb beside the fist
         rows = [j - 1 for j in FINGER_JOINTS["thumb"]]
         angles[rows, 2] = np.radians([rng.uniform(-5, 8), rng.uniform(0, 20), rng.uniform(0, 30)])
@@ -145,12 +145,12 @@ def _fist(hand: RightHand, rng: np.random.Generator) -> np.ndarray:
 
 def _raised(hand: RightHand, up: tuple[str, ...], rng: np.random.Generator) -> np.ndarray:
     """Some fingers straight, the others curled, the thumb over them or out."""
-    bends = {f: _straight(f, rng) if f in up else _curled(f, rng) for f in _LONG}
+    bends = {f: _straight(f, rng) if f in up else _curled(f, rng) for f in LONG}
     fan = rng.uniform(0.0, 0.9)
-    spreads = {f: 17 * fan * _FAN[f] if f in up else rng.normal(0, 1) for f in _LONG}
+    spreads = {f: 17 * fan * FAN[f] if f in up else rng.normal(0, 1) for f in LONG}
     thumb = _thumb_out(rng) if "thumb" in up else _THUMB_ACROSS[0]
     spread = rng.uniform(-2, 12) if "thumb" in up else _THUMB_ACROSS[1]
-    angles = _angles({**bends, "thumb": thumb}, {**spreads, "thumb": spread}, rng)
+    angles = with_play({**bends, "thumb": thumb}, {**spreads, "thumb": spread}, rng)
     curled = [f for f in ("index", "middle", "ring") if f not in up]
     if "thumb" in up or not curled:
         return angles
@@ -181,15 +181,15 @@ def _sign(hand: RightHand, rng: np.random.Generator) -> np.ndarray:
 def _pinch(hand: RightHand, rng: np.random.Generator) -> np.ndarray:
     fingers = [("index",), ("index",), ("middle",), ("ring",), ("index", "middle")][rng.integers(5)]
     more = rng.uniform(-8, 30)
-    bends = {f: _relaxed(f, rng, more) for f in _LONG}
+    bends = {f: _relaxed(f, rng, more) for f in LONG}
     if rng.random() < 0.4:  # the O.K. sign
-        bends = {f: _straight(f, rng) for f in _LONG}
+        bends = {f: _straight(f, rng) for f in LONG}
     for finger in fingers:
-        bends[finger] = _finger(finger, rng.uniform(40, 60), rng.uniform(45, 65), rng)
+        bends[finger] = bent(finger, rng.uniform(40, 60), rng.uniform(45, 65), rng)
     fan = rng.uniform(0, 0.5)
-    spreads = {f: 17 * fan * _FAN[f] for f in _LONG if f not in fingers}
+    spreads = {f: 17 * fan * FAN[f] for f in LONG if f not in fingers}
     thumb = (20 + rng.normal(0, 4), 22 + rng.normal(0, 6), 35 + rng.normal(0, 8))
-    angles = within_limits(_angles({**bends, "thumb": thumb}, {**spreads, "thumb": -6.0}, rng))
+    angles = within_limits(with_play({**bends, "thumb": thumb}, {**spreads, "thumb": -6.0}, rng))
     return pinch(hand, angles, fingers, gap=rng.uniform(0.001, 0.003))
 
 
@@ -197,15 +197,15 @@ def _anything(_: RightHand, rng: np.random.Generator) -> np.ndarray:
     """Every finger for itself, though neighbours pull each other along."""
     common = rng.uniform(-10, 85)
     bends, spreads = {}, {}
-    for finger in _LONG:
+    for finger in LONG:
         pulled = rng.uniform(0.2, 0.8)
         mcp = pulled * common + (1 - pulled) * rng.uniform(-12, 86)
-        bends[finger] = _finger(finger, mcp, rng.uniform(-3, 99), rng)
+        bends[finger] = bent(finger, mcp, rng.uniform(-3, 99), rng)
         # Bent knuckles cannot spread.
         room = 17 * max(0.0, 1 - max(mcp, 0.0) / 80)
-        spreads[finger] = float(np.clip(room * _FAN[finger] * rng.uniform(-0.2, 1.0), -18, 18))
+        spreads[finger] = float(np.clip(room * FAN[finger] * rng.uniform(-0.2, 1.0), -18, 18))
     thumb = (rng.uniform(-19, 32), rng.uniform(-9, 54), rng.uniform(-14, 78))
-    return _angles({**bends, "thumb": thumb}, {**spreads, "thumb": rng.uniform(-19, 19)}, rng)
+    return with_play({**bends, "thumb": thumb}, {**spreads, "thumb": rng.uniform(-19, 19)}, rng)
 
 
 POSES: Final[dict[str, Callable[[RightHand, np.random.Generator], np.ndarray]]] = {

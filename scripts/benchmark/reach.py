@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from handfit_core.hand_model.anatomy import JointLimits
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, TIP_KEYPOINTS
 
 from .contact import overlaps
-from .kinematics import RightHand, right_limits
+from .kinematics import RightHand, first_limits
 
 _TIP_MM = 1.0
 _POSTURE_DEG = 25.0
@@ -28,17 +29,23 @@ def fingers_mask(*fingers: str) -> np.ndarray:
 
 
 def reach(
-    hand: RightHand, angles: np.ndarray, free: np.ndarray, miss: Callable[[np.ndarray], np.ndarray]
+    hand: RightHand,
+    angles: np.ndarray,
+    free: np.ndarray,
+    miss: Callable[[np.ndarray], np.ndarray],
+    wanted: np.ndarray | None = None,
+    limits: JointLimits | None = None,
 ) -> np.ndarray:
     """Change the `free` (15, 3) angles so that `miss` vanishes: damped Gauss-Newton with differences.
 
     `miss` maps keypoints (B, 21, 3) to vectors (B, M) in metres. The result stays within the active
-    ranges and near `angles` (15, 3), which it need not reach: ask `miss` again.
+    ranges and near the `wanted` angles (15, 3), or those where it starts; `miss` need not vanish: ask again.
     """
-    limits = right_limits()
+    limits = limits or first_limits()
     places = np.flatnonzero(free)
     low, high = limits.lower.ravel()[places], limits.upper.ravel()[places]
     start = angles.ravel()[places]
+    usual = start if wanted is None else wanted.ravel()[places]
 
     def residuals(values: np.ndarray) -> np.ndarray:
         batch = np.repeat(angles.reshape(1, 45), len(values), axis=0)
@@ -46,7 +53,7 @@ def reach(
         points = hand.keypoints(batch.reshape(-1, 15, 3))
         tips = miss(points) / (_TIP_MM / 1000)
         deep = np.maximum(overlaps(points, hand.scale) - 0.001, 0.0) / 0.004
-        return np.concatenate([tips, deep, (values - start) / np.radians(_POSTURE_DEG)], axis=1)
+        return np.concatenate([tips, deep, (values - usual) / np.radians(_POSTURE_DEG)], axis=1)
 
     x = np.clip(start, low, high)
     damping = 1.0

@@ -14,7 +14,7 @@ from handfit_core.detect.search import LEAST_PRESENCE, around
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES, other_side
 from scripts.benchmark.shots import Shot, ShotHand
-from scripts.benchmark.stills import still_shot
+from scripts.benchmark.stills import Poses, still_shot
 
 from .painter import paint
 
@@ -61,11 +61,13 @@ def sample(
     }
 
 
-def samples_of(seed: int, number: int, networks: Networks, size: int = SIZE) -> tuple[int, list[Sample]]:
+def samples_of(
+    seed: int, number: int, networks: Networks, size: int = SIZE, poses: Poses = "usual"
+) -> tuple[int, list[Sample]]:
     """How many hands stand in all views of that still, and those that the landmark network sees, once it is
     shown where they are: those that only a search of all parts finds would be missing otherwise, and they are
     the hard ones. Half of them are single looks, as of clips, the others means, as of photos."""
-    shot = still_shot(seed, number, size)
+    shot = still_shot(seed, number, size, poses)
     rng = np.random.default_rng([seed, number, 7])
     picture = paint(shot, rng)
     found: list[Sample] = []
