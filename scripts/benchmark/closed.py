@@ -242,7 +242,7 @@ def _misses(
         away /= np.linalg.norm(away, axis=-1, keepdims=True)
         if touch.side in ("palm", "back"):
             away = np.cross(axis, away)
-        away = away * (1.0 if touch.side in ("thumb", "palm") else -1.0)
+        away = away * (1.0 if touch.side in ("thumb", "back") else -1.0)
         on_skin = (radii[tip] + radii[bone]) * away
         places[:, row] = to_tip - (part if touch.along is None else touch.along) * along - on_skin
         right[:, row] = np.sum(to_tip * away, axis=-1) > 0.0

@@ -55,6 +55,20 @@ def test_positive_bend_closes_the_hand(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
+def test_a_thumb_reaches_the_little_finger_s_root(side: Side) -> None:
+    """As every person's does; fists and letters need it."""
+    model, limits = load_model(None, side), joint_limits(side)
+    rng = np.random.default_rng(0)
+    angles = np.zeros((4000, 15, 3))
+    thumb = [j - 1 for j in FINGER_JOINTS["thumb"]]
+    angles[:, thumb] = rng.uniform(limits.lower[thumb], limits.upper[thumb], (4000, 3, 3))
+    pose = rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(model))).reshape(-1, 45)
+    zero = np.zeros((4000, 3))
+    points = model.keypoints(None, zero, pose, zero)
+    assert np.linalg.norm(points[:, 4] - points[:, 17], axis=1).min() < 0.036
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
 def test_rotations_from_angles_are_the_inverse(side: Side) -> None:
     axes = anatomical_axes(load_model(None, side))
     rng = np.random.default_rng(4)
