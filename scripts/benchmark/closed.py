@@ -176,16 +176,17 @@ def _drawn(recipe: Recipe, hand: RightHand, rng: np.random.Generator) -> np.ndar
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
-    bends = {
-        f: bent(f, *(between(*ends) for ends in _BENDS[k]), rng)
-        for f, k in zip(LONG, recipe.fingers, strict=True)
-    }
-    first, spread, *others = (between(*ends) for ends in _THUMBS[recipe.thumb])
+    bends = {}
+    for finger, letter in zip(LONG, recipe.fingers, strict=True):
+        knuckle, middle = (between(*ends) for ends in _BENDS[letter])
+        bends[finger] = bent(finger, knuckle, middle, rng)
+    first, spread, second, third = (between(*ends) for ends in _THUMBS[recipe.thumb])
     fan = 17.0 * between(*recipe.fan)
     spreads = {f: fan * FAN[f] + rng.normal(0, 1.0) for f in LONG}
     spreads |= dict(zip(LONG, recipe.spreads, strict=False))
     wanted = within_limits(
-        with_play({**bends, "thumb": (first, *others)}, {**spreads, "thumb": spread}, rng), right_limits()
+        with_play({**bends, "thumb": (first, second, third)}, {**spreads, "thumb": spread}, rng),
+        right_limits(),
     )
     gap = between(-0.001, 0.002)
     touches = tuple(
