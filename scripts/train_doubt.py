@@ -24,6 +24,7 @@ sys.path.insert(0, str(ROOT))
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import HandfitError
+from handfit_core.evaluate.summary import doubt_figures
 from handfit_core.files import written_whole
 from handfit_core.fit import doubt
 from handfit_core.fit.fast import fit_frames
@@ -53,9 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             np.savez(stream, **found)
         print(path, *(f"\n{name}: {np.round(values, 3)}" for name, values in found.items()))
         told, errors = fitted(samples_of_stills(args.folder, args.check))
-        print(
-            measured(np.exp(told @ found["weights"] + found["constants"]).mean(axis=1), errors.mean(axis=1))
-        )
+        expected = 1e3 * np.exp(told @ found["weights"] + found["constants"]).mean(axis=1)
+        true = 1e3 * errors.mean(axis=1)
+        print(f"{len(true)} hands: {expected.mean():.1f} mm expected, {true.mean():.1f} mm true")
+        print(doubt_figures(expected, true))
     except HandfitError as error:
         print(f"train_doubt: {error}", file=sys.stderr)
         return 2
@@ -100,19 +102,6 @@ def calibrated(told: np.ndarray, errors: np.ndarray) -> dict[str, Any]:
         share = errors.reshape(-1) * np.exp(-whole @ found)
         found += np.linalg.solve((whole.T * np.maximum(share, 0.1)) @ whole, whole.T @ (share - 1.0))
     return {"weights": found[:size], "constants": found[size:]}
-
-
-def measured(expected: np.ndarray, errors: np.ndarray) -> str:
-    """How well expected errors (N,) tell of true ones, in words."""
-    from scipy.stats import spearmanr
-
-    wrong, flagged = errors > doubt.WRONG, expected > doubt.DOUBTFUL_ERROR
-    return (
-        f"{len(errors)} hands: {1e3 * expected.mean():.1f} mm expected, {1e3 * errors.mean():.1f} mm true, "
-        f"rank correlation {spearmanr(expected, errors)[0]:.2f}; flagged {flagged[wrong].mean():.2f} of the "
-        f"wrong, {flagged[~wrong].mean():.2f} of the others; a tenth of these is expected to err by more "
-        f"than {1e3 * np.quantile(expected[~wrong], 0.9):.1f} mm"
-    )
 
 
 if __name__ == "__main__":

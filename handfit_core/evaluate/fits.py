@@ -108,11 +108,12 @@ def _code() -> str:
     from handfit_core.detect import correction
     from handfit_core.detect.correction import network
     from handfit_core.evaluate import methods
+    from handfit_core.fit import doubt
     from handfit_core.hand_model import anatomy, chain, data, landmarks, surface
 
     layer = Path(skeleton.__file__).parent / "layer" / "__init__.py"  # which needs torch to be imported
     of_models = (anatomy, chain, data, landmarks, surface, layer)
-    learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE)]
+    learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE, doubt.FILE)]
     of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
     code = code_digest(*of_solvers, methods, *of_models)
     return "|".join([code, *learnt])

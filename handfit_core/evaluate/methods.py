@@ -40,6 +40,8 @@ class TrackResult:
     """(T,) of fitting, spread evenly over the frames with a hand"""
     parameters: np.ndarray
     """(T, 61) betas, global_orient, hand_pose, transl; (T, 0) where there is no hand model"""
+    expected_error: np.ndarray
+    """(T,) metres that the hand is likely to be off, as the solver says; NaN where it does not"""
 
     def vertices(self, model: HandModel, frame: int) -> np.ndarray | None:
         """(V, 3) metres in the camera frame; None where there is no hand model or no hand."""
@@ -106,7 +108,8 @@ def raw(
         if detection is not None:
             picture[i] = landmarks(detection)
             points[i] = in_metres(picture[i], detection, intrinsics)
-    return TrackResult(points, picture, np.full(count, np.nan), np.empty((count, 0)))
+    nothing = np.full(count, np.nan)
+    return TrackResult(points, picture, nothing, np.empty((count, 0)), nothing)
 
 
 def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
@@ -123,6 +126,9 @@ def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrin
         picture_points=_seen_from_afar(points, intrinsics),
         milliseconds=np.where(seen, spent, np.nan),
         parameters=np.concatenate([betas, fit.global_orient, fit.hand_pose, fit.transl], axis=1),
+        expected_error=np.full(len(seen), np.nan)
+        if fit.expected_error is None
+        else fit.expected_error.mean(axis=1),
     )
 
 
@@ -144,7 +150,7 @@ def published(solver: str, models: Models, track: DetectedTrack, intrinsics: Int
         fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
         picture[i] = fit.in_picture(fitted)
         points[i] = in_metres(picture[i], detection, intrinsics)
-    return TrackResult(points, picture, spent, np.empty((count, 0)))
+    return TrackResult(points, picture, spent, np.empty((count, 0)), np.full(count, np.nan))
 
 
 def _empty(count: int) -> np.ndarray:

@@ -181,6 +181,7 @@ def _results(fits: Fits, name: str) -> Callable[[Row], RowResult | None]:
             model=model,
             vertices=found.vertices(model, row.frame) if row.label.mesh else None,
             penetration=found.penetration(model, row.frame),
+            expected_error=float(found.expected_error[row.frame]),
         )
 
     return result_of

@@ -73,6 +73,8 @@ class Scores:
     """(N,) F-score at 15 mm"""
     penetration: np.ndarray
     """(N,) mm that the deepest two parts of the hand stand in each other; NaN without a hand model"""
+    expected_error: np.ndarray
+    """(N,) mm of PA-MPJPE that the solver expects; NaN where it does not say"""
     detect_ms: np.ndarray
     """(N,) milliseconds of detection for the picture; NaN where not measured"""
     fit_ms: np.ndarray

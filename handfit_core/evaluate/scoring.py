@@ -43,6 +43,8 @@ class RowResult:
     """(V, 3) metres in the camera frame"""
     penetration: float = float("nan")
     """metres that the deepest two parts of the hand stand in each other"""
+    expected_error: float = float("nan")
+    """metres that the hand is likely to be off, as the solver says"""
 
 
 def score(
@@ -60,7 +62,7 @@ def score(
     problems = {} if problems is None else problems
     count = len(rows)
     per_point = {name: np.full((count, NUM_KEYPOINTS), np.nan) for name in _PER_POINT}
-    per_hand = {name: np.full(count, np.nan) for name in ("pa_mpvpe", "f5", "f15", "penetration", "fit_ms")}
+    per_hand = {name: np.full(count, np.nan) for name in _PER_HAND}
     points_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
     points_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
     detected = np.zeros(count, dtype=bool)
@@ -72,6 +74,7 @@ def score(
         points_3d[i], points_2d[i] = result.points_3d, result.picture_points[:, :2]
         per_hand["fit_ms"][i] = result.fit_ms
         per_hand["penetration"][i] = MM * result.penetration
+        per_hand["expected_error"][i] = MM * result.expected_error
         errors = _published(row, result) if protocol == "paper" else _strict(row, result)
         for name, values in errors.items():
             per_point[name][i] = values
@@ -102,6 +105,7 @@ def score(
 
 
 _PER_POINT = ("camera_error", "epe", "root_error", "pa_error", "error_2d")
+_PER_HAND = ("pa_mpvpe", "f5", "f15", "penetration", "expected_error", "fit_ms")
 
 
 def _strict(row: Row, result: RowResult) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from handfit_core.errors import OptionError
 from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
 from handfit_core.evaluate.scores import Comparison, ProtocolName, Scores
+from handfit_core.fit.doubt import DOUBTFUL_ERROR, WRONG
 from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
 
 
@@ -52,6 +53,9 @@ METRICS: Final[dict[str, Metric]] = {
         Metric("deeper_2", "In itself > 2 mm", "%", "none needed; share of hands, by their capsules", True),
         Metric("deeper_4", "In itself > 4 mm", "%", "none needed; share of hands, by their capsules", True),
         Metric("penetration_95", "In itself, 95 %", "mm", "none needed; 95th percentile of hands", True),
+        Metric("doubt_rank", "Doubt, rank", "", "Spearman's, of expected error and PA-MPJPE of hands", False),
+        Metric("doubted_wrong", "Wrong, doubted", "%", "of hands with PA-MPJPE beyond 15 mm", False),
+        Metric("doubted_right", "Others, doubted", "%", "of all other hands", True),
         Metric("bone_variation", "Bone variation", "%", "none needed; deviation over a clip", True),
         Metric("acceleration_error", "Acceleration error", "m/s²", "wrists made to meet; clips", True),
         Metric("jitter", "Jitter above 5 Hz", "mm", "wrists made to meet; RMS over clips", True),
@@ -93,6 +97,7 @@ def hands_table(scores: Scores) -> pd.DataFrame:
             "detected": scores.detected.astype(int),
             **{metric: hand_means(scores, metric) for metric in HAND_METRICS},
             "penetration": scores.penetration,
+            "expected_error": scores.expected_error,
             **{"detect_ms": scores.detect_ms, "fit_ms": scores.fit_ms},
         }
     )
@@ -177,6 +182,7 @@ def _strict(scores: Scores) -> dict[str, float]:
         "f5": _mean(scores.f5),
         "f15": _mean(scores.f15),
         **_in_itself(scores.penetration),
+        **doubt_figures(scores.expected_error, hand_means(scores, "pa_mpjpe")),
         # A picture is detected once, however many of its hands are labelled.
         "detect_ms": _median(scores.detect_ms[first_rows]),
         "fit_ms": _median(scores.fit_ms),
@@ -193,6 +199,18 @@ def _in_itself(depths: np.ndarray) -> dict[str, float]:
         "deeper_2": 100.0 * _mean((known > 2.0).astype(float)),
         "deeper_4": 100.0 * _mean((known > 4.0).astype(float)),
         "penetration_95": float(np.percentile(known, 95)) if len(known) else float("nan"),
+    }
+
+
+def doubt_figures(expected: np.ndarray, errors: np.ndarray) -> dict[str, float]:
+    """How well expected errors (N,) tell of true ones, both in mm; hands without either are left out."""
+    known = np.isfinite(expected) & np.isfinite(errors)
+    expected, errors = expected[known], errors[known]
+    wrong, doubted = errors > 1000.0 * WRONG, 100.0 * (expected > 1000.0 * DOUBTFUL_ERROR)
+    return {
+        "doubt_rank": float(pd.Series(expected).corr(pd.Series(errors), method="spearman")),
+        "doubted_wrong": _mean(doubted[wrong]),
+        "doubted_right": _mean(doubted[~wrong]),
     }
 
 

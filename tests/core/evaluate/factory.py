@@ -82,6 +82,7 @@ def make_scores(
         "f5": np.full(n, np.nan),
         "f15": np.full(n, np.nan),
         "penetration": np.full(n, np.nan),
+        "expected_error": np.full(n, np.nan),
         "detect_ms": np.full(n, 20.0),
         "fit_ms": np.where(detected, 5.0, np.nan),
     }

@@ -57,7 +57,7 @@ def test_a_fitted_hand_tells_how_deep_it_stands_in_itself_and_points_without_one
     crossed[3, 1] = np.radians(25.0)
     poses = np.stack([np.zeros(45), model.hands_mean, crossed.ravel(), np.full(45, np.nan)])
     parameters = np.concatenate([np.zeros((4, 13)), poses, np.zeros((4, 3))], axis=1)
-    fitted, bare = (TrackResult(nothing, nothing, nothing, p) for p in (parameters, nothing))
+    fitted, bare = (TrackResult(nothing, nothing, nothing, p, nothing) for p in (parameters, nothing))
     assert fitted.penetration(model, 0) == 0.0
     assert fitted.penetration(model, 1) < 0.001
     assert 0.004 < fitted.penetration(model, 2) < 0.02

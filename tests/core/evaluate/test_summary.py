@@ -90,6 +90,21 @@ def test_surfaces_sides_and_times() -> None:
     assert found["fit_ms"] == 2.0
 
 
+def test_how_well_solvers_doubt_themselves() -> None:
+    """Six hands, the last of them missed; the third is not told of."""
+    off = np.array([4.0, 8.0, 9.0, 20.0, 30.0, np.nan])
+    scores = make_scores(
+        6,
+        detected=np.isfinite(off),
+        pa_error=np.repeat(off[:, None], 21, axis=1),
+        expected_error=np.array([5.0, 13.0, np.nan, 11.0, 25.0, 40.0]),
+    )
+    found = summarise(scores, "strict")
+    assert found["doubt_rank"] == pytest.approx(0.8)  # of four hands two have changed places
+    assert (found["doubted_wrong"], found["doubted_right"]) == (50.0, 50.0)
+    assert math.isnan(summarise(make_scores(3), "strict")["doubt_rank"])
+
+
 @pytest.mark.parametrize("protocol", ["strict", "paper"])
 def test_no_hands_and_no_detections_are_values(protocol) -> None:
     nothing = summarise(make_scores(labels_3d=np.zeros((0, 21, 3))), protocol)
