@@ -28,6 +28,9 @@ WRONG: Final = 0.015
 """metres; hands that err by more than this are what doubt is for"""
 MOST: Final = 0.2
 """metres: no hand is farther off than its own length"""
+AROUND: Final = 0.12
+"""seconds before and after that tell of a frame's error too: where a tenth of the others is doubted, so are
+77 % of painted clips' frames that are wrong by more than 15 mm, and by a frame alone 71 %"""
 
 _LEAST: Final = 5e-4
 """metres; what is less than this tells nothing more"""
@@ -37,27 +40,23 @@ _ACROSS, _ALONG = (17, 5), (0, 9)
 """Keypoints between which the palm lies"""
 
 
-def side_certainty(detections: Sequence[HandDetection], side: Side) -> np.ndarray:
-    """(B,) probability that each is a hand of that side; 1 where a person has said so, or nobody judged."""
-    return np.array(
-        [
-            1.0
-            if d.right_side is None or d.given_side is not None
-            else d.right_side
-            if d.side == side
-            else 1.0 - d.right_side
-            for d in detections
-        ]
-    )
+@np.errstate(all="ignore")
+def side_logits(detections: Sequence[HandDetection], side: Side) -> np.ndarray:
+    """(B,) logits of each being a hand of that side, as sure as can be where a person has said so, or nobody
+    judged."""
+    judged = [d.given_side is None and d.right_side is not None for d in detections]
+    right = np.array([d.right_side for d in detections], dtype=np.float64)
+    right = np.where(judged, np.where([d.side == side for d in detections], right, 1.0 - right), 1.0)
+    return np.clip(np.log(right / (1.0 - right)), -_SUREST, _SUREST)
 
 
 @np.errstate(all="ignore")
-def evidence(seen: Observation, points: np.ndarray, certainty: np.ndarray) -> np.ndarray:
+def evidence(seen: Observation, points: np.ndarray, sure: np.ndarray) -> np.ndarray:
     """(B, 5, 6) what tells of each finger's error: the logarithms of what the landmark network expects of its
     points and of all, and of how far these project from where they were seen, in metres at the hand's
     distance; whether the palm is seen from the front (1) or edge on (0); the logit of the hand's side.
 
-    `points`: (B, 21, 3) metres, the fitted landmarks. `certainty`: (B,) that the side is the true one.
+    `points`: (B, 21, 3) metres, the fitted landmarks. `sure`: (B,) that logit.
     """
     metres = np.maximum(points[..., 2].mean(axis=1), NEAREST) / seen.focal.mean(axis=1)
     slope = points[..., :2] / np.maximum(points[..., 2:], NEAREST)
@@ -67,7 +66,6 @@ def evidence(seen: Observation, points: np.ndarray, certainty: np.ndarray) -> np
     across, along = (points[:, b] - points[:, a] for a, b in (_ACROSS, _ALONG))
     normal = np.cross(across, along)
     facing = np.abs((normal * seen.ray).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
-    sure = np.clip(np.log(certainty / (1.0 - certainty)), -_SUREST, _SUREST)
 
     def of_fingers(values: np.ndarray) -> list[np.ndarray]:
         fingers, hand = values[:, 1:].reshape(-1, 5, 4).mean(axis=2), values.mean(axis=1)
@@ -89,6 +87,19 @@ def expected_error(told: np.ndarray) -> np.ndarray:
     numbers."""
     weights, constants = _weights()
     return np.nan_to_num(np.minimum(np.exp(told @ weights + constants), MOST), nan=MOST)
+
+
+def among_neighbours(expected: np.ndarray, frames: np.ndarray, shots: np.ndarray, fps: float) -> np.ndarray:
+    """(F, 5) expected errors of a clip's `frames` (F,), increasing, as geometric means over those around in
+    the same of its `shots` (F,): errors outlast a frame, and evidence flickers."""
+    total, count = np.zeros_like(expected), np.zeros((len(frames), 1))
+    reach = round(AROUND * fps)
+    for step in range(-reach, reach + 1):
+        row = np.searchsorted(frames, frames + step).clip(max=len(frames) - 1)
+        there = ((frames[row] == frames + step) & (shots[row] == shots))[:, None]
+        total += np.where(there, np.log(expected[row]), 0.0)
+        count += there
+    return np.exp(total / count)
 
 
 def doubtful(expected: np.ndarray) -> np.ndarray:

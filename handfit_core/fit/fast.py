@@ -13,7 +13,7 @@ from handfit_core.batch import spread
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.clips import smoothed
-from handfit_core.fit.doubt import doubtful, evidence, expected_error, side_certainty
+from handfit_core.fit.doubt import among_neighbours, doubtful, evidence, expected_error, side_logits
 from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
 from handfit_core.fit.meeting import meeting
@@ -206,7 +206,7 @@ def fit_frames(
     return FrameFits(
         *fitter.chain.parameters(solution.state),
         solution=solution,
-        evidence=evidence(seen, fitter.chain.points(solution.state), side_certainty(detections, model.side)),
+        evidence=evidence(seen, fitter.chain.points(solution.state), side_logits(detections, model.side)),
     )
 
 
@@ -228,8 +228,7 @@ def fit_track(
     fitter = fitter_of(model, hand_length)
     detections = [d for d in track.detections if d is not None]
     seen = fitter.observe(detections, intrinsics)
-    # A track's side is voted for by all of its frames.
-    certainty = np.average(side_certainty(detections, model.side), weights=[d.score for d in detections])
+    cuts = jumps(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
         seen, solution = fitter.solve_solid(seen, solution)
@@ -238,13 +237,16 @@ def fit_track(
         solution = _clip(fitter, seen, should_stop)
         found = found[: len(solution)]
         seen, solution = fitter.solve_solid(seen.select(slice(len(found))), solution, found)
-        cuts = jumps(seen.pixels) | missing_between(found, track.holes)
+        cuts = cuts[: len(found) - 1]
         frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
     for _ in found:
         on_frame()
     betas, orient, pose, transl = fitter.chain.parameters(state)
     points = fitter.chain.points(state.select(np.isin(frames, found)))
-    expected = expected_error(evidence(seen, points, np.full(len(found), certainty)))
+    # A track's side is voted for by all of its frames.
+    sure = np.full(len(found), side_logits(detections, model.side).mean())
+    expected = expected_error(evidence(seen, points, sure))
+    expected = among_neighbours(expected, found, np.append(0, np.cumsum(cuts)), track.fps)
     return TrackFit(
         betas=betas[0],
         global_orient=spread(orient, frames, count),

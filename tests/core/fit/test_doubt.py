@@ -54,17 +54,18 @@ def test_left_and_right_are_doubted_alike() -> None:
 @pytest.mark.parametrize("side", SIDES)
 def test_a_hand_that_may_be_the_other_one_is_doubted_more(side: Side) -> None:
     (one,) = detections_of(side=side)[:1]
+    certain = doubt.side_logits([replace(one, right_side=1.0)], side).item()
     cases = [
-        (None, None, 1.0),  # nobody judged
-        (0.3, side, 1.0),  # a person has said it
-        (0.99, None, 0.99),
-        (0.6, None, 0.6),
+        (None, None, certain),  # nobody judged
+        (0.3, side, certain),  # a person has said it
+        (0.75, None, np.log(3.0)),
+        (0.5, None, 0.0),
     ]
-    for probability, given, certain in cases:
+    for probability, given, expected in cases:
         detection = replace(one, right_side=probability, given_side=given)
-        assert doubt.side_certainty([detection], side).item() == certain
-    other = replace(one, side="left" if side == "right" else "right", right_side=0.4)
-    assert doubt.side_certainty([other], side).item() == pytest.approx(0.6)
+        assert doubt.side_logits([detection], side).item() == pytest.approx(expected)
+    other = replace(one, side="left" if side == "right" else "right", right_side=0.25)
+    assert doubt.side_logits([other], side).item() == pytest.approx(np.log(3.0))
     fits = [
         fit_frames(model_of(side), [replace(one, right_side=p)], CAMERA).expected_error.mean()
         for p in (0.999, 0.9, 0.6)
@@ -80,8 +81,8 @@ def test_what_is_no_hand_has_numbers_too() -> None:
     observed = fitter.observe([flat], CAMERA)
     start = fitter.chain.points(fitter.start(fitter.observe([one], CAMERA)))
     for points in (start, 1e6 * start, -start, 0.0 * start, np.nan * start, np.inf * start):
-        for certainty in (0.0, 0.5, 1.0):
-            expected = doubt.expected_error(doubt.evidence(observed, points, np.array([certainty])))
+        for sure in (-6.0, 0.0, 6.0):
+            expected = doubt.expected_error(doubt.evidence(observed, points, np.array([sure])))
             assert expected.shape == (1, 5)
             assert np.all((expected > 0.0) & (expected <= doubt.MOST))
     assert doubt.doubtful(doubt.expected_error(doubt.evidence(observed, np.nan * start, np.ones(1)))).all()
@@ -102,6 +103,19 @@ def test_a_track_has_them_in_its_detected_frames() -> None:
     assert fit.doubtful is not None
     np.testing.assert_array_equal(np.isfinite(fit.expected_error).all(axis=1), track.detected)
     np.testing.assert_array_equal(fit.doubtful, fit.expected_error.mean(axis=1) > doubt.DOUBTFUL_ERROR)
+
+
+def test_neighbours_in_time_tell_too_but_not_over_cuts_and_gaps() -> None:
+    expected = np.full((12, 5), 0.005)
+    expected[6] = 0.04
+    frames = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 20, 21, 22])
+    shots = (frames > 6).astype(int)
+    found = doubt.among_neighbours(expected, frames, shots, 25.0)
+    np.testing.assert_allclose(found[[0, 1, 2, 7, 8, 9, 10, 11]], 0.005)
+    assert np.all(found[3:7] > 0.005)
+    np.testing.assert_allclose(found[6], (0.005**3 * 0.04) ** 0.25)
+    np.testing.assert_allclose(doubt.among_neighbours(expected, frames, shots, 1.0), expected)
+    assert doubt.among_neighbours(expected[:1], frames[:1], shots[:1], 25.0) == pytest.approx(expected[:1])
 
 
 def test_calibration_finds_the_weights_that_made_the_errors() -> None:
