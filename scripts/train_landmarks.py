@@ -75,8 +75,8 @@ def _asked(text: str) -> list[tuple[int, int, Poses]]:
 
 
 def samples_of_stills(folder: Path, text: str) -> dict[str, np.ndarray]:
-    """Stacked rows of the stills that `SEED:COUNT[:closed],...` asks for; made where `folder` does not keep them.
-    Raises OptionError."""
+    """Stacked rows of the stills that `SEED:COUNT[:closed],...` asks for; made where `folder` does not keep
+    them. Raises OptionError."""
     kept = [rows for asked in _asked(text) if (rows := _samples(folder, *asked))]
     if not kept:
         raise OptionError("the detector found no hand in these pictures; ask for more --stills")
