@@ -34,7 +34,7 @@ from handfit_core.skeleton import SIDES
 from scripts.benchmark.kinematics import model_of
 from scripts.train_landmarks import samples_of_stills
 
-SHIPPED, CHECKED = "300:1200", "301:400"
+SHIPPED, CHECKED = "300:800,302:400:closed", "301:300,303:150:closed"
 ITERATIONS = 30
 
 
@@ -44,7 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="where samples and the result go")
     pictures = "painted pictures, of which seeds, to %s with; what ships: %s"
     for name, use, shipped in (("--stills", "calibrate", SHIPPED), ("--check", "measure", CHECKED)):
-        parser.add_argument(name, default=shipped, metavar="SEED:COUNT,...", help=pictures % (use, shipped))
+        parser.add_argument(
+            name, default=shipped, metavar="SEED:COUNT[:closed],...", help=pictures % (use, shipped)
+        )
     parser.add_argument("--install", action="store_true", help="write the result into the package")
     args = parser.parse_args(argv)
     try:
