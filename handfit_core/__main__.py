@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.fit_quality import IN_PICTURE
+from handfit_core.fit_quality import EXPECTED, IN_PICTURE
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.options import CaptureOptions, add_options
 from handfit_core.pipeline import Progress, capture_to_file
@@ -225,7 +225,11 @@ def _mean_error(hand: dict[str, Any]) -> str:
     share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
     if share is None or pixels is None:
         return "no mean error"
-    return f"mean error {IN_PICTURE.said(share)} ({IN_PICTURE.quality(share)}, {pixels:.1f} px)"
+    in_picture = f"mean error {IN_PICTURE.said(share)} ({IN_PICTURE.quality(share)}, {pixels:.1f} px)"
+    likely = hand["mean_expected_error"]
+    if likely is None:
+        return in_picture
+    return f"likely error {EXPECTED.said(likely)} ({EXPECTED.quality(likely)}), {in_picture}"
 
 
 class _LogHandler(logging.Handler):

@@ -81,6 +81,16 @@ def length_in_picture(joints: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
 
 def mean_relative_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:
     """The mean of `relative_errors` over the frames with a detection; None where it has no value."""
-    errors = relative_errors(track, intrinsics)[track.detected]
+    return _mean(relative_errors(track, intrinsics)[track.detected])
+
+
+def mean_expected_error(track: HandTrack) -> float | None:
+    """Metres that the hand is likely to be off, over the frames of which that is told; None: of none."""
+    if track.expected_error is None:
+        return None
+    return _mean(track.expected_error[np.isfinite(track.expected_error).all(axis=1)])
+
+
+def _mean(errors: np.ndarray) -> float | None:
     mean = float(errors.mean()) if len(errors) else np.nan
     return mean if np.isfinite(mean) else None

@@ -19,7 +19,7 @@ from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
-from handfit_core.fit_quality import mean_relative_error
+from handfit_core.fit_quality import mean_expected_error, mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
@@ -340,7 +340,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
 
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
     """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels and as a
-    share of the hand's length (None where they have no value)."""
+    share of the hand's length, and the one that is expected, metres (None where they have no value)."""
     return [
         {
             "side": track.side,
@@ -349,6 +349,7 @@ def hand_summaries(take: Take) -> list[dict[str, Any]]:
             "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
             "mean_reprojection_error_px": _mean(track.reprojection_error[track.detected]),
             "mean_error_of_hand": mean_relative_error(track, take.intrinsics),
+            "mean_expected_error": mean_expected_error(track),
         }
         for track in take.hands
     ]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core.files import written_whole
-from handfit_core.fit_quality import IN_PICTURE, mean_relative_error
+from handfit_core.fit_quality import EXPECTED, IN_PICTURE, mean_expected_error, mean_relative_error
 from handfit_core.take import Take
 
 
@@ -23,8 +23,9 @@ class Result:
     seconds: float = 0.0
     frames: int = 0
     hands: list[dict[str, Any]] = field(default_factory=list)
-    """per hand its side, the frames in which it was detected, mean_reprojection_error_px, and
-    mean_error_of_hand: the same as a share of the hand's length in the picture"""
+    """per hand its side, the frames in which it was detected, mean_reprojection_error_px, mean_error_of_hand:
+    the same as a share of the hand's length in the picture, and mean_expected_error: metres that it is likely
+    to be off"""
     files: list[str] = field(default_factory=list)
     """relative to the report's folder"""
     warnings: list[str] = field(default_factory=list)
@@ -35,13 +36,14 @@ class Result:
         self.frames = len(take.frame_numbers)
         for track in take.hands:
             error = track.reprojection_error[track.detected]
-            share = mean_relative_error(track, take.intrinsics)
+            share, likely = mean_relative_error(track, take.intrinsics), mean_expected_error(track)
             self.hands.append(
                 {
                     "side": track.side,
                     "detected": int(track.detected.sum()),
                     "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
                     "mean_error_of_hand": None if share is None else round(share, 4),
+                    "mean_expected_error": None if likely is None else round(likely, 5),
                 }
             )
 
@@ -67,5 +69,7 @@ def line(result: Result) -> str:
 
 
 def _error(hand: dict[str, Any]) -> str:
-    share = hand["mean_error_of_hand"]
-    return "" if share is None else f" ({100 * share:.1f} %, {IN_PICTURE.quality(share)})"
+    for scale, name in ((EXPECTED, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
+        if (error := hand[name]) is not None:
+            return f" ({scale.title.lower()} {scale.said(error)}, {scale.quality(error)})"
+    return ""

@@ -10,6 +10,7 @@ from handfit_core.fit_quality import (
     FAIR_BELOW,
     GOOD_BELOW,
     IN_PICTURE,
+    mean_expected_error,
     mean_relative_error,
     relative_errors,
 )
@@ -56,6 +57,15 @@ def test_frames_without_a_detection_do_not_count(take: Take) -> None:
     assert mean_relative_error(some, take.intrinsics) is not None
     none = replace(some, detected=np.zeros(count, dtype=bool))
     assert mean_relative_error(none, take.intrinsics) is None
+
+
+def test_the_mean_of_what_is_expected(take: Take) -> None:
+    track = take.hands[0]
+    assert mean_expected_error(track) is None
+    expected = np.full((len(take.frame_numbers), 5), np.nan)
+    assert mean_expected_error(replace(track, expected_error=expected)) is None
+    expected[2:4] = [[0.01] * 5, [0.02] * 5]
+    assert mean_expected_error(replace(track, expected_error=expected)) == pytest.approx(0.015)
 
 
 def test_words() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from handfit_core import Take
-from handfit_core.fit_quality import mean_relative_error
+from handfit_core.fit_quality import mean_expected_error, mean_relative_error
 from handfit_core.media.pictures import read_picture
 from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL, decode, encode, unpack
@@ -139,6 +139,7 @@ def test_captures(warm: Worker, tmp_path: Path) -> None:
     take = Take.load(done["output"])
     assert hand["mean_reprojection_error_px"] == pytest.approx(take.hands[0].reprojection_error.mean())
     assert hand["mean_error_of_hand"] == mean_relative_error(take.hands[0], take.intrinsics)
+    assert hand["mean_expected_error"] == mean_expected_error(take.hands[0])
     assert take.hands[0].refinable
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
