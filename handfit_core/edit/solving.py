@@ -18,7 +18,7 @@ from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
 from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, over_time
 from handfit_core.fit.gaps import jumps, missing_between
-from handfit_core.fit.observation import Kept, Observation, observation_of
+from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.terms.reprojection import NEAREST
@@ -271,10 +271,8 @@ def _corrected(
     displaced = pinning.over_time(pinning.displacement(pins, seen.pixels), rows, hand.fps)
     doubt = pinning.followed(displaced)
     touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1)
-    far = np.where(touched, pinning.distance_sigma(displaced, size), np.inf)
+    kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
     observed = observation_of(pinning.pinned(seen, pins, doubt), hand.intrinsics)
-    anywhere = np.full((len(rows), 5), np.inf)
-    kept = Kept(plain.wrist, far, plain.angles, anywhere, np.full(len(rows), np.nan))
     return replace(observed, kept=kept), np.flatnonzero(touched)
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from handfit_core.fit.blocks import Blocks
-from handfit_core.fit.problem import Problem
+from handfit_core.fit.problem import Motion, Problem
 from handfit_core.fit.terms.motion import place_acceleration, rotation_acceleration
 from handfit_core.geometry.rotations import euler_to_rotmat
 from handfit_core.hand_model.chain import State, turns_by_angles
@@ -137,11 +137,19 @@ def _rotations(state: State) -> np.ndarray:
     return np.concatenate([state.root[:, None], euler_to_rotmat(state.angles.reshape(-1, 15, 3))], axis=1)
 
 
+def _rotation_sigma(problem: Problem, motion: Motion) -> np.ndarray:
+    """(T - 2, 16, 1) expected accelerations."""
+    sigma = np.full((len(problem.seen), 16, 1), motion.rotation)
+    if problem.calm is not None:
+        sigma[:, 0, 0] *= problem.calm
+    return sigma[1:-1]
+
+
 def _motion_cost(problem: Problem, state: State) -> float:
     assert problem.motion is not None
     turning, _ = rotation_acceleration(_rotations(state))
     moving = place_acceleration(state.wrist)
-    rotation, place = problem.motion.rotation, problem.motion.place
+    rotation, place = _rotation_sigma(problem, problem.motion), problem.motion.place
     return float(np.square(turning / rotation).sum() + np.square(moving / place).sum())
 
 
@@ -152,8 +160,9 @@ def _add_motion(problem: Problem, band: np.ndarray, gradient: np.ndarray, state:
     view = band.reshape(_BAND + 1, count, SIZE)
     rotations = _rotations(state)
     turning, jacobian = rotation_acceleration(rotations)
-    turning /= problem.motion.rotation  # (T-2, 16, 3)
-    jacobian /= problem.motion.rotation  # (T-2, 3, 16, 3, 3)
+    sigma = _rotation_sigma(problem, problem.motion)
+    turning /= sigma  # (T-2, 16, 3)
+    jacobian /= sigma[:, None, ..., None]  # (T-2, 3, 16, 3, 3)
     by_angles = turns_by_angles(state.angles.reshape(-1, 15, 3), rotations[:, 1:])
     for a in range(3):
         jacobian[:, a, 1:] = jacobian[:, a, 1:] @ by_angles[a : count - 2 + a]

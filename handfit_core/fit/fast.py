@@ -17,8 +17,9 @@ from handfit_core.fit.doubt import among_neighbours, doubtful, evidence, expecte
 from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
 from handfit_core.fit.meeting import meeting
-from handfit_core.fit.observation import Observation, observation_of
+from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held, Motion, Problem, SharedShape
+from handfit_core.fit.rest import palm_motion, wrist_distances
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.terms import (
@@ -63,6 +64,8 @@ SMOOTH_PLACE: Final = 1.05
 """metres per second squared, of the wrist"""
 OVERLAP_SECONDS: Final = 2.4
 """Shared by two windows of a long clip at strength 1"""
+DISTANCE_SIGMA: Final = 0.002
+"""of the wrist's distance, from what the whole clip says of it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,8 +309,19 @@ def over_time(
         if smoothing > 0:
             # Rows of frames without a detection repeat another's; they are not looked at.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
-            problem = fitter.problem(seen.select(nearest), held=here, solid=True)
-            guess = smoothed(replace(problem, motion=motion, looked_at=known), guess, before_each)
+            observed = seen.select(nearest)
+            problem = fitter.problem(observed, held=here, solid=True)
+            if observed.kept is None and len(stretch) > 2:
+                certain = known & False if here is None else here.joints[:, 0]
+                far = wrist_distances(guess, known, certain, fps, smoothing)
+                guess = replace(guess, wrist=guess.wrist * far[:, None], depth_zero=guess.depth_zero * far)
+                kept = kept_at_distance(guess, np.full(len(far), DISTANCE_SIGMA))
+                problem = replace(
+                    problem, seen=replace(observed, kept=kept), terms=(*problem.terms, distance)
+                )
+            calm = palm_motion(observed, known, fps)
+            problem = replace(problem, motion=motion, calm=calm, looked_at=known)
+            guess = smoothed(problem, guess, before_each)
         frames.append(stretch)
         states.append(guess)
     return np.concatenate(frames), State.joined(states)

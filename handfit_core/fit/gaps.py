@@ -13,6 +13,7 @@ from handfit_core.geometry.rotations import (
     rotvec_to_rotmat,
 )
 from handfit_core.hand_model.chain import State
+from handfit_core.skeleton import PALM_KEYPOINTS
 
 LONGEST_GAP = 0.5
 """seconds; what a hand did for longer nobody can tell"""
@@ -27,7 +28,8 @@ MOST_GROWTH = 1.6
 def jumps(pixels: np.ndarray) -> np.ndarray:
     """(N - 1,) bool: whether the hand jumps between consecutive detections (N, 21, 2), as at a cut."""
     size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1e-9)
-    spread = np.maximum(pixels.std(axis=1).max(axis=1), 1e-9)
+    # Of the palm alone, since a fist that opens within a frame is no other shot.
+    spread = np.maximum(pixels[:, list(PALM_KEYPOINTS)].std(axis=1).max(axis=1), 1e-9)
     larger = np.maximum(size[1:], size[:-1])
     moved = np.linalg.norm(pixels[1:].mean(axis=1) - pixels[:-1].mean(axis=1), axis=1) / larger
     growth = np.maximum(spread[1:] / spread[:-1], spread[:-1] / spread[1:])

@@ -9,6 +9,7 @@ import numpy as np
 from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.chain import State
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,13 @@ class Kept(Batch):
     """(B,) radians beyond what joints can do when they are pressed (`terms.limits.PASSIVE_RANGE`), or beyond
     the kept angles where these go further, that cost as much as one sigma; NaN: as hands without a pose to
     keep have it"""
+
+
+def kept_at_distance(state: State, sigma: np.ndarray) -> Kept:
+    """B hands of which nothing but the wrist's distance is kept; `sigma` (B,) as a part of it."""
+    return Kept(
+        state.wrist, sigma, state.angles, np.full(state.angles.shape[:2], np.inf), np.full(len(sigma), np.nan)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,6 +71,8 @@ class Problem(Batch):
     """Joints that are no variables; None: all are"""
     motion: Motion | None = None
     """B consecutive frames of a clip move like that; None: frames know nothing of each other"""
+    calm: np.ndarray | None = None
+    """(B,) parts of the palm's expected rotational acceleration in the frames of a clip; None: all of it"""
     looked_at: np.ndarray | None = None
     """(B,) bool: frames of a clip whose `seen` counts, the others follow their neighbours; None: all"""
 
