@@ -22,7 +22,7 @@ LONGEST_GAP = 0.5
 LONGEST_JUMP = 1.0
 """Of the hand's size, from one detection to the next: farther is a cut to another shot"""
 MOST_GROWTH = 1.6
-"""Of the hand's size in the picture, from one detection to the next: more is a cut, too"""
+"""Of the palm's size in the picture, from one detection to the next: more is a cut, too"""
 
 
 def jumps(pixels: np.ndarray) -> np.ndarray:

@@ -1,15 +1,15 @@
 """Rest told from motion over a clip: how far away the wrist is, and where the palm holds still.
 
 One hand does not change its size, so that its size in the picture tells its distance. But the size that is
-seen errs with the pose (closed hands seem up to a quarter too far away), and a hand whose arm rests would swim
-to and fro as its fingers move. Over all frames t, with y_t the logarithm of the distance of a frame that was
-fitted by itself,
+seen errs with the pose (closed hands seem up to a quarter too far away), and a hand whose arm rests would
+swim to and fro as its fingers move. Over all frames t, with y_t the logarithm of the distance of a frame that
+was fitted by itself,
 
     y_t = l_t + b_t + w . f_t + noise
 
-is solved for the distance, l; for what the fingers' bends f say in every frame alike, w; and for what is left of
-the pose's error, b, which can only change while fingers bend or the palm turns. The distance changes about as
-fast as it does in the frames around, as the wrist does across the picture, or hardly: how fast is found
+is solved for the distance, l; for what the fingers' bends f say in every frame alike, w; and for what is left
+of the pose's error, b, which can only change while fingers bend or the palm turns. The distance changes about
+as fast as it does in the frames around, as the wrist does across the picture, or hardly: how fast is found
 together with it, in a few rounds, so that what rests is held and what moves is not held back.
 """
 
@@ -130,8 +130,8 @@ def wrist_distances(
 
 
 def _changes(state: State, bends: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """(T - 1,) by how much the pose's error may change from frame to frame, and how far the wrist moves across
-    the picture, in parts of its distance. `bends` (T, 5) radians."""
+    """(T - 1,) by how much the pose's error may change from frame to frame, and how far the wrist moves
+    across the picture, in parts of its distance. `bends` (T, 5) radians."""
     from scipy.ndimage import maximum_filter1d
 
     def beyond(change: np.ndarray, still: float) -> np.ndarray:

@@ -8,10 +8,12 @@ import pytest
 from handfit_core.fit.gaps import LONGEST_GAP, bridged, jumps, missing_between, spans
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
+from handfit_core.skeleton import PALM_KEYPOINTS
 from tests.core.fit.differences import close
 from tests.core.fit.hands import chain_of, make_state
 
 CHAIN = chain_of()
+NOT_PALM = np.setdiff1d(np.arange(21), PALM_KEYPOINTS)
 
 
 @pytest.mark.parametrize("fps", [5.0, 25.0, 29.97, 60.0])
@@ -72,6 +74,13 @@ def test_a_jump_or_a_sudden_growth_is_a_cut() -> None:
     hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
     seen = np.stack([hand, hand + 30.0, hand + 300.0, 2.0 * hand + 300.0, 2.0 * hand + 310.0])
     np.testing.assert_array_equal(jumps(seen), [False, True, True, False])
+
+
+def test_a_fist_that_opens_at_once_is_no_cut() -> None:
+    hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
+    opened = hand.copy()
+    opened[NOT_PALM] *= 2.5
+    np.testing.assert_array_equal(jumps(np.stack([hand, opened])), [False])
 
 
 def test_stretches_end_at_cuts_and_missing_pictures() -> None:
