@@ -86,13 +86,17 @@ def preview_rows(
     return previews
 
 
-def turned_rows(built: BuiltTake, take: Take, frames: Sequence[int], degrees: float) -> list[np.ndarray]:
+def turned_rows(
+    built: BuiltTake, take: Take, frames: Sequence[int], degrees: float, *, still: bool = False
+) -> list[np.ndarray]:
     """The hands of several frames alone, from the camera after it went round them by `degrees` to its right:
-    rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows."""
+    rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows.
+
+    `still`: one place for all frames, so that what moves in the rows is the hands."""
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
     views = []
     for frame in frames:
-        camera = _turned_camera(built, take, frame, degrees)
+        camera = _turned_camera(built, take, frames if still else [frame], degrees)
         try:
             hands = _render_hands(built, take, frame, scale, camera)
         finally:
@@ -101,9 +105,11 @@ def turned_rows(built: BuiltTake, take: Take, frames: Sequence[int], degrees: fl
     return views
 
 
-def _turned_camera(built: BuiltTake, take: Take, frame: int, degrees: float) -> bpy.types.Object:
-    row = int(np.searchsorted(take.frame_numbers, frame))
-    joints = [track.joints_3d[row] for track in take.hands if track.present[row]]
+def _turned_camera(
+    built: BuiltTake, take: Take, frames: Sequence[int], degrees: float
+) -> bpy.types.Object:
+    rows = np.searchsorted(take.frame_numbers, frames)
+    joints = [track.joints_3d[row] for row in rows for track in take.hands if track.present[row]]
     centre = Vector(axes.points_to_world(np.concatenate(joints).mean(axis=0)).tolist())
     own = built.camera.matrix_world
     about_up = Matrix.Rotation(math.radians(degrees), 4, own.to_3x3() @ Vector((0.0, 1.0, 0.0)))

@@ -58,9 +58,7 @@ def clip(seed: int = 0) -> tuple[State, Observation, State]:
     return truth, observe(CHAIN.pose(truth).points, noise=3.0, seed=seed), jittered(truth, seed)
 
 
-def total_cost(
-    seen: Observation, known: np.ndarray, state: State, calm: np.ndarray | None = None
-) -> float:
+def total_cost(seen: Observation, known: np.ndarray, state: State, calm: np.ndarray | None = None) -> float:
     of_frames = problem_of(CHAIN, seen, "given").blocks(state).cost[known]
     local = euler_to_rotmat(state.angles.reshape(-1, 15, 3))
     rotations = np.concatenate([state.root[:, None], local], axis=1)
