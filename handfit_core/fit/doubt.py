@@ -23,14 +23,14 @@ from handfit_core.skeleton import Side
 FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
 
 DOUBTFUL_ERROR: Final = 0.012
-"""metres; of rendered hands that err by less than 15 mm, a tenth is expected to err by more than this"""
+"""metres; of rendered hands that err by less than 15 mm, one in eight is expected to err by more than this"""
 WRONG: Final = 0.015
 """metres; hands that err by more than this are what doubt is for"""
 MOST: Final = 0.2
 """metres: no hand is farther off than its own length"""
 AROUND: Final = 0.12
 """seconds before and after that tell of a frame's error too: where a tenth of the others is doubted, so are
-77 % of painted clips' frames that are wrong by more than 15 mm, and by a frame alone 71 %"""
+72 % of painted clips' frames that are wrong by more than 15 mm, and by a frame alone 68 %"""
 
 _LEAST: Final = 5e-4
 """metres; what is less than this tells nothing more"""
