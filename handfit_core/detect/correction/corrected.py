@@ -13,6 +13,8 @@ from handfit_core.detect.correction.network import landmark_network
 from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.skeleton import Side
 
+_KNUCKLES: Final = [5, 9, 13, 17]
+
 LEAST_SIGMA: Final = 0.1
 """pixels; landmarks in one place would else be surer than anything"""
 CHUNK: Final = 512
@@ -38,6 +40,9 @@ class Trust:
     plane_sigma: float = 0.5
     """of the network's expected error, x and y"""
     depth_sigma: float = 0.7
+    knuckles: float = 2.0
+    """times the network's expected errors, of the fingers' knuckles: in photos, the detector errs more there than
+    in the painted pictures that the network knows"""
     floor: float = 0.006
     """expected errors are at least this, of the hand's size in the picture"""
 
@@ -99,6 +104,7 @@ def _of_chunk(
     blend = np.array([trust.plane, trust.plane, trust.depth])
     points = seen.to_picture(seen.fused + blend * (said.points - seen.fused))
     sigma = np.maximum(np.maximum(said.sigma, trust.floor) * seen.size[:, None, None], LEAST_SIGMA)
+    sigma[:, _KNUCKLES] *= trust.knuckles
     plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
     depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
     return Landmarked(points[..., :2], plane, depth, trust.depth_sigma * sigma[..., 2]), said.right_side
