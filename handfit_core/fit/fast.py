@@ -140,10 +140,7 @@ class FastFitter:
         `solid`: their parts do not pass through each other, and meet as `seen` says if it has been asked. The
         shape must be given, and the start roughly right: a finger on the wrong side would be held there.
         """
-        terms = self._terms
-        if solid:
-            terms = (*terms, self._apart)
-            terms = terms if seen.meeting is None else (*terms, *self._meeting)
+        terms = (*self._terms, *self._meeting_terms(seen)) if solid else self._terms
         if seen.kept is not None:
             terms = (*terms, near_pose, distance)
         if shape != "given":
@@ -168,18 +165,27 @@ class FastFitter:
     ) -> tuple[Observation, Solution]:
         """The same hands as solid ones, from where they are without; and what is seen of how their parts
         meet. `frames` (B,) int: which of a clip; None: they know nothing of each other."""
-        state = plain.state
-        seen = replace(seen, meeting=meeting(self.chain, self.surface, seen, state, frames))
-        problem = self.problem(seen, held=held, solid=True)
-        posed = self.chain.pose(state)
-        pairs = [term(posed, seen).hand for term in (self._apart, *self._meeting)]
-        meet = np.unique(np.concatenate(pairs))
+        seen = replace(seen, meeting=meeting(self.chain, self.surface, seen, plain.state, frames))
+        return seen, self.made_solid(seen, plain, held)
+
+    def made_solid(
+        self, seen: Observation, plain: Solution, held: Held | None = None, max_iterations: int | None = None
+    ) -> Solution:
+        """Hands without parts that pass through each other, from where they are with; those in which nothing
+        meets stay. On the way to where nothing meets, parts may pass."""
+        posed = self.chain.pose(plain.state)
+        meet = np.unique(np.concatenate([term(posed, seen).hand for term in self._meeting_terms(seen)]))
         if not len(meet):
-            return seen, plain
-        found = self.solve_each(problem.select(meet), state.select(meet))
+            return plain
+        problem = self.problem(seen, held=held, solid=True).select(meet)
+        found = self.solve_each(problem, plain.state.select(meet), max_iterations)
         order = np.arange(len(plain))
         order[meet] = len(plain) + np.arange(len(meet))
-        return seen, Solution.joined([plain, found]).select(order)
+        return Solution.joined([plain, found]).select(order)
+
+    def _meeting_terms(self, seen: Observation) -> tuple[Apart | InFront | Touch, ...]:
+        """Those that couple parts of a hand."""
+        return (self._apart,) if seen.meeting is None else (self._apart, *self._meeting)
 
     def solve_shape(self, seen: Observation) -> np.ndarray:
         """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""

@@ -41,8 +41,8 @@ class Trust:
     """of the network's expected error, x and y"""
     depth_sigma: float = 0.7
     knuckles: float = 2.0
-    """times the network's expected errors, of the fingers' knuckles: in photos, the detector errs more there than
-    in the painted pictures that the network knows"""
+    """times the network's expected errors, of the fingers' knuckles: in photos, the detector errs more there
+    than in the painted pictures that the network knows"""
     floor: float = 0.006
     """expected errors are at least this, of the hand's size in the picture"""
 

@@ -184,12 +184,15 @@ def test_points_of_the_palm_move_it(keypoint: int) -> None:
 
 @pytest.mark.parametrize("keypoint", range(21))
 def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
-    """A pin that is moved by less than any picture shows changes no more than that, near or far; but for a
-    palm that is dragged out of its place altogether, which has several to turn to."""
+    """A pin that is moved by less than any picture shows changes no more than that, near or far; but for what
+    is dragged out of its place altogether: a palm has several to turn to, and a finger that is pressed on
+    another may slip to one side of it or the other."""
     for hand, by in list(ways(keypoint))[keypoint % 3 :: 3]:
         if keypoint in PALM and np.linalg.norm(by) > 0.5 * hand.size:
             continue
         one, other = (hand.dragged(keypoint, by + nudge) for nudge in (0.0, 1e-4))
+        if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, one):
+            continue
         between = distance(one.landmarks_2d, other.landmarks_2d).max()
         assert between < max(1.0, 0.01 * hand.size), (hand.side, by)
 

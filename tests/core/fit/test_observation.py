@@ -62,11 +62,15 @@ def test_expected_errors_scale_with_the_picture_and_have_a_floor() -> None:
     small, twice = landmarked(DETECTIONS, RIGHT, Trust()), landmarked(large, RIGHT, Trust())
     np.testing.assert_allclose(twice.pixel_sigma, 2 * small.pixel_sigma, rtol=1e-4)
     np.testing.assert_allclose(twice.depth_sigma, 2 * small.depth_sigma, rtol=1e-4)
-    floor = Trust(floor=10.0, plane_sigma=0.5, depth_sigma=0.7)
+    floor = Trust(floor=10.0, plane_sigma=0.5, depth_sigma=0.7, knuckles=1.0)
     least = landmarked(DETECTIONS, RIGHT, floor)
     size = canonical(DETECTIONS, RIGHTS).size
     np.testing.assert_allclose(least.pixel_sigma, np.broadcast_to(5.0 * size[:, None, None], (6, 21, 2)))
     np.testing.assert_allclose(least.depth_sigma, np.broadcast_to(7.0 * size[:, None], (6, 21)))
+    knuckles = np.isin(np.arange(21), [5, 9, 13, 17])
+    more = landmarked(DETECTIONS, RIGHT, replace(floor, knuckles=3.0))
+    np.testing.assert_allclose(more.depth_sigma, least.depth_sigma * np.where(knuckles, 3.0, 1.0))
+    np.testing.assert_allclose(more.pixel_sigma[:, ~knuckles], least.pixel_sigma[:, ~knuckles])
 
 
 def test_a_mirrored_picture_is_seen_alike() -> None:
