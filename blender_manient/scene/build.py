@@ -39,6 +39,8 @@ from .store import describe_capture, describe_hand, keep_take, keeping_take, kep
 from .timing import Timing, check_range, set_timing, timing_in
 
 _T = TypeVar("_T")
+_SAME_JOINTS = 1e-3
+"""metres within which two models' joints are the same"""
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ def _steps(
     warnings: list[str] = []
     for track in take.hands:
         loaded = load_model(how.model or take.model, track.side)
-        warnings += _digest_warning(take, loaded)
+        warnings += _digest_warning(take, track, loaded)
         yield None
         models[track.side] = with_wrist(loaded, how.wrist)
         # A model without an edge where a piece of forearm could begin comes back as it is.
@@ -315,7 +317,7 @@ class _Work:
         self._correctives = {
             side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
         }
-        keys = 0.3 * 9 * NUM_JOINTS
+        keys = 0.3 * 9 * (NUM_JOINTS - 1)
         self._all = sum(CURVES + 3 + keys * self._correctives[t.side] for t in take.hands) or 1.0
         self._done = 0.0
 
@@ -395,9 +397,14 @@ def _checked_scene(scene: bpy.types.Scene | None) -> bpy.types.Scene:
     return current
 
 
-def _digest_warning(take: Take, model: HandModel) -> list[str]:
+def _digest_warning(take: Take, track: HandTrack, model: HandModel) -> list[str]:
+    """That the take's hand has other joints than this model: earlier ones may differ in their skin alone."""
     expected = take.model_digests.get(model.side)
     if expected is None or expected == model.digest:
+        return []
+    row = int(np.argmax(track.present))
+    points = model.keypoints(track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row])
+    if np.abs(points - track.joints_3d[row]).max() < _SAME_JOINTS:
         return []
     return [
         f"the {model.side} hand was captured with another version of the hand model {model.name}: "

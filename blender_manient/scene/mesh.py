@@ -1,5 +1,5 @@
 """The hand's mesh: faces, texture coordinates and vertex groups; shape keys that fill out bent
-joints, for models with pose blend shapes (MANO); skin and nails as plain materials that look
+joints, for models with pose blend shapes; skin and nails as plain materials that look
 like a hand in EEVEE, Cycles and Solid shading."""
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import numpy as np
 
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.nails import nail_polygons
-from handfit_core.skeleton import NUM_JOINTS
 
 from ..blender_versions import use_nodes
 from ..rigs.rig import Rig
@@ -34,19 +33,6 @@ _NAILS = {
     "Subsurface Radius": (1.0, 0.45, 0.35),
     "Subsurface Scale": 0.002,
 }
-_LEAST_OFFSET = 1e-6
-"""metres. A key that moves no vertex by more, at a full turn, is left out"""
-
-CORRECTIVE_ELEMENTS = (
-    ((-1, "2*(y*y+z*z)"), (1, "2*(x*y-w*z)"), (1, "2*(x*z+w*y)")),
-    ((1, "2*(x*y+w*z)"), (-1, "2*(x*x+z*z)"), (-1, "2*(w*x-y*z)")),
-    ((1, "2*(x*z-w*y)"), (1, "2*(y*z+w*x)"), (-1, "2*(x*x+y*y)")),
-)
-"""R - I of a unit quaternion (w, x, y, z) as sign times expression, element by element.
-
-The signs make every value that bending towards the palm gives positive, because some programs clamp
-shape keys to 0..1. Blender calls these simple expressions: it evaluates them itself, so they work
-with scripts disabled."""
 
 
 def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy.types.Object:
@@ -121,30 +107,33 @@ def _material(
     return material
 
 
-def adding_correctives(mesh: bpy.types.Object, rig: Rig, offsets: np.ndarray) -> Iterator[int]:
-    """Give the mesh up to 135 shape keys, each driven by one element of one bone's rotation.
+def corrective_names(rig: Rig) -> list[list[str]]:
+    """(15, 9) names of the shape keys that `axes.corrective_offsets` are for: a bone, and a product."""
+    products = [product.replace("*", "") for product in axes.QUATERNION_PRODUCTS]
+    return [[f"{bone} {product}" for product in products] for bone in rig.bones[1:]]
 
-    With them the evaluated mesh is exactly the model's (`HandModel.posed`), under any pose that is set on the
-    bones. `offsets`: `axes.corrective_offsets` (15, 3, 3, V, 3). Yields how many keys each step made: 1, or 0
-    for a joint's elements that are left out.
+
+def adding_correctives(mesh: bpy.types.Object, rig: Rig, offsets: np.ndarray) -> Iterator[int]:
+    """Give the mesh up to 135 shape keys, each driven by one product of one bone's quaternion.
+
+    With them the evaluated mesh is the model's (`HandModel.posed`), under any pose that is set on the
+    bones. `offsets`: `axes.corrective_offsets` (15, 9, V, 3). Yields how many keys each step made: 1, or 0
+    for a product that moves nothing. Blender calls the drivers simple expressions: it evaluates them
+    itself, so they work with scripts disabled.
     """
-    names = rig.bones
     basis = np.empty((len(mesh.data.vertices), 3), dtype=np.float32)
     mesh.data.vertices.foreach_get("co", basis.ravel())
     mesh.shape_key_add(name="Basis", from_mix=False)
-    for joint in range(1, NUM_JOINTS):
-        for row in range(3):
-            for column in range(3):
-                offset = offsets[joint - 1, row, column]
-                if np.abs(offset).max() < _LEAST_OFFSET:
-                    continue
-                key = mesh.shape_key_add(name=f"{names[joint]} {row}{column}", from_mix=False)
-                sign, expression = CORRECTIVE_ELEMENTS[row][column]
-                key.data.foreach_set("co", (basis + sign * offset).astype(np.float32).ravel())
-                key.slider_min, key.slider_max = -1.0, 2.0
-                _drive(key, expression, rig.armature, names[joint])
-                yield 1
-        yield 0
+    for bone, names, of_joint in zip(rig.bones[1:], corrective_names(rig), offsets, strict=True):
+        for name, product, offset in zip(names, axes.QUATERNION_PRODUCTS, of_joint, strict=True):
+            if not offset.any():
+                yield 0
+                continue
+            key = mesh.shape_key_add(name=name, from_mix=False)
+            key.data.foreach_set("co", (basis + offset).astype(np.float32).ravel())
+            key.slider_min, key.slider_max = -1.0, 1.0
+            _drive(key, product, rig.armature, bone)
+            yield 1
 
 
 def _drive(key: bpy.types.ShapeKey, expression: str, armature: bpy.types.Object, bone: str) -> None:

@@ -17,6 +17,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import lru_cache
+from itertools import chain
 from types import SimpleNamespace
 from typing import Any
 
@@ -38,7 +39,7 @@ from ..rigs.rig import Rig
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
-from .mesh import CORRECTIVE_ELEMENTS
+from .mesh import corrective_names
 from .own_scene import object_mode
 from .store import CapturedHand, hand_of
 
@@ -268,7 +269,10 @@ def _reshape_mesh(
         turned = {}
         if model.has_pose_blendshapes:
             change = _offsets(model, rest.frames.tobytes()) - _offsets(old_model, old_rest.frames.tobytes())
-            turned = _by_key_name(change, rig)
+            keys = zip(
+                chain.from_iterable(corrective_names(rig)), change.reshape(-1, *moved.shape), strict=True
+            )
+            turned = dict(keys)
         for key in mesh.shape_keys.key_blocks:
             _move(key.data, moved + turned.get(key.name, 0.0))
     mesh.update()
@@ -278,17 +282,6 @@ def _reshape_mesh(
 def _offsets(model: HandModel, frames: bytes) -> np.ndarray:
     """What one step of a slider ends with, the next one begins with."""
     return axes.corrective_offsets(model, np.frombuffer(frames).reshape(-1, 3, 3))
-
-
-def _by_key_name(offsets: np.ndarray, rig: Rig) -> dict[str, np.ndarray]:
-    """(15, 3, 3, V, 3) offsets -> those of each corrective shape key, with its sign."""
-    names = rig.bones[1:]
-    return {
-        f"{names[joint]} {row}{column}": CORRECTIVE_ELEMENTS[row][column][0] * offsets[joint, row, column]
-        for joint in range(len(names))
-        for row in range(3)
-        for column in range(3)
-    }
 
 
 def _move(points: Any, moved: np.ndarray) -> None:

@@ -149,18 +149,59 @@ def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.
     return global_orient * turn, hand_pose * np.tile(turn, NUM_JOINTS - 1)
 
 
-def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
-    """The pose blend shapes per element of a bone's own rotation: (15, 3, 3, V, 3) metres, rest space.
+QUATERNION_PRODUCTS: Final = ("w*x", "w*y", "w*z", "x*x", "y*y", "z*z", "y*z", "x*z", "x*y")
+"""R of a unit quaternion (w, x, y, z) is I plus the sum of these, each times its matrix of `_OF_PRODUCTS`"""
 
-    MANO adds posedirs * (R - I), with R the joint's rotation in model axes. Drivers see the bone's
-    rotation R_bone = B^T R B instead, B being the bone's axes in the model frame. Since
-    R - I = B (R_bone - I) B^T, the offset of element (k, l) of R_bone - I is the sum over a, b of
-    B[a, k] B[b, l] posedirs[a, b]. Row j is joint j + 1.
+
+def _matrices_of_products() -> np.ndarray:
+    """(9, 3, 3) matrices that sum to R - I, each times its product."""
+    matrices = np.zeros((9, 3, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        matrices[i, k, j], matrices[i, j, k] = 2.0, -2.0
+        matrices[3 + i, j, j] = matrices[3 + i, k, k] = -2.0
+        matrices[6 + i, j, k] = matrices[6 + i, k, j] = 2.0
+    return matrices
+
+
+_OF_PRODUCTS: Final = _matrices_of_products()
+_LEAST_OFFSET: Final = 2e-4
+"""metres, where the product is 1, which most never come near"""
+
+
+def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
+    """The pose blend shapes per product of a bone's own quaternion: (15, 9, V, 3) metres, rest space.
+
+    MANO adds posedirs * (R - I), with R the joint's rotation in model axes. Drivers see the bone's rotation
+    R_bone = B^T R B instead, B being the bone's axes in the model frame, and R_bone - I is the sum of the
+    quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint
+    j + 1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
+
+    Products that move nothing in the mean hand are zero in all others: betas turn bones by half a degree, and
+    a hinge would need all nine for hundredths of a millimetre.
     """
-    basis = REST_FROM_MODEL.T @ frames[1:]  # (15, 3, 3)
-    posedirs = model.posedirs.reshape(-1, 3, NUM_JOINTS - 1, 3, 3)
-    turned = np.einsum("vcjab,jak,jbl->jklvc", posedirs, basis, basis, optimize=True)
-    return points_to_rest(turned)
+    mean = _by_product(model, bone_frames(model.shaped(), model.side))
+    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _LEAST_OFFSET
+    return np.where(used, _by_product(model, frames), 0.0)
+
+
+def _by_product(model: HandModel, frames: np.ndarray) -> np.ndarray:
+    posedirs = model.posedirs.reshape(-1, 3, NUM_JOINTS - 1, 9)
+    offsets = np.einsum("vcje,jpe->jpvc", posedirs, _products_to_elements(frames), optimize=True)
+    return points_to_rest(offsets)
+
+
+def posedirs_of(offsets: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """(V, 3, 135) posedirs from offsets (15, 9, V, 3): the inverse of `corrective_offsets`."""
+    elements = np.linalg.inv(_products_to_elements(frames))
+    posedirs = np.einsum("jpvc,jep->vcje", offsets @ REST_FROM_MODEL, elements, optimize=True)
+    return posedirs.reshape(len(posedirs), 3, -1)
+
+
+def _products_to_elements(frames: np.ndarray) -> np.ndarray:
+    """(15, 9, 9): row p of a joint is B M_p B^T, row by row."""
+    basis = REST_FROM_MODEL.T @ frames[1:]
+    return np.einsum("jak,pkl,jbl->jpab", basis, _OF_PRODUCTS, basis).reshape(NUM_JOINTS - 1, 9, 9)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -83,9 +83,9 @@ class HandModel:
         """(Q, 4) quads where the model has them, else its (F, 3) triangles."""
         return self.faces if self.quads is None else self.quads
 
-    @property
+    @cached_property
     def has_pose_blendshapes(self) -> bool:
-        """Whether posing changes the mesh beyond skinning (MANO: yes, the open hand: no)."""
+        """Whether posing changes the mesh beyond skinning."""
         return bool(np.any(self.posedirs))
 
     @cached_property
@@ -115,8 +115,7 @@ class HandModel:
         transl (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the
         wrist ends at shaped(betas).joints[0] + transl.
         """
-        everything = np.arange(len(self.v_template))
-        vertices, joints = self._skinned(everything, betas, global_orient, hand_pose, transl)
+        vertices, joints = self._skinned(slice(None), betas, global_orient, hand_pose, transl)
         tips = vertices[..., self.tip_vertices, :]
         return PosedHand(vertices, joints, keypoints_from_joints(joints, tips))
 
@@ -129,7 +128,7 @@ class HandModel:
 
     def _skinned(
         self,
-        chosen: np.ndarray,
+        chosen: np.ndarray | slice,
         betas: np.ndarray | None,
         global_orient: np.ndarray,
         hand_pose: np.ndarray,
@@ -142,10 +141,11 @@ class HandModel:
         rotmats = rotations.rotvec_to_rotmat(pose.reshape(*batch, NUM_JOINTS, 3))
         world_rot, world_pos = forward_kinematics(rotmats, shaped.joints)
 
-        vertices = np.broadcast_to(shaped.vertices[chosen], (*batch, len(chosen), 3))
+        vertices = shaped.vertices[chosen]
+        vertices = np.broadcast_to(vertices, (*batch, *vertices.shape))
         if self.has_pose_blendshapes:
             feature = (rotmats[..., 1:, :, :] - np.eye(3)).reshape(*batch, 135)
-            vertices = vertices + np.einsum("vcp,...p->...vc", self.posedirs[chosen], feature)
+            vertices = vertices + np.tensordot(feature, self.posedirs[chosen], (-1, -1))
         offsets = world_pos - np.einsum("...jab,jb->...ja", world_rot, shaped.joints)
         weights = self.weights[chosen]
         skin_rot = np.einsum("vj,...jab->...vab", weights, world_rot)

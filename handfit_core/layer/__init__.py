@@ -70,6 +70,8 @@ class HandLayer(torch.nn.Module):
         super().__init__()
         self.model = model
         self.has_pose_blendshapes = model.has_pose_blendshapes
+        # The open hand's leave its fingertips alone.
+        self._tips_have_blendshapes = bool(model.posedirs[model.tip_vertices].any())
         count = len(model.v_template)
         joints = model.joint_regressor @ model.v_template  # (16, 3)
         joint_dirs = np.einsum("jv,vcb->jcb", model.joint_regressor, model.shapedirs)  # (16, 3, 10)
@@ -104,14 +106,15 @@ class HandLayer(torch.nn.Module):
             rest_feature = np.einsum("vcjaa->vc", per_joint)  # what R = I would add
             arrays["_posedirs"] = posedirs.reshape(3 * count, 240).T  # (240, 3V)
             arrays["_v_template"] = arrays["_v_template"] - rest_feature.reshape(-1)
-            arrays["_tip_posedirs"] = posedirs[tips].reshape(15, 240).T  # (240, 15)
-            tip_map = np.zeros((NUM_JOINTS + 5, NUM_JOINTS, 4, 5, 3))
-            for tip in range(5):
-                for axis in range(3):
-                    tip_map[NUM_JOINTS + tip, :, axis, tip, axis] = tip_weights[tip]
-            tip_rows = _points(tip_map.reshape(NUM_JOINTS + 5, NUM_JOINTS, 4, 15))
-            arrays["_point_base"] = arrays["_point_base"] - tip_rows @ rest_feature[tips].reshape(-1)
-            arrays["_point_map"] = np.concatenate([arrays["_point_map"], tip_rows.T])
+            if self._tips_have_blendshapes:
+                arrays["_tip_posedirs"] = posedirs[tips].reshape(15, 240).T  # (240, 15)
+                tip_map = np.zeros((NUM_JOINTS + 5, NUM_JOINTS, 4, 5, 3))
+                for tip in range(5):
+                    for axis in range(3):
+                        tip_map[NUM_JOINTS + tip, :, axis, tip, axis] = tip_weights[tip]
+                tip_rows = _points(tip_map.reshape(NUM_JOINTS + 5, NUM_JOINTS, 4, 15))
+                arrays["_point_base"] = arrays["_point_base"] - tip_rows @ rest_feature[tips].reshape(-1)
+                arrays["_point_map"] = np.concatenate([arrays["_point_map"], tip_rows.T])
         for name, array in arrays.items():
             tensor = torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
             self.register_buffer(name, tensor, persistent=False)
@@ -176,7 +179,7 @@ class HandLayer(torch.nn.Module):
         local = self._local_transforms(betas, global_orient, hand_pose)
         world = _chained(local)
         weighing = betas
-        if self.has_pose_blendshapes:
+        if self._tips_have_blendshapes:
             weighing = torch.cat([betas, local[:, 1:].reshape(batch, 240) @ self._tip_posedirs], dim=1)
         points = torch.addmm(self._point_base, weighing, self._point_map).reshape(batch, 21, 64)
         keypoints = torch.bmm(points, world)

@@ -367,16 +367,15 @@ def test_other_hands_and_objects_are_no_business_of_it(make_take):
     assert reshape.is_current(bpy.context.object)
 
 
-@pytest.mark.parametrize("with_correctives", [False, True])
-def test_the_forearm_can_be_hidden(make_take, with_correctives):
+@pytest.mark.parametrize("with_own_key", [False, True])
+def test_the_forearm_can_be_hidden(make_take, with_own_key):
     """Hidden, a cap closes the wrist in the same vertices; shown again, all is
     as it was."""
     made = make_take(sides=("right",))
     (hand,) = build_take(made.take).hands
     assert "forearm" in drawn(MANIENT_PT_shape).said
-    if with_correctives:  # shape keys are moved along
-        hand.mesh.shape_key_add(name="Basis")
-        hand.mesh.shape_key_add(name="mine").value = 1.0
+    if with_own_key:  # it is moved along, as the correctives are
+        hand.mesh.shape_key_add(name="mine", from_mix=False).value = 1.0
     before = evaluated_vertices(hand.mesh)
     plain = load_model("open-hand", "right")
     count = len(plain.v_template)
@@ -387,14 +386,14 @@ def test_the_forearm_can_be_hidden(make_take, with_correctives):
         track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row]
     )
     bpy.context.scene.frame_set(frame)
-    np.testing.assert_allclose(evaluated_vertices(hand.mesh), world(cap.vertices), atol=1e-5)
+    np.testing.assert_allclose(evaluated_vertices(hand.mesh), world(cap.vertices), atol=5e-5)
     hand.armature.manient.betas = BETAS  # the shape of what is shown now
     hand.armature.manient.betas = track.betas
-    np.testing.assert_allclose(evaluated_vertices(hand.mesh), world(cap.vertices), atol=1e-5)
+    np.testing.assert_allclose(evaluated_vertices(hand.mesh), world(cap.vertices), atol=5e-5)
     hand.armature.manient.forearm = True
     np.testing.assert_allclose(evaluated_vertices(hand.mesh), before, atol=1e-5)
     assert np.abs(before[count:] - world(cap.vertices)[count:]).max() > 0.04
-    np.testing.assert_allclose(before[:count], world(cap.vertices)[:count], atol=1e-5)
+    np.testing.assert_allclose(before[:count], world(cap.vertices)[:count], atol=5e-5)
 
 
 def test_hands_with_an_open_wrist_stay_open(make_take):
