@@ -3,8 +3,8 @@
 
     python scripts/side_view.py before=A.take.npz after=B.take.npz -o view.webp --frames 165-230
 
-Runs where bpy and OpenCV are installed. Each take is seen from a place of its own that does not move, as far to
-the side of its hands as `--turned` says; the line goes through where the wrist is on average.
+Runs where bpy and OpenCV are installed. Each take is seen from a place of its own that does not move, as far
+to the side of its hands as `--turned` says; the line goes through where the wrist is on average.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from handfit_core.take import Take
 
 _AROUND: Final = 0.18
 """metres from the hands' middle to the edge of what is shown"""
+_LONGEST: Final = 720
+"""pixels of what is rendered"""
 _QUALITY: Final = 60
 """of WebP, 1 to 100"""
 
@@ -41,7 +43,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="VIEW.webp")
     parser.add_argument("--frames", required=True, metavar="FIRST-LAST", help="of the clip")
     parser.add_argument("--every", type=int, default=2, metavar="N", help="so many frames on (default: 2)")
-    parser.add_argument("--turned", type=float, default=75.0, metavar="DEG", help="to the right (default: 75)")
+    parser.add_argument(
+        "--turned", type=float, default=75.0, metavar="DEG", help="to the right (default: 75)"
+    )
     parser.add_argument("--size", type=int, default=320, metavar="PX", help="of each take (default: 320)")
     args = parser.parse_args(argv)
     if importlib.util.find_spec("bpy") is None:
@@ -79,8 +83,9 @@ def _cells(take: Take, name: str, frames: Sequence[int], degrees: float, side: i
     rows = np.searchsorted(take.frame_numbers, frames)
     joints = np.concatenate([t.joints_3d[rows[t.present[rows]]] for t in take.hands])
     middle = joints.mean(axis=(0, 1))
-    wrist = rotvec_to_rotmat(np.array([0.0, np.radians(degrees), 0.0])) @ (joints[:, 0].mean(axis=0) - middle)
-    views = turned_rows(built, take, frames, degrees, still=True)
+    turn = rotvec_to_rotmat(np.array([0.0, np.radians(degrees), 0.0]))
+    wrist = turn @ (joints[:, 0].mean(axis=0) - middle)
+    views = turned_rows(built, take, frames, degrees, still=True, longest=_LONGEST)
     scale = views[0].shape[0] / take.height
     x, y = scale * take.intrinsics.project(middle[None])[0]
     half = scale * _AROUND * take.intrinsics.fx / middle[2]

@@ -87,13 +87,19 @@ def preview_rows(
 
 
 def turned_rows(
-    built: BuiltTake, take: Take, frames: Sequence[int], degrees: float, *, still: bool = False
+    built: BuiltTake,
+    take: Take,
+    frames: Sequence[int],
+    degrees: float,
+    *,
+    still: bool = False,
+    longest: int = LONGEST_SIDE,
 ) -> list[np.ndarray]:
     """The hands of several frames alone, from the camera after it went round them by `degrees` to its right:
     rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows.
 
-    `still`: one place for all frames, so that what moves in the rows is the hands."""
-    scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
+    `still`: one place for all frames, so that what moves in the rows is the hands. `longest`: pixels of a view's longer side."""
+    scale = min(1.0, longest / max(take.width, take.height))
     views = []
     for frame in frames:
         camera = _turned_camera(built, take, frames if still else [frame], degrees)
@@ -105,9 +111,7 @@ def turned_rows(
     return views
 
 
-def _turned_camera(
-    built: BuiltTake, take: Take, frames: Sequence[int], degrees: float
-) -> bpy.types.Object:
+def _turned_camera(built: BuiltTake, take: Take, frames: Sequence[int], degrees: float) -> bpy.types.Object:
     rows = np.searchsorted(take.frame_numbers, frames)
     joints = [track.joints_3d[row] for row in rows for track in take.hands if track.present[row]]
     centre = Vector(axes.points_to_world(np.concatenate(joints).mean(axis=0)).tolist())
