@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _cells(take: Take, name: str, frames: Sequence[int], degrees: float, side: int) -> list[np.ndarray]:
-    """(side, side, 3) uint8 BGR of each frame: what lies around the hands' middle, of the same size in all."""
+    """(side, side, 3) uint8 BGR of each frame: what lies around the hands' middle, of one size in all."""
     import bpy
 
     from blender_manient.scene.build import build_take

@@ -98,7 +98,8 @@ def turned_rows(
     """The hands of several frames alone, from the camera after it went round them by `degrees` to its right:
     rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows.
 
-    `still`: one place for all frames, so that what moves in the rows is the hands. `longest`: pixels of a view's longer side."""
+    `still`: one place for all frames, so that what moves in the rows is the hands. `longest`: pixels of a
+    view's longer side."""
     scale = min(1.0, longest / max(take.width, take.height))
     views = []
     for frame in frames:
