@@ -9,6 +9,7 @@ import numpy as np
 
 from handfit_core.batch import spread
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.edit.handles import touching_pair
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
@@ -67,6 +68,9 @@ class RefineHand:
     """Rows after which the source lacks pictures: nothing is smoothed across"""
     added: bool = False
     """Whether a person laid it into the picture: its pose is a guess until pins say how it lies"""
+    touches: np.ndarray | None = None
+    """(T, 21) which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
+    for the palm, wherever it is nearest. NaN: none; None: none does"""
 
     def __post_init__(self) -> None:
         if self.side not in SIDES:
@@ -96,6 +100,16 @@ class RefineHand:
         if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
             raise OptionError(f"fps must lie between {SMALLEST_FPS:g} and {LARGEST_FPS:g}, not {self.fps}")
         OPTIONS["smoothing"].read(self.smoothing)
+        if self.touches is not None:
+            touches = np.asarray(self.touches)
+            if touches.shape != (count, NUM_KEYPOINTS) or touches.dtype.kind not in "fiu":
+                raise OptionError(f"touches must be numbers of the shape {(count, NUM_KEYPOINTS)}")
+            for row, point in np.argwhere(~np.isnan(touches)).tolist():
+                other = touches[row, point]
+                if not (other < point and touching_pair(point, int(other))[1] == other):
+                    raise OptionError(
+                        f"touches: keypoint {point} must name a smaller one or NaN, not {other:g}"
+                    )
         for row, detection in enumerate(self.detections):
             if detection is None:
                 continue
@@ -124,6 +138,13 @@ class RefineHand:
     def pinned(self) -> np.ndarray:
         """(T, 21) bool."""
         return np.asarray(np.isfinite(self.pins).all(axis=-1))
+
+    @property
+    def touching(self) -> np.ndarray:
+        """(T,) bool: frames in which points touch."""
+        if self.touches is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.touches).any(axis=1))
 
     @property
     def keypoints_2d(self) -> np.ndarray:

@@ -34,7 +34,7 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
 
     Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
     (whether the detector named this side), NaN rows where there is none; `overlapped` (T, 21) bool where a
-    detection has it.
+    detection has it; `touches` (T, 21) where points do.
     """
     count, there = len(hand), hand.detected
     found = [d for d in hand.detections if d is not None]
@@ -58,12 +58,13 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         "score": pack(spread([d.score for d in found], there, count).astype(np.float32)),
         "agrees": pack(spread([d.side == hand.side for d in found], there, count, True)),
         **({"overlapped": pack(spread(overlapped, there, count, False))} if np.any(overlapped) else {}),
+        **({"touches": pack(np.asarray(hand.touches, dtype=np.float64))} if hand.touches is not None else {}),
     }
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
-    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees` and `overlapped`
-    may be missing.
+    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees`, `overlapped` and
+    `touches` may be missing.
 
     Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
     shape or range; both name it.
@@ -122,6 +123,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
             smoothing=number("smoothing", message.get("smoothing", CaptureOptions.smoothing)),
             holes=tuple(whole("holes", int(n) if n.is_integer() else n) for n in holes),
             added=added,
+            touches=_array(message, "touches") if "touches" in message else None,
         )
     except Unfit as error:
         raise ProtocolError(f"refit: {error}") from error

@@ -26,7 +26,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.data import HandModel
-from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, Side
+from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
 from handfit_core.solvers import ShouldStop
 
 LOOSE: Final = 4.0
@@ -66,7 +66,12 @@ def each(
         state = freely_posed(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
         for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
             pose[name][row] = values[0]
-    rows = np.flatnonzero(np.where(posed, hand.pinned.any(axis=1) & ~free, hand.detected))
+    if free[hand.touching].any():
+        # Where their pins put them, they are hands like others.
+        hand = replace(hand, **pose)
+        posed, points = _posed(hand, model)
+    corrected = (hand.pinned.any(axis=1) & ~free) | hand.touching
+    rows = np.flatnonzero(np.where(posed, corrected, hand.detected))
     if not len(rows):
         return _with_held(hand, held, pose)
     detected = _detected(hand, rows)
@@ -80,7 +85,7 @@ def each(
             near = _start(fitter, hand, guess, there, observed, at).where(there, own)
         frames = _Frames(
             fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
-            seen.select(part), detected.select(part), own, near,
+            seen.select(part), detected.select(part), own, near, _touches(hand, at),
         )  # fmt: skip
         state, held[at] = frames.corrected()
         for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
@@ -108,11 +113,13 @@ class _Frames(Batch):
     """That pose, or a relaxed hand"""
     near: State | None
     """Where a draft begins; None: this is no draft"""
+    touches: np.ndarray | None
+    """(B, 21) as in `RefineHand`"""
 
     def corrected(self) -> tuple[State, np.ndarray]:
         """Their poses, and which joints (B, 16) bool have not moved."""
         state, held = self.own, self.locked | self.posed[:, None]
-        alone = np.flatnonzero(self.posed & ~pinning.unpinned(self.pins).all(axis=1))
+        alone = np.flatnonzero(self.posed & ~self._idle.all(axis=1))
         if len(alone):
             some = self.select(alone)
             found, held[alone] = some._fingers_alone()
@@ -127,18 +134,45 @@ class _Frames(Batch):
             state = _put(state, palm, found)
         return state, held
 
+    @property
+    def _touching(self) -> np.ndarray:
+        """(B, 5) bool: fingers with points beyond the palm that touch or are touched."""
+        fingers = np.zeros((len(self), 5), dtype=bool)
+        if self.touches is not None:
+            row, point = np.nonzero(np.isfinite(self.touches))
+            for points in (point, self.touches[row, point].astype(int)):
+                at = ~np.isin(points, PALM_KEYPOINTS)
+                fingers[row[at], (points[at] - 1) // 4] = True
+        return fingers
+
+    @property
+    def _idle(self) -> np.ndarray:
+        """(B, 5) bool: fingers that neither pins nor touches move by themselves."""
+        return pinning.unpinned(self.pins) & ~self._touching
+
     def _fingers_alone(self) -> tuple[State, np.ndarray]:
-        """Fingers with pins beyond their knuckles go for these; all else is held."""
+        """Fingers with pins beyond their knuckles go for these, and those that touch for each other; all else
+        is held."""
         pins = pinning.of_fingers(self.pins)
-        doubt = pinning.followed(pinning.displacement(pins, self.seen.pixels))
-        seen = pinning.pinned(pinning.forgetting(self.seen, self.detected, doubt), pins, doubt)
-        held = self.locked | _joints(np.ones(len(pins), dtype=bool), pinning.unpinned(pins))
+        displaced = pinning.displacement(pins, self.seen.pixels)
+        seen = pinning.forgetting(self.seen, self.detected, pinning.followed(displaced))
+        doubt = pinning.followed(
+            _drawn_together(self.fitter, self.intrinsics, self.own, self.touches, displaced)
+        )
+        seen = pinning.pinned(seen, pins, doubt)
+        held = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
         anywhere = np.full(len(pins), np.inf)
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
         seen = replace(seen, pinned=None)
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
         found = self._solved(seen, self.own, anywhere, doubt, held, [start])
         if self.near is None:
+            together = self._touching.any(axis=1)
+            if together.sum() > 1:
+                # Frames that touch for the same reason do so in the same way.
+                bends = np.median((found.angles - self.own.angles)[together], axis=0)
+                start = replace(self.own, angles=self.own.angles + bends * together[:, None, None])
+                found = self._solved(seen, self.own, anywhere, doubt, held, [start])
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
             short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
             if len(short):
@@ -163,11 +197,12 @@ class _Frames(Batch):
     def _palm_follows(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
         """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
         (B, 21) pixels."""
-        doubt, size = pinning.followed(left), pinning.sizes(seen.pixels)
+        size = pinning.sizes(seen.pixels)
+        doubt = pinning.followed(_drawn_together(self.fitter, self.intrinsics, reached, self.touches, left))
         forget = pinning.followed(pinning.of_palm(left))
         far = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
         aim = pinning.pinned(pinning.forgetting(seen, self.detected, forget), self.pins, doubt)
-        still = pinning.untouched(doubt) & pinning.unpinned(self.pins)
+        still = pinning.untouched(doubt) & self._idle
         held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
         # A finger draws the hand along as it is; wrist and knuckles rather turn it.
         starts = [self._shifted(reached, seen.pixels)]
@@ -206,16 +241,17 @@ class _Frames(Batch):
         limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
         near = Kept(kept.wrist, far, kept.angles, turned, limits)
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
-        observed = replace(observed, kept=near)
+        observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
 
 def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, over time. Those with pins are found twice: without them, which tells how
-    far away the wrist is, and with them."""
+    """Poses (T rows) of all frames, over time. Those with pins or touches are found twice: without, which
+    tells how far away the wrist is, and with them."""
     pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
     posed, points = _posed(hand, model)
-    rows = np.flatnonzero(hand.detected | (posed & hand.pinned.any(axis=1)))
+    told = hand.pinned.any(axis=1) | hand.touching
+    rows = np.flatnonzero(hand.detected | (posed & told))
     if not len(rows):
         return pose
     keep = pinning.kept(points[rows], hand.intrinsics)
@@ -243,9 +279,9 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     observed, solution = fitter.solve_solid(observed, Solution.joined(parts), rows, held)
     alone = solution.state
     frames, state = smoothly(observed, alone)
-    if hand.pinned[rows].any():
+    if told[rows].any():
         plain = state.select(np.searchsorted(frames, rows))
-        pinned, touched = _corrected(hand, seen, rows, plain)
+        pinned, touched = _corrected(fitter, hand, seen, rows, plain)
         observed = replace(pinned, meeting=observed.meeting)
         corrected = [alone]
         for at, _ in _chunks(touched):
@@ -263,17 +299,49 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
 
 
 def _corrected(
-    hand: RefineHand, seen: Landmarked, rows: np.ndarray, plain: State
+    fitter: FastFitter, hand: RefineHand, seen: Landmarked, rows: np.ndarray, plain: State
 ) -> tuple[Observation, np.ndarray]:
-    """What is seen of those frames with their pins, and which of them that touches. Distances are kept as
-    they are without pins, in `plain`."""
-    pins, size = hand.pins[rows], pinning.sizes(seen.pixels)
-    displaced = pinning.over_time(pinning.displacement(pins, seen.pixels), rows, hand.fps)
+    """What is seen of those frames with their pins and touches, and which of them that changes. Distances are
+    kept as they are without these, in `plain`."""
+    pins, size, touches = hand.pins[rows], pinning.sizes(seen.pixels), _touches(hand, rows)
+    displaced = pinning.displacement(pins, seen.pixels)
+    displaced = _drawn_together(fitter, hand.intrinsics, plain, touches, displaced)
+    displaced = pinning.over_time(displaced, rows, hand.fps)
     doubt = pinning.followed(displaced)
-    touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1)
+    touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
     kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
     observed = observation_of(pinning.pinned(seen, pins, doubt), hand.intrinsics)
-    return replace(observed, kept=kept), np.flatnonzero(touched)
+    return replace(observed, kept=kept, touches=touches), np.flatnonzero(touched)
+
+
+def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
+    """(N, 21) those frames' touches; None where there are none, as most often."""
+    return None if hand.touches is None or not hand.touching[rows].any() else np.asarray(hand.touches)[rows]
+
+
+def _drawn_together(
+    fitter: FastFitter,
+    intrinsics: Intrinsics,
+    state: State,
+    touches: np.ndarray | None,
+    displaced: np.ndarray,
+) -> np.ndarray:
+    """(B, 21) pixels by which pins displace points, with those by which touches (B, 21) do: a finger goes by
+    as much as they are apart, or the other finger has to. The palm does not."""
+    if touches is None:
+        return displaced
+    row, point = np.nonzero(np.isfinite(touches))
+    other = touches[row, point].astype(int)
+    capsules = fitter.surface.capsules(fitter.chain.pose(state))
+    gap = np.abs(fitter.surface.gaps_at(capsules, row, np.stack([point, other], axis=1)).gap)
+    gap *= 0.5 * (intrinsics.fx + intrinsics.fy) / state.wrist[row, 2]
+    most = pinning.followed(displaced)
+    most = gap + np.maximum(most[row, point], np.where(other > 0, most[row, other], 0.0))
+    drawn = displaced.copy()
+    for points in (point, other):
+        at = ~np.isin(points, PALM_KEYPOINTS)
+        np.maximum.at(drawn, (row[at], points[at]), most[at])
+    return drawn
 
 
 def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -113,7 +113,7 @@ class FastFitter:
         self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
         self.surface = surface_of(model)
         self._apart = Apart(self.surface)
-        self._meeting = (InFront(self.surface), Touch(self.surface))
+        self._in_front, self._touch = InFront(self.surface), Touch(self.surface)
         self._betas, self._length_rates = np.zeros(NUM_BETAS), None
         if hand_length is not None:
             self._betas = betas_of_measured(model, hand_length)
@@ -185,7 +185,9 @@ class FastFitter:
 
     def _meeting_terms(self, seen: Observation) -> tuple[Apart | InFront | Touch, ...]:
         """Those that couple parts of a hand."""
-        return (self._apart,) if seen.meeting is None else (self._apart, *self._meeting)
+        in_front = () if seen.meeting is None else (self._in_front,)
+        touch = () if seen.meeting is None and seen.touches is None else (self._touch,)
+        return (self._apart, *in_front, *touch)
 
     def solve_shape(self, seen: Observation) -> np.ndarray:
         """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""

@@ -67,6 +67,8 @@ class Observation(Landmarked):
     """Poses that the hands are to stay near; None: there are none"""
     meeting: Meeting | None = None
     """Where their parts meet; None: nobody has asked"""
+    touches: np.ndarray | None = None
+    """(B, 21) which other keypoint each one touches for certain, 0 being the palm; NaN, or None: none"""
 
 
 def observation_of(seen: Landmarked, intrinsics: Intrinsics) -> Observation:

@@ -56,6 +56,14 @@ class Capsules:
     """(B, P) metres, 0 or less: gaps of `PAIRS` in the flat hand, where fingers side by side grow out of
     the palm. So much does not count"""
 
+    def of(
+        self, hand: np.ndarray, bones: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Ends (K, 2, 3) and radii (K, 2) of first bones, then of second ones, for bones (K, 2) of hands
+        (K,)."""
+        a, b = bones.T
+        return self.ends[hand, a], self.radii[hand, a], self.ends[hand, b], self.radii[hand, b]
+
 
 @dataclass(frozen=True, eq=False)
 class Near:
@@ -63,19 +71,14 @@ class Near:
 
     hand: np.ndarray
     """(K,) rows of the batch"""
-    pair: np.ndarray
-    """(K,) which of `PAIRS`"""
+    bones: np.ndarray
+    """(K, 2) the parts"""
     places: np.ndarray
     """(K, 2, 3) metres, on the two axes: centres of the spheres that are nearest"""
     towards: np.ndarray
     """(K, 3) unit vectors from the second's to the first's"""
     gap: np.ndarray
     """(K,) metres between the skins; negative where they overlap"""
-
-    @property
-    def bones(self) -> np.ndarray:
-        """(K, 2)"""
-        return PAIRS[self.pair]
 
 
 class Surface:
@@ -143,14 +146,34 @@ class Surface:
     def gaps(self, capsules: Capsules, hand: np.ndarray, pair: np.ndarray) -> Near:
         """Those pairs (K,), as numbered in `PAIRS`, of those hands (K,), however far they are apart."""
         if not len(hand):
-            return Near(hand, pair, np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0))
-        ends, radii = capsules.ends, capsules.radii
-        a, b = PAIRS[pair].T
-        parts = ends[hand, a], radii[hand, a], ends[hand, b], radii[hand, b]
+            return Near(hand, PAIRS[pair], np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0))
+        parts = capsules.of(hand, PAIRS[pair])
         places, gap = gaps_along(*parts, _nearest(*parts))
-        towards = places[:, 0] - places[:, 1]
-        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-        return Near(hand, pair, places, towards, gap - capsules.grown[hand, pair])
+        return Near(hand, PAIRS[pair], places, _towards(places), gap - capsules.grown[hand, pair])
+
+    def gaps_at(self, capsules: Capsules, hand: np.ndarray, points: np.ndarray) -> Near:
+        """The same of two keypoints (K, 2) of those hands: the spheres around joints and in fingertips. 0, as
+        the second, is the palm, wherever it is nearest."""
+        level = (points - 1) % 4
+        bones, along = 3 * ((points - 1) // 4) + np.minimum(level, 2), (level == 3) * 1.0
+        palm = points[:, 1] == 0
+        least = np.full(len(hand), np.inf)
+        best, places = bones.copy(), np.empty((len(hand), 2, 3))
+        for metacarpal in range(PALM, NUM_BONES) if palm.any() else (PALM,):
+            bones[palm, 1] = metacarpal
+            ends_a, _, ends_b, radii_b = parts = capsules.of(hand, bones)
+            centre = ends_a[:, 0] + along[:, :1] * (ends_a[:, 1] - ends_a[:, 0])
+            along[palm, 1] = _Axis.of(ends_b, radii_b).nearest(centre)[palm]
+            there, gap = gaps_along(*parts, along)
+            nearer = gap < least
+            least[nearer], best[nearer], places[nearer] = gap[nearer], bones[nearer], there[nearer]
+        return Near(hand, best, places, _towards(places), least)
+
+
+def _towards(places: np.ndarray) -> np.ndarray:
+    """(K, 3) unit vectors from the second of places (K, 2, 3) to the first."""
+    towards = places[:, 0] - places[:, 1]
+    return towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
 
 
 @lru_cache(maxsize=8)

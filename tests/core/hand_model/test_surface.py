@@ -45,7 +45,7 @@ def test_far_pairs_are_left_out_and_no_near_one_is(surface: Surface) -> None:
     overlapping = every.gap < 0.0
     assert 0.02 < overlapping.mean() < 0.98
     assert np.array_equal(every.hand[overlapping], some.hand)
-    assert np.array_equal(every.pair[overlapping], some.pair)
+    assert np.array_equal(every.bones[overlapping], some.bones)
     assert np.allclose(every.gap[overlapping], some.gap)
     deepest = [-min(some.gap[some.hand == row], default=0.0) for row in range(20)]
     assert np.allclose(surface.depths(capsules), deepest)
