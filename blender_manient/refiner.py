@@ -13,8 +13,8 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
-from handfit_core.edit import RefineHand, landmark_points, result_from_message, to_message
-from handfit_core.edit.corrections import Pins, changed_quats
+from handfit_core.edit import RefineHand, gaps_between, landmark_points, result_from_message, to_message
+from handfit_core.edit.corrections import Pins, Touches, changed_quats
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.kept import kept_model
@@ -118,8 +118,12 @@ class Refiner:
         """The pins of a row. Raises TakeError where corrections cannot be read."""
         return corrections.corrections_of(self.armature).pins(self.source_frame(row))
 
+    def touches(self, row: int) -> Touches:
+        """The touches of a row. Raises TakeError where corrections cannot be read."""
+        return corrections.corrections_of(self.armature).touching(self.source_frame(row))
+
     def is_corrected(self, row: int) -> bool:
-        """Whether the row was re-fitted with pins."""
+        """Whether the row was re-fitted with pins or touches."""
         return self.source_frame(row) in corrections.corrections_of(self.armature).corrected
 
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
@@ -164,20 +168,27 @@ class Refiner:
         poses: BonePoses,
         mode: Literal["each", "draft", "range"] = "each",
         smoothing: float = CaptureOptions.smoothing,
+        touches: Sequence[Touches] | None = None,
     ) -> Callable[[], dict[str, Any]]:
         """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
+        `touches`: None for those that are kept.
 
         The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
         """
         shaped, rest, betas = self.shaped(), self.hand.rig.rest, self.hand.betas
         locked = np.array(self.armature.manient.locked, dtype=bool)
         rows = list(rows)
+        touching = [self.touches(row) for row in rows] if touches is None else touches
 
         def fields() -> dict[str, Any]:
             places = np.full((len(rows), NUM_KEYPOINTS, 2), np.nan)
             for at, pinned in enumerate(pins):
                 for keypoint, place in pinned.items():
                     places[at, keypoint] = place
+            others = np.full((len(rows), NUM_KEYPOINTS), np.nan)
+            for at, touched in enumerate(touching):
+                for keypoint, other in touched.items():
+                    others[at, keypoint] = other
             start = rest.from_bones(shaped, poses.quats, poses.locations)
             step, holes = _steps(np.asarray(self.take.frame_numbers), rows)
             hand = RefineHand(
@@ -195,6 +206,7 @@ class Refiner:
                 smoothing=smoothing,
                 holes=holes,
                 added=self.track.added,
+                touches=others if np.isfinite(others).any() else None,
             )
             return {"mode": mode, "hand": to_message(hand)}
 
@@ -212,11 +224,18 @@ class Refiner:
         )
         return BonePoses(quats, locations, result.landmarks_2d)
 
+    def gaps(self, poses: BonePoses, pair: tuple[int, int]) -> np.ndarray:
+        """(N,) metres between the skins at two points that can touch; NaN where there is no hand."""
+        shaped, there = self.shaped(), poses.present
+        gaps = np.full(len(there), np.nan)
+        _, pose, _ = self.hand.rig.from_bones(shaped, poses.quats[there], poses.locations[there])
+        gaps[there] = gaps_between(self.model, self.hand.betas, pose, pair)
+        return gaps
+
     def correct(self, row: int, pins: Pins, poses: BonePoses, spread: float) -> None:
         """Put the one re-fitted pose into the keys, and let it fade out over `spread` frames."""
-        corrections.correct_frame(
-            self.armature, self.source_frame(row), pins, poses.quats[0], poses.locations[0], spread
-        )
+        frames = [self.source_frame(row)]
+        corrections.correct_frames(self.armature, frames, poses.quats, poses.locations, spread, pins=[pins])
 
     def unpin(self, row: int) -> None:
         """Free all pins of a row: its pose becomes what it was before them."""

@@ -67,6 +67,15 @@ INDEX_KNUCKLE_KEYPOINT: Final = 5
 PALM_KEYPOINTS: Final = (0, 1, 5, 9, 13, 17)
 TIP_KEYPOINTS: Final = (4, 8, 12, 16, 20)
 
+
+def can_touch(point: int, other: int) -> bool:
+    """Whether a keypoint can be brought to a smaller one, 0 being the whole palm: one of them bends, and they
+    are not of one finger."""
+    same_finger = other > 0 and (point - 1) // 4 == (other - 1) // 4
+    bends = not {point, other} <= set(PALM_KEYPOINTS)
+    return 0 <= other < point < NUM_KEYPOINTS and bends and not same_finger
+
+
 KEYPOINT_SOURCE: Final = (
     0,
     *(index for i, finger in enumerate(FINGERS) for index in (*FINGER_JOINTS[finger], NUM_JOINTS + i)),

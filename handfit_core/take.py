@@ -23,7 +23,7 @@ from handfit_core.errors import OptionError, TakeError
 from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import SOURCE_KINDS, Source
-from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side, other_side
+from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side, can_touch, other_side
 from handfit_core.slices import result_of
 
 FORMAT_NAME = "handfit-take"
@@ -82,6 +82,7 @@ _ARRAYS: Final[dict[str, _Array]] = {
     "other_side": _Array(kind="b", optional=True),
     "overlapped": _Array((21,), kind="b", optional=True),
     "placed": _Array((21, 2), finite="none", optional=True),
+    "touches": _Array((21,), finite="none", optional=True),
 }
 """A hand's arrays in a take's file, by the names of HandTrack's fields"""
 
@@ -90,9 +91,9 @@ _ARRAYS: Final[dict[str, _Array]] = {
 class HandTrack:
     """One hand over a take's T frames.
 
-    Float arrays but `placed` hold NaN in the frames where neither `detected` nor `filled` is True; what the
-    detector found (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`, `world_landmarks`,
-    `right_side`), and `expected_error`, also where only `filled` is.
+    Float arrays but `placed` and `touches` hold NaN in the frames where neither `detected` nor `filled` is
+    True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`,
+    `world_landmarks`, `right_side`), and `expected_error`, also where only `filled` is.
 
     Model parameters are MANO's: axis-angle in radians relative to the flat hand (hands_mean is not
     added), root rotation about the wrist joint, camera frame (x right, y down, z forward), metres.
@@ -137,6 +138,9 @@ class HandTrack:
     """(T, 21) bool: keypoints that lie where another hand is, and are believed less; None: none do"""
     placed: np.ndarray | None = None
     """(T, 21, 2) pixels: where a person has put points; NaN: not a person's; None: none is"""
+    touches: np.ndarray | None = None
+    """(T, 21) the keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands
+    for the palm; NaN: none; None: none does"""
 
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
@@ -150,6 +154,13 @@ class HandTrack:
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
+        if self.touches is not None:
+            for row, point in np.argwhere(~np.isnan(self.touches)).tolist():
+                other = float(self.touches[row, point])
+                if not (other.is_integer() and can_touch(point, int(other))):
+                    raise TakeError(
+                        f"the {self.side} hand's touches must name smaller points of other fingers"
+                    )
 
     def _check_array(self, name: str, expected: _Array, count: int) -> None:
         array = np.asarray(getattr(self, name))

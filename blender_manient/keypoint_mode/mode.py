@@ -298,7 +298,7 @@ class KeypointMode:
                     self._solved_in = float(done.get("seconds", 0.0))
                     self._show(context, drag, self.refiner.poses(done))
             if not drag.request and drag.moved and drag.waiting:
-                if drag.place is None and not drag.pins:
+                if drag.place is None and not self._held(drag):
                     self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
                 else:
                     self._send(drag)
@@ -358,10 +358,14 @@ class KeypointMode:
         drag.drawn = drag.sent is drag.place
         self._redraw(context)
 
+    def _held(self, drag: _Drag) -> bool:
+        """Whether anything holds the frame's hand: pins, or points that touch."""
+        return bool(drag.pins or self.refiner.touches(drag.row))
+
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
         """Write the keys, and make an undo step of it."""
         self.drag = None
-        if not drag.pins:
+        if not self._held(drag):
             self.refiner.unpin(drag.row)
         elif drag.answer is None:
             set_pose(self.refiner.hand.rig, drag.shown.quats[0], drag.shown.locations[0])

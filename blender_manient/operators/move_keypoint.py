@@ -53,7 +53,7 @@ class MANIENT_OT_move_keypoint(Refuses, bpy.types.Operator):
         if row is None:
             raise OptionError(f"frame {frame} was not captured: give a frame of the source")
         pins = self._pins(refiner.pins(row))
-        if pins:
+        if pins or refiner.touches(row):
             fields = refiner.request([row], [pins], refiner.start_poses([row]))()
             worker = shared_worker.worker()
             poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_PATIENCE))

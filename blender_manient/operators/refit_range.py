@@ -1,10 +1,10 @@
-"""Re-fit Range: fit many frames again, over time, with their pins and locks."""
+"""Fitting many frames again; Re-fit Range: over time, with their pins, touches and locks."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import bpy
 import numpy as np
@@ -35,13 +35,33 @@ _MARGIN = 0.5
 written"""
 
 
-class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
-    bl_idname = "manient.refit_range"
-    bl_label = "Re-fit Range"
-    bl_description = (
-        "Fit a range of frames again, smoothly over time, with pinned points and locked joints. Asks for the "
-        "range first, and says what keys of your own it would replace"
-    )
+class Work(Protocol):
+    """What is asked of the worker, and what becomes of it."""
+
+    count: int
+    """frames"""
+
+    @property
+    def fields(self) -> Callable[[], dict[str, Any]]:
+        """Makes the request's fields."""
+        ...
+
+    def received(self, done: dict[str, Any]) -> None:
+        """The worker's answer."""
+        ...
+
+    def writing(self) -> Iterator[float]:
+        """Write the keys; yields how much is done, 0..1."""
+        ...
+
+
+class FitsRange(Refuses, Waits):
+    """An operator, in its first part, that asks for a range of frames and has the worker fit them."""
+
+    bl_idname: str
+    bl_label: str
+    layout: Any
+    report: Any
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     scope: bpy.props.EnumProperty(  # type: ignore
@@ -59,17 +79,20 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
         description="The range was asked for already", options={"HIDDEN", "SKIP_SAVE"}
     )
 
+    doing = "Re-fitting"
+    """What is said while it works"""
+
     _dialog = False
     """Whether this instance asks for the range"""
-    _counted: tuple[tuple[int, int], tuple[str, bool]] | None = None
-    """The last range and what it would replace, so that drawing again costs nothing"""
+    _said: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
+    """What was asked for last and what would be done, so that drawing again costs nothing"""
     _running = False
     """Whether a range is being fitted already"""
 
     @classmethod
     def lacks(cls, context):
         """A hand that can be fitted again."""
-        if cls._running:
+        if FitsRange._running:
             return "A range is being fitted already"
         if edit_keypoints.running():
             return "Leave Edit Keypoints first"
@@ -81,13 +104,13 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
         if self._dialog:
             # An operator cannot go on running from its own dialog: another one of its kind does.
             try:
-                bpy.ops.manient.refit_range(
-                    "INVOKE_DEFAULT", scope="CUSTOM", first=self.first, last=self.last, asked=True
-                )
+                operator = getattr(bpy.ops.manient, self.bl_idname.split(".")[1])
+                wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
+                operator("INVOKE_DEFAULT", **wanted, **self.again())
             except RuntimeError as error:  # its own report
                 self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
             return {"CANCELLED"}
-        work = _Work(context, self._rows)
+        work = self.work(context)
         worker = shared_worker.worker()
         work.received(worker.wait(worker.submit("refit", **work.fields())))
         for _ in work.writing():
@@ -98,33 +121,57 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
     def invoke(self, context, _event):
         """Ask for the range, then fit while the window stays free."""
         if not self.asked:
-            self.first, self.last = suggested_range(context)
+            self.suggest(context)
             self.scope, self._dialog = "CUSTOM", True
             return context.window_manager.invoke_props_dialog(
-                self, width=_WIDTH, title="Re-fit Range", confirm_text="Re-fit"
+                self, width=_WIDTH, title=self.bl_label, confirm_text=self.bl_label
             )
-        self._work = _Work(context, self._rows)
+        self._work = self.work(context)
         self._request = 0
         self._writing: Iterator[float] | None = None
         self._watch = Watch()
         self._began = time.monotonic()
-        type(self)._running = True
+        FitsRange._running = True
         return self._wait(context, _TICK)
 
+    def work(self, context) -> Work:
+        """What is to be done. Raises HandfitError."""
+        raise NotImplementedError
+
+    def suggest(self, context):
+        """Set the range that is likely meant."""
+        self.first, self.last = suggested_range(context)
+
+    def again(self) -> dict[str, Any]:
+        """What else than the range the dialog has asked for."""
+        return {}
+
+    def told(self, work: Any) -> tuple[str, str]:
+        """Kind and words of the report at the end."""
+        return "INFO", f"{counted(work.fitted, 'frame')} fitted again"
+
     def check(self, _context):
-        """Say anew what would be replaced whenever the range changes."""
+        """Say anew what would be done whenever something changes."""
         return True
 
     def draw(self, context):
-        """The range, and what it would replace."""
-        layout = self.layout
-        row = layout.row(align=True)
+        """The range, and what would be done there."""
+        self.ask()
+        row = self.layout.row(align=True)
         row.prop(self, "first")
         row.prop(self, "last")
-        if self._counted is None or self._counted[0] != (self.first, self.last):
-            self._counted = (self.first, self.last), replaced(context, self.first, self.last)
-        said, alert = self._counted[1]
-        sentence(layout, context, said, "ERROR" if alert else "INFO", alert=alert, width=_WIDTH)
+        asked = (self.first, self.last, *self.again().values())
+        if self._said is None or self._said[0] != asked:
+            self._said = asked, self.said(context)
+        said, alert = self._said[1]
+        sentence(self.layout, context, said, "ERROR" if alert else "INFO", alert=alert, width=_WIDTH)
+
+    def ask(self):
+        """Draw what else is asked for."""
+
+    def said(self, context) -> tuple[str, bool]:
+        """What would be done, in words, and whether they are a warning."""
+        raise NotImplementedError
 
     def modal(self, context, event):
         """Look for the answer; Esc stops, as long as nothing is written."""
@@ -141,7 +188,7 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
                 self._end(context)
                 return self._finished(context, self._work)
         except HandfitError as error:
-            details.write_details("Re-fit Range", str(error), getattr(error, "details", "") or "")
+            details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
             self.report({"ERROR"}, str(error))
             self._end(context)
             return {"CANCELLED"}
@@ -174,17 +221,18 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
             self._writing = self._work.writing()
             return False
         spent = time.monotonic() - self._began
-        self._tell(context, f"Re-fitting {self._work.count} frames  {spent:.0f} s   Esc: Stop")
+        self._tell(context, f"{self.doing}: {self._work.count} frames  {spent:.0f} s   Esc: Stop")
         return False
 
-    def _finished(self, context, work: _Work):
+    def _finished(self, context, work: Work):
         scene = context.scene
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        self.report({"INFO"}, f"{counted(work.fitted, 'frame')} fitted again")
+        kind, text = self.told(work)
+        self.report({kind}, text)
         return {"FINISHED"}
 
     def _end(self, context) -> None:
-        type(self)._running = False
+        FitsRange._running = False
         self._watch.leave()
         if self._request:
             shared_worker.worker().cancel(self._request)
@@ -193,7 +241,7 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
         self._wait_no_more(context)
         screen.redraw("VIEW_3D")
 
-    def _rows(self, context, refiner: Refiner) -> np.ndarray:
+    def rows(self, context, refiner: Refiner) -> np.ndarray:
         """The take's rows in the range."""
         frames = refiner.scene_frames()
         first, last = frames[0], frames[-1]
@@ -201,13 +249,30 @@ class MANIENT_OT_refit_range(Refuses, Waits, bpy.types.Operator):
             first, last = self.first, self.last
         elif context.scene.use_preview_range:
             first, last = span_of(context.scene)
-        rows = _rows_within(frames, first, last)
+        rows = rows_within(frames, first, last)
         if len(rows) == 0:
             raise OptionError(
                 f"none of the frames {first:g} to {last:g} was captured: the capture has {frames[0]:g} to "
                 f"{frames[-1]:g}"
             )
         return rows
+
+
+class MANIENT_OT_refit_range(FitsRange, bpy.types.Operator):
+    bl_idname = "manient.refit_range"
+    bl_label = "Re-fit Range"
+    bl_description = (
+        "Fit a range of frames again, smoothly over time, with pinned points, touches and locked joints. "
+        "Asks for the range first, and says what keys of your own it would replace"
+    )
+
+    def work(self, context):
+        """The frames of the range, and some around."""
+        return _Work(context, self.rows)
+
+    def said(self, context):
+        """What would be replaced."""
+        return replaced(context, self.first, self.last)
 
 
 def suggested_range(context: bpy.types.Context) -> tuple[int, int]:
@@ -236,7 +301,7 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
     """What fitting these scene frames again would replace, in words, and whether it is the artist's work."""
     hand = active_hand(context)
     assert hand is not None
-    rows = _rows_within(scene_frames(hand.collection, hand.take), first, last)
+    rows = rows_within(scene_frames(hand.collection, hand.take), first, last)
     if len(rows) == 0:
         return "None of these frames was captured", False
     try:
@@ -246,12 +311,12 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
         return str(error), True
     numbers = np.asarray(hand.take.frame_numbers)[rows]
     corrected = [field.corrections[g] for g in field.corrected if numbers[0] <= g <= numbers[-1]]
-    pinned = np.array([bool(field.pins(int(number))) for number in numbers])
+    pinned = np.array([bool(field.pins(g) or field.touching(g)) for g in numbers.tolist()])
     # Frames without a hand get no new keys, locked joints keep theirs.
     own &= (hand.track.present[rows] | pinned)[:, None]
     own[:, :-1] &= ~np.array(hand.armature.manient.locked, dtype=bool)
     keys, frames = int(own.sum()), int(own.any(axis=1).sum())
-    poses, points = sum(c.posed for c in corrected), sum(bool(c.pins) for c in corrected)
+    poses, points = sum(c.posed for c in corrected), sum(bool(c.pins or c.touches) for c in corrected)
     lost = [f"{counted(keys, 'key')} set by hand, on {counted(frames, 'frame')}"] if keys else []
     lost += [counted(poses, "relaxed pose")] if poses else []
     said = f"Fits {counted(len(rows), 'frame')} again. "
@@ -260,7 +325,7 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
     return said, bool(lost)
 
 
-def _rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
+def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
     """The rows of a take whose scene frames (T,) lie from first to last."""
     return np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
 

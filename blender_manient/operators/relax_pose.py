@@ -9,7 +9,7 @@ from handfit_core.hand_model.anatomy import relaxed_pose
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 
-from ..scene.corrections import correct_frame, timing_of
+from ..scene.corrections import correct_frames, timing_of
 from ..scene.editable import why_not_keyable
 from ..scene.keys import keyed_bones, set_pose
 from .needs_hand import OnHand, errors_reported, hand_in
@@ -41,6 +41,9 @@ class MANIENT_OT_relax_pose(OnHand, bpy.types.Operator):
             (frame,) = timing_of(armature).source_frames(np.array([context.scene.frame_current_final]))
             wanted = np.where(chosen[:, None], quats[0], np.nan)
             spread = context.scene.manient.spread
-            correct_frame(armature, frame, {}, wanted, np.full(3, np.nan), spread, posed=True)
+            still = np.full((1, 3), np.nan)
+            correct_frames(
+                armature, [frame], wanted[None], still, spread, pins=[{}], touches=[{}], posed=True
+            )
         set_pose(rig, quats[0])
         return {"FINISHED"}

@@ -54,6 +54,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         if isinstance(kept, bpy.types.AddonPreferences):
             layout.prop(kept, "hand_opacity", slider=True)
         layout.operator("manient.refit_range", icon="FILE_REFRESH")
+        layout.operator("manient.touch", icon="SNAP_ON")
 
     def _locks(self, armature: bpy.types.Object) -> None:
         locked = sum(armature.manient.locked)

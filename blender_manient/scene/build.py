@@ -22,7 +22,7 @@ from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import BuildInterrupted, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
-from handfit_core.skeleton import NUM_JOINTS, Side
+from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.slices import result_of, retold, slice_clock
 from handfit_core.take import HandTrack, Take
 
@@ -296,17 +296,21 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
 
 
 def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
-    """Have the hand know the points that a person has put in place, so that they can be dragged on."""
-    if track.placed is None or not kept_here():
+    """Have the hand know the points that a person has put in place or made to touch, so that they can be
+    dragged on."""
+    if (track.placed is None and track.touches is None) or not kept_here():
         return
-    pins: dict[float, Correction] = {}
-    own = np.asarray(np.isfinite(track.placed).all(axis=2))
+    count = len(take.frame_numbers)
+    placed = np.full((count, NUM_KEYPOINTS, 2), np.nan) if track.placed is None else track.placed
+    touches = np.full((count, NUM_KEYPOINTS), np.nan) if track.touches is None else track.touches
+    kept: dict[float, Correction] = {}
+    own = np.isfinite(placed).all(axis=2) | np.isfinite(touches)
     for row in np.flatnonzero(own.any(axis=1) & track.present).tolist():
-        places = enumerate(track.placed[row].tolist())
-        pins[int(take.frame_numbers[row])] = Correction(
-            {k: (x, y) for k, (x, y) in places if isfinite(x + y)}
+        kept[int(take.frame_numbers[row])] = Correction(
+            {k: (x, y) for k, (x, y) in enumerate(placed[row].tolist()) if isfinite(x + y)},
+            touches={k: int(other) for k, other in enumerate(touches[row].tolist()) if isfinite(other)},
         )
-    keep_field(armature, CorrectionField(pins))
+    keep_field(armature, CorrectionField(kept))
 
 
 class _Work:

@@ -22,6 +22,7 @@ from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
     Pins,
+    Touches,
     changed_quats,
     changed_stretches,
     correction_between,
@@ -133,25 +134,27 @@ def check_writable(armature: bpy.types.Object) -> None:
     check_unlocked(rig_of(armature))
 
 
-def correct_frame(
+def correct_frames(
     armature: bpy.types.Object,
-    frame: float,
-    pins: Pins,
+    frames: Sequence[float],
     quats: np.ndarray,
-    location: np.ndarray,
+    locations: np.ndarray,
     spread: float,
     *,
+    pins: Sequence[Pins] | None = None,
+    touches: Sequence[Touches] | None = None,
     posed: bool = False,
 ) -> None:
-    """Give a source frame a pose, and its neighbours what is left of the change over `spread` frames.
+    """Give N source frames poses, and their neighbours what is left of the change over `spread` frames.
 
-    quats (16, 4) as (w, x, y, z) relative to the bones' rest; location (3,) metres along the wrist
-    bone's axes; bones that are NaN stay as they are. A frame without keys gets them. The correction replaces
-    the frame's earlier one. Corrections that are `displaced` are forgotten. `posed`: the pose does not come
-    from pins, so that pins which come and go later leave it as it is.
+    quats (N, 16, 4) as (w, x, y, z) relative to the bones' rest; locations (N, 3) metres along the wrist
+    bone's axes; bones that are NaN stay as they are. Frames without keys get them. The corrections replace
+    the frames' earlier ones, of which pins and touches stay where none are given. Corrections that are
+    `displaced` are forgotten. `posed`: the poses do not come from pins, so that pins which come and go later
+    leave them as they are.
     Raises TakeError and what `check_writable` does, and then changes nothing.
     """
-    rig, frame = rig_of(armature), kept_frame(frame)
+    rig, chosen = rig_of(armature), [kept_frame(frame) for frame in frames]
     old = corrections_of(armature)
     check_writable(armature)
     lost = displaced(armature)
@@ -159,40 +162,42 @@ def correct_frame(
         # They are in other keys by now, out of which nobody can take them.
         old = old.without(lost)
         keep_field(armature, old)
-    here = timing_of(armature).scene_frames(np.array([frame]))
-    now_quats, now_location = pose_at(rig, here)
-    present = read_pose_keys(rig, here[0], here[0])
-    had_key = bool(present.rotation_keyed.any() or present.location_keyed.any())
-    turns, moves = np.isfinite(quats[:, 0]), bool(np.isfinite(location).all())
-    keyless = turns & ~present.rotation_keyed.any(axis=0)
-    unplaced = np.array([moves and not present.location_keyed.any()])
-    write_pose_keys(rig, PoseKeys(here, now_quats, now_location, keyless[None], unplaced))
-    quats = np.where(turns[:, None], quats, now_quats[0])
-    location = location if moves else now_location[0]
+    places = timing_of(armature).scene_frames(np.array(chosen, dtype=np.float64))
+    now_quats, now_locations = pose_at(rig, places)
+    present = [read_pose_keys(rig, place, place) for place in places]
+    rotated = np.array([keys.rotation_keyed.any(axis=0) for keys in present])
+    located = np.array([keys.location_keyed.any() for keys in present])
+    turns, moves = np.isfinite(quats[..., 0]), np.asarray(np.isfinite(locations).all(axis=1))
+    write_pose_keys(rig, PoseKeys(places, now_quats, now_locations, turns & ~rotated, moves & ~located))
+    quats = np.where(turns[..., None], quats, now_quats)
+    locations = np.where(moves[:, None], locations, now_locations)
 
-    turned, moved = old.at(np.array([frame]))
-    base = changed_quats(now_quats[0], turned[0], np.zeros((NUM_JOINTS, 3)))
-    rotation, moved_by = correction_between(base, quats), location - (now_location[0] - moved[0])
-    here_now = old.corrections.get(frame)
-    before = None if here_now is None or here_now.is_anchor else here_now
-    # What the neighbours' corrections do here now is where the pins began.
-    start = (turned[0], moved[0]) if before is None else (before.start_rotation, before.start_location)
-    if posed:
-        start = rotation, moved_by
-    new = Correction(
-        pins=pins,
-        rotation=rotation,
-        location=moved_by,
-        spread=spread,
-        added_key=not had_key if before is None else before.added_key,
-        start_rotation=start[0],
-        start_location=start[1],
-        pose=quats,
-        place=location,
-        keyed=here_now is not None and here_now.keyed,
-        posed=posed or (before is not None and before.posed),
-    )
-    change_field(armature, old.with_correction(frame, new))
+    turned, moved = old.at(np.array(chosen, dtype=np.float64))
+    rotations = correction_between(changed_quats(now_quats, turned, np.zeros_like(turned)), quats)
+    moved_by = locations - (now_locations - moved)
+    new: dict[float, Correction] = {}
+    for at, frame in enumerate(chosen):
+        here_now = old.corrections.get(frame)
+        before = None if here_now is None or here_now.is_anchor else here_now
+        # What the neighbours' corrections do here now is where the pins began.
+        start = (turned[at], moved[at]) if before is None else (before.start_rotation, before.start_location)
+        if posed:
+            start = rotations[at], moved_by[at]
+        new[frame] = Correction(
+            pins=old.pins(frame) if pins is None else pins[at],
+            rotation=rotations[at],
+            location=moved_by[at],
+            spread=spread,
+            added_key=not (rotated[at].any() or located[at]) if before is None else before.added_key,
+            start_rotation=start[0],
+            start_location=start[1],
+            pose=quats[at],
+            place=locations[at],
+            keyed=here_now is not None and here_now.keyed,
+            posed=posed or (before is not None and before.posed),
+            touches=old.touching(frame) if touches is None else touches[at],
+        )
+    change_field(armature, old.having(new))
 
 
 def clear_corrections(armature: bpy.types.Object, frames: Iterable[float] | None = None) -> int:

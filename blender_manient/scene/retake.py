@@ -81,6 +81,7 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
         expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
         placed=_placed(hand),
+        touches=_touches(hand),
     )
 
 
@@ -95,6 +96,17 @@ def _placed(hand: CapturedHand) -> np.ndarray | None:
             for keypoint, place in field.pins(number).items():
                 placed[row, keypoint] = place
     return placed if hand.track.added or np.isfinite(placed).any() else None
+
+
+def _touches(hand: CapturedHand) -> np.ndarray | None:
+    """(T, 21) which keypoint each one touches, as the artist says; None where none does."""
+    touches = np.full((len(hand.take.frame_numbers), NUM_KEYPOINTS), np.nan)
+    with contextlib.suppress(TakeError):  # corrections that cannot be read
+        field = corrections_of(hand.armature)
+        for row, number in enumerate(hand.take.frame_numbers):
+            for keypoint, other in field.touching(number).items():
+                touches[row, keypoint] = other
+    return touches if np.isfinite(touches).any() else None
 
 
 def _posed_rows(hand: CapturedHand) -> np.ndarray:

@@ -30,7 +30,7 @@ import numpy as np
 
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
-from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS
+from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
@@ -51,6 +51,8 @@ _ARRAYS: Final[dict[str, tuple[int, ...]]] = {
 
 Pins = Mapping[int, tuple[float, float]]
 """Keypoint index -> (x, y) pixels of the upright picture"""
+Touches = Mapping[int, int]
+"""Keypoint index -> the smaller one that it touches, as `RefineHand.touches` has it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +82,13 @@ class Correction:
     """Whether the frame was keyed anew, so that without this correction the field is zero there"""
     posed: bool = False
     """Whether the artist gave the frame a pose before any pin: then pins are measured against that pose"""
+    touches: Touches = field(default_factory=dict)
+    """Keypoints that were made to touch"""
 
     @property
     def is_anchor(self) -> bool:
         """Whether it is none of the artist's, and only ends those around it."""
-        return self.keyed and not self.pins and not self.posed
+        return self.keyed and not self.pins and not self.touches and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
         """Whether the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
@@ -108,9 +112,13 @@ class Correction:
         # Only finite numbers of the right shape ever reach keys.
         if not all(0 <= k < NUM_KEYPOINTS for k in pins) or not np.all(np.isfinite(list(pins.values()))):
             raise ValueError(f"pins belong to keypoints 0 to {NUM_KEYPOINTS - 1}, at finite places")
+        touches = {int(k): int(other) for k, other in self.touches.items()}
+        if not all(can_touch(*pair) for pair in touches.items()):
+            raise ValueError(f"a keypoint touches a smaller one of another finger; got {touches}")
         if not (np.isfinite(self.spread) and self.spread >= 0.0):
             raise ValueError(f"a spread is finite and not negative; got {self.spread}")
         object.__setattr__(self, "pins", pins)
+        object.__setattr__(self, "touches", touches)
         object.__setattr__(self, "spread", float(self.spread))
         for name, shape in _ARRAYS.items():
             array = np.round(np.asarray(getattr(self, name), dtype=np.float64), _DECIMALS)
@@ -168,9 +176,14 @@ class CorrectionField:
         correction = self.corrections.get(kept_frame(frame))
         return correction.pins if correction is not None else {}
 
-    def with_correction(self, frame: float, correction: Correction) -> CorrectionField:
-        """The same with this correction of one source frame."""
-        return CorrectionField({**self.corrections, kept_frame(frame): correction})
+    def touching(self, frame: float) -> Touches:
+        """The touches of a source frame; none where it has no correction."""
+        correction = self.corrections.get(kept_frame(frame))
+        return correction.touches if correction is not None else {}
+
+    def having(self, corrections: Mapping[float, Correction]) -> CorrectionField:
+        """The same with these corrections of source frames."""
+        return CorrectionField({**self.corrections, **{kept_frame(g): c for g, c in corrections.items()}})
 
     def without(self, frames: Iterable[float]) -> CorrectionField:
         """The same without the corrections of these source frames."""
@@ -198,7 +211,7 @@ class CorrectionField:
 
         `whole` means everything from the first to the last of them, else corrections on other frames stay.
         `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
-        frames' pins, for poses that were fitted to them.
+        frames' pins and touches, for poses that were fitted to them.
         """
         own = np.array(sorted({kept_frame(f) for f in frames}), dtype=np.float64)
         if len(own) == 0:
@@ -215,20 +228,21 @@ class CorrectionField:
 
         keyed = list(joints)
 
-        def left(pins: Pins, rotation: np.ndarray, place: np.ndarray, spread: float) -> Correction:
+        def left(one: Correction, rotation: np.ndarray, place: np.ndarray, spread: float) -> Correction:
             rotation = rotation.copy()
             rotation[keyed] = 0.0
-            return Correction(pins, rotation, np.zeros(3) if location else place, spread, keyed=True)
+            place = np.zeros(3) if location else place
+            return Correction(one.pins, rotation, place, spread, keyed=True, touches=one.touches)
 
         for g in sorted(inside):
             one = self.corrections[g]
-            rest = left(one.pins, one.rotation, one.location, one.spread)
+            rest = left(one, one.rotation, one.location, one.spread)
             if keep_pins or rest.changes:
                 new[g] = rest
         rotations, places = self.at(np.array(sorted(ends)))
         for g, rotation, place in zip(sorted(ends), rotations, places, strict=True):
             if g not in new:
-                new[kept_frame(g)] = left({}, rotation, place, self._reach(g))
+                new[kept_frame(g)] = left(Correction({}), rotation, place, self._reach(g))
         return CorrectionField(new)._pruned()
 
     def _reach(self, frame: float) -> float:
@@ -258,6 +272,7 @@ class CorrectionField:
                 "added_key": c.added_key,
                 **({"keyed": True} if c.keyed else {}),
                 **({"posed": True} if c.posed else {}),
+                **({"touches": {str(k): other for k, other in c.touches.items()}} if c.touches else {}),
                 **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
             }
             for frame, c in sorted(self.corrections.items())
@@ -340,6 +355,7 @@ def _correction(content: Mapping[str, Any]) -> Correction:
         added_key=bool(content.get("added_key", False)),
         keyed=bool(content.get("keyed", False)),
         posed=bool(content.get("posed", False)),
+        touches={int(k): int(other) for k, other in content.get("touches", {}).items()},
         **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
     )
 

@@ -9,12 +9,11 @@ import numpy as np
 
 from handfit_core.batch import spread
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.edit.handles import touching_pair
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side, can_touch
 from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
 
 START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_pose": (45,), "transl": (3,)}
@@ -106,9 +105,10 @@ class RefineHand:
                 raise OptionError(f"touches must be numbers of the shape {(count, NUM_KEYPOINTS)}")
             for row, point in np.argwhere(~np.isnan(touches)).tolist():
                 other = touches[row, point]
-                if not (other < point and touching_pair(point, int(other))[1] == other):
+                if not (float(other).is_integer() and can_touch(point, int(other))):
                     raise OptionError(
-                        f"touches: keypoint {point} must name a smaller one or NaN, not {other:g}"
+                        f"touches: keypoint {point} must name a smaller one of another finger, 0 for the "
+                        f"palm, or NaN; not {other:g}"
                     )
         for row, detection in enumerate(self.detections):
             if detection is None:

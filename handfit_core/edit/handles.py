@@ -12,7 +12,7 @@ from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import detector_landmarks
 from handfit_core.hand_model.surface import surface_of
-from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, PALM_KEYPOINTS
+from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, can_touch
 
 _JOINTS: Final = ("Knuckle", "Middle Joint", "Last Joint", "Tip")
 POINT_NAMES: Final = (
@@ -29,12 +29,11 @@ def touching_pair(one: int, other: int) -> tuple[int, int]:
     if not all(0 <= point < NUM_KEYPOINTS for point in (one, other)):
         raise OptionError(f"points that touch are 0 to {NUM_KEYPOINTS - 1}, not {one} and {other}")
     first, second = max(one, other), min(one, other)
-    names = f"{POINT_NAMES[first]} and {POINT_NAMES[second]}"
-    advice = "choose points of two fingers, or of a finger and the palm"
-    if second and (first - 1) // 4 == (second - 1) // 4:
-        raise OptionError(f"{names} are on the same finger: {advice}")
-    if first in PALM_KEYPOINTS and second in PALM_KEYPOINTS:
-        raise OptionError(f"{names} are both of the palm, which does not bend: {advice}")
+    if not can_touch(first, second):
+        raise OptionError(
+            f"{POINT_NAMES[first]} and {POINT_NAMES[second]} cannot be brought together: choose points of "
+            "two fingers, or of a finger and the palm"
+        )
     return first, second
 
 

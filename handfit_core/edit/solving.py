@@ -167,7 +167,7 @@ class _Frames(Batch):
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
         found = self._solved(seen, self.own, anywhere, doubt, held, [start])
         if self.near is None:
-            together = self._touching.any(axis=1)
+            together = np.asarray(self._touching.any(axis=1))
             if together.sum() > 1:
                 # Frames that touch for the same reason do so in the same way.
                 bends = np.median((found.angles - self.own.angles)[together], axis=0)

@@ -292,7 +292,7 @@ def test_what_the_artist_has_corrected_is_not_doubted_any_more(expecting):
     quats, locations = pose_at(expecting.rig, np.array([float(BAD_FRAME)]))
     quats[0, 5] = [0.9, 0.1, 0.2, 0.3]
     before = errors_of(expecting)
-    corrections.correct_frame(armature, BAD_FRAME, {8: (1.0, 2.0)}, quats[0], locations[0], 2)
+    corrections.correct_frames(armature, [BAD_FRAME], quats, locations, 2, pins=[{8: (1.0, 2.0)}])
     errors = errors_of(expecting)
     assert np.flatnonzero(np.isnan(errors.frames) & np.isfinite(before.frames)).tolist() == [ROW]
     assert not errors.doubtful.any()

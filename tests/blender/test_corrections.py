@@ -43,7 +43,8 @@ def moved_pose(armature, frame: int, seed: int = 1, size: float = 0.3):
 def correct(armature, frame=6, spread=6.0, seed=1, size=0.6, pins=None) -> tuple[np.ndarray, np.ndarray]:
     """Correct a frame to another pose, which is returned."""
     quats, location = moved_pose(armature, frame, seed, size)
-    corrections.correct_frame(armature, frame, pins or {8: (1.0, 2.0)}, quats, location, spread)
+    pins = [pins or {8: (1.0, 2.0)}]
+    corrections.correct_frames(armature, [frame], quats[None], location[None], spread, pins=pins)
     return quats, location
 
 
@@ -171,7 +172,7 @@ def test_scene_frames_that_are_not_the_sources(armature):
         write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([place]), quats[None], location[None]))
     before = read_pose_keys(rig_of(armature), 100.0)
     quats, location = moved_pose(armature, 103.0)
-    corrections.correct_frame(armature, 6, {8: (1.0, 2.0)}, quats, location, spread=3)
+    corrections.correct_frames(armature, [6], quats[None], location[None], 3, pins=[{8: (1.0, 2.0)}])
     after = read_pose_keys(rig_of(armature), 100.0)
     moved = np.linalg.norm(after.locations - before.locations, axis=-1) > 1e-6
     np.testing.assert_array_equal(moved, (SEEN > 3) & (SEEN < 9))

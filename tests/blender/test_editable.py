@@ -282,7 +282,7 @@ def test_reshaping_turns_what_pins_began_with(armature):
     """A second correction still starts from the same pose of the fingers."""
     correct(armature, 5)
     quats, location = moved_pose(armature, 6, seed=3, size=0.4)
-    corrections.correct_frame(armature, 6, {4: (1.0, 2.0)}, quats, location, 6.0)
+    corrections.correct_frames(armature, [6], quats[None], location[None], 6.0, pins=[{4: (1.0, 2.0)}])
     before = corrections.corrections_of(armature).corrections[6]
 
     old = rig_of(armature).rest.frames

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 ROWS = np.arange(len(FRAMES))
 ROW = 2
 """Of frame 5"""
+PINS = [{8: (1.0, 2.0)}]
 
 
 @pytest.fixture(params=["matched", "retimed"])
@@ -75,7 +76,7 @@ def test_a_correction_and_its_fading_are_no_keys_by_hand(armature):
     frame = np.array([place(armature)])
     quats, locations = pose_at(rig_of(armature), frame)
     dragged = changed_quats(quats[0], np.zeros((16, 3)), np.full((16, 3), 0.2))
-    corrections.correct_frame(armature, FRAMES[ROW], {8: (1.0, 2.0)}, dragged, locations[0] + 0.01, 4)
+    corrections.correct_frames(armature, [FRAMES[ROW]], dragged[None], locations + 0.01, 4, pins=PINS)
     assert own(armature) == []
     turned(armature, ROW + 1)
     assert own(armature) == [(ROW + 1, 5)]
@@ -128,7 +129,7 @@ def test_corrections_are_named_too(armature):
     assert bpy.ops.manient.relax_pose() == {"FINISHED"}
     frame = place(armature, 8)
     quats, locations = pose_at(rig_of(armature), np.array([frame]))
-    corrections.correct_frame(armature, FRAMES[8], {8: (1.0, 2.0)}, quats[0], locations[0], 2)
+    corrections.correct_frames(armature, [FRAMES[8]], quats, locations, 2, pins=PINS)
     said, alert = replaced(bpy.context, round(place(armature, 0)), round(place(armature, 11)))
     assert said == "Fits 12 frames again. Replaces 1 relaxed pose. The points of 1 corrected frame stay"
     assert alert
@@ -148,7 +149,7 @@ def test_the_range_that_is_offered_is_never_everything(make_take):
     scene.frame_set(99)
     assert suggested_range(bpy.context) == (16, 18)
     quats, locations = pose_at(rig_of(armature), np.array([14.0]))
-    corrections.correct_frame(armature, 14, {8: (1.0, 2.0)}, quats[0], locations[0], 3)
+    corrections.correct_frames(armature, [14], quats, locations, 3, pins=PINS)
     scene.frame_set(12)
     assert suggested_range(bpy.context) == (11, 17), "the correction's reach"
     scene.frame_set(8)

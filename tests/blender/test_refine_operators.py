@@ -17,23 +17,30 @@ from blender_manient import preferences, shared_worker
 from blender_manient.keypoint_mode.mode import KeypointMode
 from blender_manient.operators import edit_keypoints
 from blender_manient.operators.refit_range import replaced
+from blender_manient.operators.touch import MANIENT_OT_touch, touching_range
 from blender_manient.refiner import BonePoses, Refiner
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
+from blender_manient.scene.retake import retaken
+from blender_manient.scene.store import hand_of
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
 from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture
+from tests.drawn import drawn
 
 from .conftest import READY
 
 ROOT = Path(__file__).resolve().parents[2]
 TIP = 8
 """The index fingertip"""
+THUMB = 4
+FIRST, LAST = 9, 16
+"""Frames in which points are made to touch"""
 FRAME = 12
 SPREAD = 4
 FARTHER = np.array([25.0, -15.0])
@@ -221,6 +228,93 @@ def test_a_point_dragged_in_a_relaxed_frame_starts_from_there_and_goes_back_to_i
     assert bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=TIP, remove=True) == {"FINISHED"}
     assert np.linalg.norm(correction_between(all_keys(armature).quats, relaxed.quats), axis=-1).max() < 1e-4
     assert corrections.corrected_frames(armature) == [FRAME]
+
+
+def gap(armature, first: int = FIRST, last: int = LAST) -> np.ndarray:
+    """Metres between the skins of thumb and index tips, in these frames."""
+    refiner = Refiner(armature)
+    rows = [refiner.row_at(frame) for frame in range(first, last + 1)]
+    return refiner.gaps(refiner.keyed_poses(rows), (TIP, THUMB))
+
+
+def touch(**others) -> None:
+    wanted = {"point": str(THUMB), "other": str(TIP), "scope": "CUSTOM", "first": FIRST, "last": LAST}
+    assert bpy.ops.manient.touch(**wanted | others) == {"FINISHED"}
+
+
+def test_points_are_made_to_touch_over_a_range_and_let_go_again(armature):
+    before = all_keys(armature)
+    assert gap(armature).max() > 0.005
+    touch()
+    after = all_keys(armature)
+    assert np.abs(gap(armature)).max() < 0.001
+    # It fades out over Spread; other fingers and the wrist never move.
+    moved = np.linalg.norm(correction_between(before.quats, after.quats), axis=-1)
+    reach = (before.frames > FIRST - SPREAD) & (before.frames < LAST + SPREAD)
+    assert moved[~reach].max() == 0.0
+    both = [*FINGER_JOINTS["thumb"], *FINGER_JOINTS["index"]]
+    assert np.delete(moved, both, axis=1).max() < 1e-5
+    assert moved[(before.frames > FIRST - SPREAD) & (before.frames < FIRST)].max(axis=1).min() > 1e-3
+    # No pop: no step is larger than the whole correction fading out over Spread makes it.
+    steps = np.abs(np.diff(moved, axis=0))
+    print("STEPS", np.round(moved.max(axis=1), 3), steps.max(axis=1).round(3))
+    assert steps.max() < 1.5 * moved.max() / SPREAD
+    assert corrections.corrected_frames(armature) == list(range(FIRST, LAST + 1))
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert not differing(before, all_keys(armature)).any()
+    assert armature.manient.corrections == ""
+
+
+def test_touching_points_are_kept_by_drags_ranges_files_and_takes(armature, tmp_path):
+    touch()
+    place = drag(armature, by=0.5 * FARTHER)
+    assert np.linalg.norm(landmarks(armature)[TIP] - place) < 1.5
+    assert np.abs(gap(armature)).max() < 0.001, "the thumb follows the index finger"
+    assert bpy.ops.manient.move_keypoint(frame=FRAME, keypoint=TIP, remove=True) == {"FINISHED"}
+    assert np.abs(gap(armature)).max() < 0.001, "without the pin they still touch"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "touch.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "touch.blend"))
+    armature = next(obj for obj in bpy.data.objects if obj.manient.is_hand)
+    bpy.context.view_layer.objects.active = armature
+    assert corrections.corrections_of(armature).touching(FRAME) == {TIP: THUMB}
+    assert bpy.ops.manient.refit_range(scope="CUSTOM", first=FIRST, last=LAST) == {"FINISHED"}
+    assert np.abs(gap(armature)).max() < 0.001
+    assert corrections.corrections_of(armature).touching(FRAME) == {TIP: THUMB}
+    hand = hand_of(armature)
+    assert hand is not None
+    retaken([hand]).save(tmp_path / "hand.take.npz")
+    again = build_take(Take.load(tmp_path / "hand.take.npz")).hands[0].armature
+    assert corrections.corrections_of(again).touching(FRAME) == {TIP: THUMB}
+
+
+def test_the_frames_in_which_points_are_near_are_suggested(armature):
+    first, last = touching_range(bpy.context, TIP, THUMB)
+    refiner = Refiner(armature)
+    near = gap(armature, first, last)
+    here = gap(armature, FRAME, FRAME)[0]
+    assert first <= FRAME <= last
+    assert near.max() <= here + 0.005
+    beyond = [frame for frame in (first - 1, last + 1) if refiner.row_at(frame) is not None]
+    assert all(gap(armature, frame, frame)[0] > here + 0.005 for frame in beyond)
+    dialog = drawn(MANIENT_OT_touch, point="4", other="8", scope="CUSTOM", first=first, last=last)
+    assert "mm apart there" in dialog.said
+
+
+@pytest.mark.parametrize(("point", "other"), [("8", "6"), ("5", "0"), ("8", "8")])
+def test_points_that_cannot_touch(armature, point, other):
+    with pytest.raises(RuntimeError, match="choose points of two fingers, or of a finger and the palm"):
+        bpy.ops.manient.touch(point=point, other=other, scope="CUSTOM", first=FIRST, last=LAST)
+    assert armature.manient.corrections == ""
+
+
+def test_touch_can_be_undone(armature):
+    before = gap(armature)
+    name = armature.name
+    touch()
+    bpy.ops.ed.undo_push(message="Touch")
+    bpy.ops.ed.undo()
+    np.testing.assert_allclose(gap(bpy.data.objects[name]), before, atol=1e-6)
+    assert bpy.data.objects[name].manient.corrections == ""
 
 
 def test_a_range_that_was_not_captured(armature):

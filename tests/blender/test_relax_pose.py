@@ -118,7 +118,7 @@ def test_pins_that_come_and_go_leave_it(hand):
     bpy.ops.manient.relax_pose()
     relaxed = pose_at(rig_of(armature), np.array([6.0]))
     dragged = changed_quats(relaxed[0][0], np.zeros((16, 3)), np.full((16, 3), 0.1))
-    corrections.correct_frame(armature, 6, {8: (10.0, 20.0)}, dragged, relaxed[1][0], 4)
+    corrections.correct_frames(armature, [6], dragged[None], relaxed[1], 4, pins=[{8: (10.0, 20.0)}])
     one = corrections.corrections_of(armature).corrections[6]
     start = changed_quats(dragged, one.rotation, one.start_rotation)
     assert np.linalg.norm(correction_between(start, relaxed[0][0]), axis=-1).max() < 1e-6

@@ -15,7 +15,7 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import reshape
 from blender_manient.scene.build import build_take
-from blender_manient.scene.corrections import clear_corrections, correct_frame
+from blender_manient.scene.corrections import clear_corrections, correct_frames
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.store import hand_of
@@ -286,7 +286,8 @@ def test_corrections_can_still_be_taken_out(make_take):
     turned = quats[0].copy()
     turned[:, 1] += 0.2
     turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
-    correct_frame(armature, frame, {8: (10.0, 10.0)}, turned, locations[0] + [0.01, 0.02, 0.03], 3.0)
+    place = locations + [0.01, 0.02, 0.03]
+    correct_frames(armature, [frame], turned[None], place, 3.0, pins=[{8: (10.0, 10.0)}])
     start = np.array(armature.manient.betas)
     armature.manient.betas = BETAS
     clear_corrections(armature)

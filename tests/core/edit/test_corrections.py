@@ -69,7 +69,7 @@ def test_outside_of_the_changed_stretches_two_fields_are_the_same():
         )
         new = old.without(rng.choice(sorted(old.corrections) or [0], 1))
         for frame in rng.choice(100, rng.integers(0, 3), replace=False):
-            new = new.with_correction(int(frame), correction(rng, float(rng.integers(0, 15))))
+            new = new.having({int(frame): correction(rng, float(rng.integers(0, 15)))})
         inside = np.zeros(len(grid), dtype=bool)
         for first, last in changed_stretches(old, new):
             inside |= (grid >= first) & (grid <= last)
@@ -108,7 +108,7 @@ def test_a_change_and_back_is_nothing():
 
 
 def test_text_and_back():
-    field = random_field(7, [3, 12]).with_correction(5, Correction({0: (1.25, -3.5)}, added_key=True))
+    field = random_field(7, [3, 12]).having({5: Correction({0: (1.25, -3.5)}, added_key=True)})
     back = CorrectionField.from_json(field.to_json())
     assert sorted(back.corrections) == [3, 5, 12]
     for frame, one in field.corrections.items():

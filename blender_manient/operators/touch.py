@@ -1,0 +1,166 @@
+"""Touch: bring two points of a hand together over a range of frames, skin to skin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.edit import POINT_NAMES, touching_pair
+from handfit_core.errors import HandfitError, OptionError
+
+from ..refiner import Refiner
+from ..scene.corrections import correct_frames
+from ..scene.store import active_hand
+from ..scene.timing import frame_rate
+from ..wording import capitalised, counted
+from .refit_range import FitsRange, rows_within, suggested_range
+
+_TOUCHES = 0.001
+"""metres between skins that touch"""
+_NEARLY = 0.005
+"""metres: frames around the present one in which the points are no farther apart than here and so much are
+suggested"""
+_AROUND = 2.0
+"""seconds before and after that are looked at for these"""
+_POINTS = [(str(point), name, f"The {name.lower()}") for point, name in enumerate(POINT_NAMES)]
+
+
+class MANIENT_OT_touch(FitsRange, bpy.types.Operator):
+    bl_idname = "manient.touch"
+    bl_label = "Touch"
+    bl_description = (
+        "Make two points of the hand touch, skin to skin, over a range of frames: two fingers, or a finger "
+        "and the palm. Other fingers stay; before and after it fades out over Spread. Asks for the points "
+        "and the range first"
+    )
+    doing = "Making points touch"
+
+    point: bpy.props.EnumProperty(name="Point", items=_POINTS, default="4")  # type: ignore
+    other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")  # type: ignore
+
+    _suggested: tuple[str, str] | None = None
+    """The points that the range was suggested for"""
+
+    def suggest(self, context):
+        """The frames in which these points are nearly together; else those that Re-fit Range suggests."""
+        self._suggested = self.point, self.other
+        self.first, self.last = touching_range(context, int(self.point), int(self.other))
+
+    def check(self, context):
+        """Suggest frames anew for other points."""
+        if self._suggested != (self.point, self.other):
+            self.suggest(context)
+        return True
+
+    def ask(self):
+        """The points."""
+        row = self.layout.row(align=True)
+        row.prop(self, "point", text="")
+        row.prop(self, "other", text="")
+
+    def said(self, context):
+        """How far apart the points are."""
+        try:
+            gaps = _Work(context, self).gaps
+        except HandfitError as error:
+            return capitalised(str(error)), True
+        if np.isnan(gaps).all():
+            return "There is no hand in these frames", True
+        least, most = 1000 * np.nanmin(gaps), 1000 * np.nanmax(gaps)
+        return (
+            f"{counted(len(gaps), 'frame')}. The points are {least:.0f} to {most:.0f} mm apart there",
+            False,
+        )
+
+    def work(self, context) -> _Work:
+        return _Work(context, self)
+
+    def again(self) -> dict[str, Any]:
+        return {"point": self.point, "other": self.other}
+
+    def told(self, work: _Work) -> tuple[str, str]:
+        names = " and ".join(POINT_NAMES[point] for point in work.pair)
+        apart = np.flatnonzero(~(np.abs(work.gaps) <= _TOUCHES))
+        if not len(apart):
+            return "INFO", f"{names} touch in {counted(work.count, 'frame')}"
+        most = 1000 * np.nanmax(np.abs(work.gaps))
+        return "WARNING", (
+            f"{names} stay up to {most:.0f} mm apart in {counted(len(apart), 'frame')}: other fingers or "
+            "locked joints are in the way"
+        )
+
+
+def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[int, int]:
+    """First and last scene frame around the present one in which two points are about as near as here; the
+    preview range where it is used. Raises HandfitError."""
+    hand, scene = active_hand(context), context.scene
+    assert hand is not None
+    refiner = Refiner(hand.armature)
+    frames, around = refiner.scene_frames(), _AROUND * frame_rate(scene)
+    rows = rows_within(frames, scene.frame_current - around, scene.frame_current + around)
+    try:
+        pair = touching_pair(point, other)
+    except OptionError:
+        return suggested_range(context)
+    if scene.use_preview_range or not len(rows):
+        return suggested_range(context)
+    here = int(np.abs(frames[rows] - scene.frame_current).argmin())
+    gaps = refiner.gaps(refiner.keyed_poses(rows.tolist()), pair)
+    far = np.flatnonzero(~(gaps <= gaps[here] + _NEARLY))
+    first = max([-1, *far[far < here]]) + 1
+    last = min([len(rows), *far[far > here]]) - 1
+    return (
+        suggested_range(context)
+        if first > last
+        else (round(float(frames[rows[first]])), round(float(frames[rows[last]])))
+    )
+
+
+class _Work:
+    """What is asked of the worker, and what becomes of it."""
+
+    def __init__(self, context: bpy.types.Context, wanted: MANIENT_OT_touch) -> None:
+        self.pair = touching_pair(int(wanted.point), int(wanted.other))
+        hand = active_hand(context)
+        assert hand is not None
+        self.refiner = Refiner(hand.armature)
+        self._rows = wanted.rows(context, self.refiner)
+        self.count, self._spread = len(self._rows), context.scene.manient.spread
+        start = self.refiner.start_poses(self._rows.tolist())
+        self.gaps = self.refiner.gaps(start, self.pair)
+        point, other = self.pair
+        self._touches = [{**self.refiner.touches(row), point: other} for row in self._rows]
+        self.fields = self.refiner.request(
+            self._rows.tolist(),
+            [self.refiner.pins(row) for row in self._rows],
+            start,
+            touches=self._touches,
+        )
+
+    def received(self, done: dict[str, Any]) -> None:
+        """The worker's answer."""
+        poses = self.refiner.poses(done, self.count)
+        there = poses.present
+        if not there.any():
+            raise OptionError("no hand can be fitted in this range: nothing was detected or pinned there")
+        self.gaps = self.refiner.gaps(poses, self.pair)[there]
+        self.count = int(there.sum())
+        self._found = there, poses
+
+    def writing(self) -> Iterator[float]:
+        """Write the keys; yields how much is done."""
+        there, poses = self._found
+        frames = [self.refiner.source_frame(row) for row in self._rows[there]]
+        touches = [touched for touched, is_there in zip(self._touches, there, strict=True) if is_there]
+        correct_frames(
+            self.refiner.armature,
+            frames,
+            poses.quats[there],
+            poses.locations[there],
+            self._spread,
+            touches=touches,
+        )
+        yield 1.0
