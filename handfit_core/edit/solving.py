@@ -295,7 +295,12 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
         frames, state = smoothly(observed, State.joined(corrected).select(latest))
     for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
         pose[name][frames] = values
-    return _with_held(hand, locked, pose)
+    pose = _with_held(hand, locked, pose)
+    if not hand.touching.any():
+        return pose
+    # What smoothness leaves open between points that touch, their fingers close.
+    pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
+    return each(replace(hand, pins=pins, **pose), model, None)
 
 
 def _corrected(

@@ -186,6 +186,7 @@ def as_detected(**changes: Any) -> HandTrack:
         "world_landmarks": rng.normal(size=(FRAMES, 21, 3)) * 0.05,
         "right_side": np.array([0.9, 0.3, 0.0, np.nan]),
         "placed": rng.normal(size=(FRAMES, 21, 2)),
+        "touches": np.where(np.arange(21) == 8, 4.0, np.full((FRAMES, 21), np.nan)),
     }
     for array in arrays.values():
         array[~DETECTED] = np.nan
@@ -199,7 +200,15 @@ def test_what_the_detector_found_comes_back(tmp_path: Path) -> None:
     original = as_detected()
     (hand, old) = Take.load(take(hands=(original, track("left"))).save(tmp_path / "t.npz")).hands
     assert hand.refinable
-    for name in ("keypoints_depth", "world_landmarks", "right_side", "other_side", "overlapped", "placed"):
+    for name in (
+        "keypoints_depth",
+        "world_landmarks",
+        "right_side",
+        "other_side",
+        "overlapped",
+        "placed",
+        "touches",
+    ):
         np.testing.assert_array_equal(getattr(hand, name), getattr(original, name), err_msg=name)
         assert getattr(old, name) is None
     first, second, third, fourth = (hand.detection(row) for row in range(FRAMES))

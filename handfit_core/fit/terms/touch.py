@@ -16,7 +16,7 @@ SIGMA: Final = 0.0015
 """metres between skins that cost as much as one sigma"""
 FAR: Final = 0.02
 """metres; tips that stay farther apart were taken for touching by mistake, and pull hardly"""
-CERTAIN_SIGMA: Final = 0.0002
+CERTAIN_SIGMA: Final = 0.0001
 """metres, of what a person says, which is no mistake however far it is"""
 
 _PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) for tips in TIPS])
