@@ -13,21 +13,24 @@ from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 SIGMA: Final = 0.001
 """metres of depth that cost as much as one sigma"""
+EDIT_SIGMA: Final = 0.00025
+"""The same where a pose is corrected: pins are surer than landmarks, and would push parts into each other"""
 GIVES: Final = 0.0015
 """metres by which flesh gives where parts touch"""
 
 
 class Apart:
-    """One row for each two parts that stand in each other: (depth - GIVES) / SIGMA."""
+    """One row for each two parts that stand in each other: (depth - GIVES) / SIGMA, or EDIT_SIGMA."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
-    def __call__(self, posed: Posed, seen: Observation) -> PairRows:  # noqa: ARG002 (a term)
+    def __call__(self, posed: Posed, seen: Observation) -> PairRows:
         """The rows of B posed hands."""
         near = self.surface.near(self.surface.capsules(posed), within=-GIVES)
         # The places are the nearest ones: to first order the gap does not change as they move on.
-        slope = between(posed, near.hand, near.bones, near.places, -near.towards / SIGMA)
-        residual = -(near.gap + GIVES) / SIGMA
+        sigma = SIGMA if seen.kept is None else EDIT_SIGMA
+        slope = between(posed, near.hand, near.bones, near.places, -near.towards / sigma)
+        residual = -(near.gap + GIVES) / sigma
         columns = np.concatenate([slope, residual[:, None]], axis=1)
         return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, np.square(residual))
