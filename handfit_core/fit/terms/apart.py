@@ -29,8 +29,9 @@ class Apart:
         """The rows of B posed hands."""
         near = self.surface.near(self.surface.capsules(posed), within=-GIVES)
         # The places are the nearest ones: to first order the gap does not change as they move on.
-        sigma = SIGMA if seen.kept is None else EDIT_SIGMA
-        slope = between(posed, near.hand, near.bones, near.places, -near.towards / sigma)
+        corrected = seen.kept is not None and np.isfinite(seen.kept.limits_sigma)[near.hand]
+        sigma = np.where(corrected, EDIT_SIGMA, SIGMA)
+        slope = between(posed, near.hand, near.bones, near.places, -near.towards / sigma[..., None])
         residual = -(near.gap + GIVES) / sigma
         columns = np.concatenate([slope, residual[:, None]], axis=1)
         return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, np.square(residual))
