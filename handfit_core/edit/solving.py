@@ -478,19 +478,19 @@ def _cheapest(
     solid: bool = False,
 ) -> Solution:
     """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
-    difference, from the first. Then they are made `solid`. `max_iterations`: None for those of captures."""
+    difference, from the first. `max_iterations`: None for those of captures."""
     count = len(observed)
-    start, of_all, held_all = State.joined(starts), observed, held
-    if len(starts) > 1:
-        index = np.tile(np.arange(count), len(starts))
-        of_all, held_all = observed.select(index), None if held is None else held.select(index)
-    problem = fitter.problem(of_all, held=held_all)
-    solution = fitter.solve_each(problem, start if held_all is None else held_all.put(start), max_iterations)
-    if len(starts) > 1:
-        cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
-        cost[0] *= CHEAPER
-        solution = solution.select(cost.argmin(axis=0) * count + np.arange(count))
-    return fitter.made_solid(observed, solution, held, max_iterations) if solid else solution
+    index = np.tile(np.arange(count), len(starts))
+    held = held if held is None or len(starts) == 1 else held.select(index)
+    start = State.joined(starts)
+    observed = observed if len(starts) == 1 else observed.select(index)
+    problem = fitter.problem(observed, held=held, solid=solid)
+    solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)
+    if len(starts) == 1:
+        return solution
+    cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
+    cost[0] *= CHEAPER
+    return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 
 def _held(joints: np.ndarray, state: State) -> Held | None:
