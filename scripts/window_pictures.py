@@ -28,7 +28,7 @@ SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PICTURES = ("empty", "capturing", "captured", "keypoints", "find", "box", "add-laid", "add-point-12")
+PICTURES = ("empty", "capturing", "captured", "keypoints", "touch", "find", "box", "add-laid", "add-point-12")
 
 
 def main() -> int:

@@ -104,7 +104,7 @@ class FitsRange(Refuses, Waits):
         if self._dialog:
             # An operator cannot go on running from its own dialog: another one of its kind does.
             try:
-                operator = getattr(bpy.ops.manient, self.bl_idname.split(".")[1])
+                operator = getattr(bpy.ops.manient, type(self).bl_idname.removeprefix("manient."))
                 wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
                 operator("INVOKE_DEFAULT", **wanted, **self.again())
             except RuntimeError as error:  # its own report

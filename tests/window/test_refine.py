@@ -31,6 +31,17 @@ def test_a_range_is_fitted_again_only_after_it_was_asked_for(blender, make_clip)
     assert played["undone"] == []
 
 
+def test_points_are_made_to_touch_and_the_undo_lets_them_go(blender, make_clip):
+    played = blender.play("refine.touched", source=make_clip(CLIP), timeout=240).value
+    (first, last), spread = played["range"], played["spread"]
+    assert first <= 30 <= last
+    assert played["apart"] < 0.001
+    reach = range(first - int(spread), last + int(spread) + 1)
+    assert set(played["changed"]) <= set(reach)
+    assert len(played["changed"]) >= last - first + 1
+    assert played["undone"] == []
+
+
 def test_the_worker_dies_between_two_drags(blender, make_clip):
     played = blender.play("refine.worker_killed", source=make_clip(CLIP), timeout=240).value
     assert played["followed"]

@@ -46,6 +46,11 @@ def tour(stage, folder, source, edited_frame=12):
     armature.manient.show_confidence = False
     yield 0.3
     yield from _drag_a_fingertip(stage)
+    yield from stage.invoke("manient.touch")
+    yield 0.5
+    yield from stage.screenshot("touch")
+    yield from stage.key("ESC")
+    yield 0.3
     return {"hands": len(hands())}
 
 

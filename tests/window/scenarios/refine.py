@@ -225,6 +225,41 @@ def range_refitted(stage, source):
     }
 
 
+def touched(stage, source):
+    """Touch by its button's click, with the points and frames that its dialog suggests, and undone."""
+    yield from stage.open_sidebar()
+    yield from capture(stage, source)
+    (armature,) = hands()
+    bpy.context.view_layer.objects.active = armature
+    bpy.context.scene.frame_set(30)
+    bpy.ops.ed.undo_push(message="Captured")
+    before = {frame: _values_at(armature, frame) for frame in range(1, 61)}
+    bpy.context.scene.frame_set(30)
+    first, last = part("operators.touch").touching_range(bpy.context, 4, 8)
+    yield from stage.invoke("manient.touch")
+    yield 0.5
+    yield from stage.screenshot("touch-asks")
+    yield from stage.key("RET")
+    yield from stage.until(lambda: refit().FitsRange._running, 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().FitsRange._running, WARM, "the fit")
+    yield 0.3
+    yield from stage.screenshot("touch-done")
+    refiner = part("refiner").Refiner(armature)
+    rows = [refiner.row_at(frame) for frame in range(first, last + 1)]
+    gaps = refiner.gaps(refiner.keyed_poses(rows), (8, 4))
+    changed, spread = _changed(armature, before), bpy.context.scene.manient.spread
+    yield from stage.undo()
+    yield 0.3
+    (armature,) = hands()
+    return {
+        "range": [first, last],
+        "spread": spread,
+        "apart": float(abs(gaps).max()),
+        "changed": changed,
+        "undone": _changed(armature, before),
+    }
+
+
 def _changed(armature, before) -> list[int]:
     """The frames whose pose is another one now, by more than how single precision rounds."""
     now = {frame: _values_at(armature, frame) for frame in before}
