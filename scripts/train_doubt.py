@@ -34,7 +34,7 @@ from handfit_core.skeleton import SIDES
 from scripts.benchmark.kinematics import model_of
 from scripts.train_landmarks import samples_of_stills
 
-SHIPPED, CHECKED = "300:800,302:400:closed", "301:300,303:150:closed"
+SHIPPED, CHECKED = "300:500,302:250:closed", "301:250,303:100:closed"
 ITERATIONS = 30
 
 
