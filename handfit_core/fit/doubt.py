@@ -30,7 +30,7 @@ MOST: Final = 0.2
 """metres: no hand is farther off than its own length"""
 AROUND: Final = 0.12
 """seconds before and after that tell of a frame's error too: where a tenth of the others is doubted, so are
-72 % of painted clips' frames that are wrong by more than 15 mm, and by a frame alone 68 %"""
+73 % of painted clips' frames that are wrong by more than 15 mm, and by a frame alone 68 %"""
 
 _LEAST: Final = 5e-4
 """metres; what is less than this tells nothing more"""
