@@ -64,8 +64,8 @@ def angles_of(shot: Shot) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     ],
 )
 def test_old_seeds_give_what_they_gave(number: int, kind: str, tips: list[list[float]]) -> None:
-    """Thumbs' and index fingers' tips of pictures that were rendered before closed hands were added, to a tenth
-    of a millimetre: since fingertips are fuller, what touches stands a little elsewhere."""
+    """Thumbs' and index fingers' tips of pictures that were rendered before closed hands were added, to a
+    tenth of a millimetre: since fingertips are fuller, what touches stands a little elsewhere."""
     (entry,) = entries(still_shot(7, number, 512))
     assert entry["tags"]["pose"] == kind
     np.testing.assert_allclose(np.array(entry["hands"][0]["joints_3d_mm"])[[4, 8]], tips, atol=0.15)
