@@ -211,3 +211,14 @@ def test_drafts_hold_other_fingers_too(keypoint: int) -> None:
         moved = distance(last.landmarks_2d[0], hand.before)[others(keypoint)].max()
         short = shortfall(hand, keypoint, hand.before[keypoint] + by) if moved > LEAST * hand.size else 0.0
         assert moved <= LEAST * hand.size + MOST_PER_SHORTFALL * short, hand.side
+
+
+@pytest.mark.parametrize("onto", [2, 3, 4])
+def test_a_fingertip_that_is_dragged_over_the_thumb_stays_out_of_it(onto: int) -> None:
+    for hand in hands():
+        surface = surface_of(model_of(hand.side))
+        way = hand.before[onto] - hand.before[8]
+        for share in (0.8, 1.0, 1.2):
+            found = hand.dragged(8, share * way)
+            assert surface.depths(surface.of(hand.pose[0], found.hand_pose))[0] < 0.003
+            assert distance(found.landmarks_2d[0, 8], hand.before[8] + share * way) < 0.02 * hand.size
