@@ -14,6 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.chain import Chain, Posed
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import NO_OFFSETS, bone_axes
@@ -276,13 +278,16 @@ _ROOT_OF_THUMB: Final = 1.1
 _METACARPAL: Final = np.array([0.25, 0.85])
 """Parts of the way from the wrist to a knuckle between which the palm's capsules lie: their round ends reach
 farther"""
+_FIST: Final = np.radians([[0.0, 0.0, bend] for _ in range(5) for bend in (75.0, 90.0, 55.0)])
+"""(15, 3) radians: angles of the hand whose palm is measured; its thumb is flat"""
 _PALM_STRIP: Final = 0.006
 """metres to both sides of a metacarpal in which the palm's thickness is measured"""
 
 
 def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ends (19, 2, 3) in the axes of the bones' frames, from the joint that each starts at (metacarpals: the
-    wrist), and radii (19, 2), metres, of the flat hand's mesh."""
+    wrist), and radii (19, 2), metres, of the mesh: of the flat hand's fingers, and of the palm of a fist, where
+    its flesh rises, and where it is touched."""
     shaped, axes = model.shaped(betas), bone_axes(model)
     owner = model.weights.argmax(axis=1)
     ends, radii = np.zeros((NUM_BONES, 2, 3)), np.empty((NUM_BONES, 2))
@@ -298,7 +303,9 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
             ends[bone, :, 0] = -at * length
             ends[bone, :, 1:], radii[bone] = (_carried_on(part, _SECTIONS, at) for part in (middle, radius))
     ends[0, :, 1:], radii[0] = ends[1, 0, 1:], radii[1, 0] * np.array([_ROOT_OF_THUMB, 1.0])
-    palm = shaped.vertices[owner == 0] - shaped.joints[0]
+    fist = rotmats_from_angles(np.where(np.arange(15)[:, None] < 12, _FIST, 0.0), anatomical_axes(model))
+    closed = model.posed(betas, np.zeros(3), rotmat_to_rotvec(fist).reshape(45), np.zeros(3))
+    palm = closed.vertices[owner == 0] - shaped.joints[0]
     for bone, finger in enumerate(FINGERS[1:], PALM):
         knuckle = shaped.joints[FINGER_JOINTS[finger][0]] - shaped.joints[0]
         across = np.cross(knuckle, [0.0, 1.0, 0.0])
