@@ -286,8 +286,8 @@ _PALM_STRIP: Final = 0.006
 
 def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ends (19, 2, 3) in the axes of the bones' frames, from the joint that each starts at (metacarpals: the
-    wrist), and radii (19, 2), metres, of the mesh: of the flat hand's fingers, and of the palm of a fist, where
-    its flesh rises, and where it is touched."""
+    wrist), and radii (19, 2), metres, of the mesh: of the flat hand's fingers, and of the palm of a fist,
+    where its flesh rises, and where it is touched."""
     shaped, axes = model.shaped(betas), bone_axes(model)
     owner = model.weights.argmax(axis=1)
     ends, radii = np.zeros((NUM_BONES, 2, 3)), np.empty((NUM_BONES, 2))
