@@ -17,7 +17,7 @@ from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
 from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, over_time
-from handfit_core.fit.gaps import jumps, missing_between
+from handfit_core.fit.gaps import Times, jumps, missing_between
 from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.fit.solution import Solution
@@ -276,7 +276,8 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
         own = _start(fitter, hand, hand, posed[at], here, at)
         parts.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
     held = None if everywhere is None else everywhere.select(rows)
-    observed, solution = fitter.solve_solid(observed, Solution.joined(parts), rows, held)
+    times = Times.between(rows, cuts, hand.fps)
+    observed, solution = fitter.solve_solid(observed, Solution.joined(parts), times, held)
     alone = solution.state
     frames, state = smoothly(observed, alone)
     if told[rows].any():

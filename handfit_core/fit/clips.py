@@ -25,7 +25,7 @@ _BAND = 2 * SIZE + 2
 """Subdiagonals: a rotation's three components two frames on"""
 _HAND = np.r_[0:3, 48:51]
 """Where the hand's own variables are; the last of its seven is where depth is zero"""
-ITERATIONS = 4
+ITERATIONS = 8
 TOLERANCE = 1e-3
 """Relative decrease of the total cost at which to stop"""
 WINDOW = 600

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.skeleton import Side
@@ -89,17 +90,10 @@ def expected_error(told: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.minimum(np.exp(told @ weights + constants), MOST), nan=MOST)
 
 
-def among_neighbours(expected: np.ndarray, frames: np.ndarray, shots: np.ndarray, fps: float) -> np.ndarray:
-    """(F, 5) expected errors of a clip's `frames` (F,), increasing, as geometric means over those around in
-    the same of its `shots` (F,): errors outlast a frame, and evidence flickers."""
-    total, count = np.zeros_like(expected), np.zeros((len(frames), 1))
-    reach = round(AROUND * fps)
-    for step in range(-reach, reach + 1):
-        row = np.searchsorted(frames, frames + step).clip(max=len(frames) - 1)
-        there = ((frames[row] == frames + step) & (shots[row] == shots))[:, None]
-        total += np.where(there, np.log(expected[row]), 0.0)
-        count += there
-    return np.exp(total / count)
+def among_neighbours(expected: np.ndarray, times: Times) -> np.ndarray:
+    """(N, 5) expected errors of a clip's detections, as geometric means over those around in the same shot:
+    errors outlast a frame, and evidence flickers."""
+    return np.exp(times.mean(np.log(expected), np.ones(2 * round(AROUND * times.fps) + 1)))
 
 
 def doubtful(expected: np.ndarray) -> np.ndarray:

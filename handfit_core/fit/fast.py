@@ -14,7 +14,7 @@ from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.clips import smoothed
 from handfit_core.fit.doubt import among_neighbours, doubtful, evidence, expected_error, side_logits
-from handfit_core.fit.gaps import bridged, jumps, missing_between, spans
+from handfit_core.fit.gaps import Times, bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
 from handfit_core.fit.meeting import meeting
 from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
@@ -161,27 +161,21 @@ class FastFitter:
         )
 
     def solve_solid(
-        self, seen: Observation, plain: Solution, frames: np.ndarray | None = None, held: Held | None = None
+        self, seen: Observation, plain: Solution, times: Times | None = None, held: Held | None = None
     ) -> tuple[Observation, Solution]:
         """The same hands as solid ones, from where they are without; and what is seen of how their parts
-        meet. `frames` (B,) int: which of a clip; None: they know nothing of each other."""
-        seen = replace(seen, meeting=meeting(self.chain, self.surface, seen, plain.state, frames))
-        return seen, self.made_solid(seen, plain, held)
-
-    def made_solid(
-        self, seen: Observation, plain: Solution, held: Held | None = None, max_iterations: int | None = None
-    ) -> Solution:
-        """Hands without parts that pass through each other, from where they are with; those in which nothing
-        meets stay. On the way to where nothing meets, parts may pass."""
+        meet. `times`: when they were seen in a clip; None: they know nothing of each other."""
+        seen = replace(seen, meeting=meeting(self.chain, self.surface, seen, plain.state, times))
         posed = self.chain.pose(plain.state)
         meet = np.unique(np.concatenate([term(posed, seen).hand for term in self._meeting_terms(seen)]))
         if not len(meet):
-            return plain
-        problem = self.problem(seen, held=held, solid=True).select(meet)
-        found = self.solve_each(problem, plain.state.select(meet), max_iterations)
+            return seen, plain
+        found = self.solve_each(
+            self.problem(seen, held=held, solid=True).select(meet), plain.state.select(meet)
+        )
         order = np.arange(len(plain))
         order[meet] = len(plain) + np.arange(len(meet))
-        return Solution.joined([plain, found]).select(order)
+        return seen, Solution.joined([plain, found]).select(order)
 
     def _meeting_terms(self, seen: Observation) -> tuple[Apart | InFront | Touch, ...]:
         """Those that couple parts of a hand."""
@@ -247,8 +241,9 @@ def fit_track(
     else:
         solution = _clip(fitter, seen, should_stop)
         found = found[: len(solution)]
-        seen, solution = fitter.solve_solid(seen.select(slice(len(found))), solution, found)
         cuts = cuts[: len(found) - 1]
+        times = Times.between(found, cuts, track.fps)
+        seen, solution = fitter.solve_solid(seen.select(slice(len(found))), solution, times)
         frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
     for _ in found:
         on_frame()
@@ -257,7 +252,7 @@ def fit_track(
     # A track's side is voted for by all of its frames.
     sure = np.full(len(found), side_logits(detections, model.side).mean())
     expected = expected_error(evidence(seen, points, sure))
-    expected = among_neighbours(expected, found, np.append(0, np.cumsum(cuts)), track.fps)
+    expected = among_neighbours(expected, Times.between(found, cuts, track.fps))
     return TrackFit(
         betas=betas[0],
         global_orient=spread(orient, frames, count),

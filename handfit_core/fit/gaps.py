@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,6 +41,33 @@ def missing_between(found: np.ndarray, holes: Sequence[int]) -> np.ndarray:
     """(N - 1,) bool: whether pictures are missing between consecutive detected frames (N,)."""
     before = np.searchsorted(np.sort(np.asarray(holes, dtype=np.int64)), found)
     return np.diff(before) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Times:
+    """When the N detections of a track were made."""
+
+    frames: np.ndarray
+    """(N,) int, rising"""
+    shots: np.ndarray
+    """(N,) int: those of one shot have one number"""
+    fps: float
+
+    @classmethod
+    def between(cls, frames: np.ndarray, cuts: np.ndarray, fps: float) -> Times:
+        """With `cuts` (N - 1,) bool between detections."""
+        return cls(frames, np.append(0, np.cumsum(cuts)), fps)
+
+    def mean(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(N, n) means of values over the frames around in the same shot: weights (2 r + 1,) of those from r
+        frames before to r after."""
+        total, weight = np.zeros_like(values), np.zeros((len(values), 1))
+        for step, each in enumerate(weights, -(len(weights) // 2)):
+            row = np.searchsorted(self.frames, self.frames + step).clip(max=len(self.frames) - 1)
+            there = (self.frames[row] == self.frames + step) & (self.shots[row] == self.shots)
+            total += np.where(there[:, None], each * values[row], 0.0)
+            weight += each * there[:, None]
+        return total / weight
 
 
 def spans(found: np.ndarray, fps: float, jump: np.ndarray | None = None) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Meeting, Observation
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.surface import Surface
@@ -18,8 +19,8 @@ TIPS: Final = np.array([(2, b) for b in (5, 8, 11, 14)])
 
 CROSSED: Final = 0.08
 """Of the hand's size in the picture: bones that are nearer there lie over each other"""
-MEMORY: Final = 3.0
-"""frames: what is in front is told by neighbours in time as well, with weights that fall like a bell of that
+MEMORY: Final = 0.12
+"""seconds: what is in front is told by neighbours in time as well, with weights that fall like a bell of that
 width"""
 UNSURE: Final = 0.3
 """times the expected error of both depths: below this, nothing is said of what is in front"""
@@ -32,9 +33,9 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 
 
 def meeting(
-    chain: Chain, surface: Surface, seen: Observation, state: State, frames: np.ndarray | None = None
+    chain: Chain, surface: Surface, seen: Observation, state: State, times: Times | None = None
 ) -> Meeting:
-    """What is seen of hands that are roughly where `state` has them. `frames` (B,): their numbers in a clip,
+    """What is seen of hands that are roughly where `state` has them. `times`: when they were seen in a clip,
     of which neighbours agree; None: they know nothing of each other."""
     size = np.ptp(seen.pixels, axis=1).max(axis=1)
     starts = _first_point(CROSSING)
@@ -53,8 +54,10 @@ def meeting(
     behind = np.abs(seen.depth[:, tips[1:]] - seen.depth[:, tips[:1]])
     behind /= np.hypot(seen.depth_sigma[:, tips[1:]], seen.depth_sigma[:, tips[:1]])
     touching = _within(np.linalg.norm(off, axis=-1) / size[:, None], PINCHED) * _within(behind, PINCHED_DEPTH)
-    if frames is not None:
-        says, touching = _over_time(says, frames), _over_time(touching, frames)
+    if times is not None:
+        reach = round(3.0 * MEMORY * times.fps)
+        bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (MEMORY * times.fps)) ** 2)
+        says, touching = times.mean(says, bell), times.mean(touching, bell)
     front = np.where(crosses & (np.abs(says) > UNSURE), np.sign(says), 0.0)
     capsules = surface.capsules(chain.pose(state))
     share = np.stack([1.0 - along, along], axis=-1)  # (B, Q, 2 bones, 2 ends)
@@ -73,18 +76,6 @@ def _within(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
     """1 up to the first, 0 from the second on."""
     first, second = range_
     return np.clip((second - value) / (second - first), 0.0, 1.0)
-
-
-def _over_time(values: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Means of neighbours in time, (B, ...)."""
-    total, weights = np.zeros_like(values), np.zeros(len(values))
-    for shift in range(-int(3 * MEMORY), int(3 * MEMORY) + 1):
-        at = np.searchsorted(frames, frames + shift)
-        there = np.minimum(at, len(frames) - 1)
-        weight = np.exp(-0.5 * (shift / MEMORY) ** 2) * (frames[there] == frames + shift)
-        total += weight[:, None] * values[there]
-        weights += weight
-    return total / weights[:, None]
 
 
 @np.errstate(all="ignore")

@@ -11,6 +11,7 @@ from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import doubt
 from handfit_core.fit.fast import fit_frames, fit_track, fitter_of
+from handfit_core.fit.gaps import Times
 from handfit_core.skeleton import SIDES, Side
 from scripts.train_doubt import calibrated
 from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, mirrored, model_of, poses, seen
@@ -110,12 +111,13 @@ def test_neighbours_in_time_tell_too_but_not_over_cuts_and_gaps() -> None:
     expected[6] = 0.04
     frames = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 20, 21, 22])
     shots = (frames > 6).astype(int)
-    found = doubt.among_neighbours(expected, frames, shots, 25.0)
+    found = doubt.among_neighbours(expected, Times(frames, shots, 25.0))
     np.testing.assert_allclose(found[[0, 1, 2, 7, 8, 9, 10, 11]], 0.005)
     assert np.all(found[3:7] > 0.005)
     np.testing.assert_allclose(found[6], (0.005**3 * 0.04) ** 0.25)
-    np.testing.assert_allclose(doubt.among_neighbours(expected, frames, shots, 1.0), expected)
-    assert doubt.among_neighbours(expected[:1], frames[:1], shots[:1], 25.0) == pytest.approx(expected[:1])
+    np.testing.assert_allclose(doubt.among_neighbours(expected, Times(frames, shots, 1.0)), expected)
+    alone = doubt.among_neighbours(expected[:1], Times(frames[:1], shots[:1], 25.0))
+    assert alone == pytest.approx(expected[:1])
 
 
 def test_calibration_finds_the_weights_that_made_the_errors() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from handfit_core.fit.fast import FastFitter, fitter_of
+from handfit_core.fit.gaps import Times
 from handfit_core.fit.meeting import CROSSING, TIPS, meeting
 from handfit_core.fit.observation import Meeting, Observation
 from handfit_core.fit.problem import Problem
@@ -154,18 +155,26 @@ def test_what_crosses_is_seen_with_its_order(towards: float) -> None:
     assert (found.apart[0, over] < 0.03).all()
 
 
+def at(frames: np.ndarray, cuts: tuple[int, ...] = ()) -> Times:
+    """Detections in those frames, with cuts after some rows."""
+    return Times.between(frames, np.isin(np.arange(len(frames) - 1), cuts), 25.0)
+
+
 def test_neighbours_in_time_overrule_one_frame() -> None:
     own, state = fitter(), facing(fists(batch=1), 1.0)
     seen = seen_of(repeated(state, 9))
     spoilt = replace(seen, depth=seen.depth.copy())
     spoilt.depth[4] *= -1.0
     alone = meeting(own.chain, own.surface, spoilt, repeated(state, 9))
-    told = meeting(own.chain, own.surface, spoilt, repeated(state, 9), np.arange(9))
+    told = meeting(own.chain, own.surface, spoilt, repeated(state, 9), at(np.arange(9)))
     assert not np.array_equal(alone.front[4], alone.front[3])
     assert np.array_equal(told.front[4], told.front[3])
     # Frames that are missing are no neighbours.
-    far = meeting(own.chain, own.surface, spoilt, repeated(state, 9), 100 * np.arange(9))
+    far = meeting(own.chain, own.surface, spoilt, repeated(state, 9), at(100 * np.arange(9)))
     assert np.array_equal(far.front, alone.front)
+    # So are those of another shot.
+    cut = meeting(own.chain, own.surface, spoilt, repeated(state, 9), at(np.arange(9), (3, 4)))
+    assert np.array_equal(cut.front[4], alone.front[4])
 
 
 def test_the_thumb_is_kept_on_its_side() -> None:
@@ -217,7 +226,7 @@ def test_clips_stay_solid_while_they_are_smoothed() -> None:
     from handfit_core.fit.fast import over_time
 
     frames = np.arange(count)
-    seen, solid = own.solve_solid(seen, own.solve_each(own.problem(seen), state), frames)
+    seen, solid = own.solve_solid(seen, own.solve_each(own.problem(seen), state), at(frames))
     _, smooth = over_time(own, seen, solid.state, frames, np.zeros(count - 1, dtype=bool), 1.0, 25.0)
     assert depths(smooth).max() < 0.004
     rough = np.abs(np.diff(solid.state.angles, 2, axis=0)).mean()
