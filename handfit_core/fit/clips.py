@@ -26,7 +26,7 @@ _BAND = 2 * SIZE + 2
 _HAND = np.r_[0:3, 48:51]
 """Where the hand's own variables are; the last of its seven is where depth is zero"""
 ITERATIONS = 8
-TOLERANCE = 1e-3
+TOLERANCE = 3e-3
 """Relative decrease of the total cost at which to stop"""
 WINDOW = 600
 """Frames that each window adds"""

@@ -165,9 +165,13 @@ class FastFitter:
     ) -> tuple[Observation, Solution]:
         """The same hands as solid ones, from where they are without; and what is seen of how their parts
         meet. `times`: when they were seen in a clip; None: they know nothing of each other."""
-        seen = replace(seen, meeting=meeting(self.chain, self.surface, seen, plain.state, times))
-        posed = self.chain.pose(plain.state)
-        meet = np.unique(np.concatenate([term(posed, seen).hand for term in self._meeting_terms(seen)]))
+        seen = replace(seen, meeting=meeting(self.surface, seen, plain.state, times))
+        rows = []
+        for first in range(0, len(plain), CHUNK):
+            part = slice(first, first + CHUNK)
+            posed, here = self.chain.pose(plain.state.select(part)), seen.select(part)
+            rows += [first + term(posed, here).hand for term in self._meeting_terms(seen)]
+        meet = np.unique(np.concatenate(rows))
         if not len(meet):
             return seen, plain
         found = self.solve_each(

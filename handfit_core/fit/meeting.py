@@ -8,7 +8,7 @@ import numpy as np
 
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Meeting, Observation
-from handfit_core.hand_model.chain import Chain, State
+from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import Surface
 from handfit_core.skeleton import TIP_KEYPOINTS
 
@@ -32,9 +32,7 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 """The same along the line of sight, times the expected error of both depths"""
 
 
-def meeting(
-    chain: Chain, surface: Surface, seen: Observation, state: State, times: Times | None = None
-) -> Meeting:
+def meeting(surface: Surface, seen: Observation, state: State, times: Times | None = None) -> Meeting:
     """What is seen of hands that are roughly where `state` has them. `times`: when they were seen in a clip,
     of which neighbours agree; None: they know nothing of each other."""
     size = np.ptp(seen.pixels, axis=1).max(axis=1)
@@ -59,9 +57,8 @@ def meeting(
         bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (MEMORY * times.fps)) ** 2)
         says, touching = times.mean(says, bell), times.mean(touching, bell)
     front = np.where(crosses & (np.abs(says) > UNSURE), np.sign(says), 0.0)
-    capsules = surface.capsules(chain.pose(state))
     share = np.stack([1.0 - along, along], axis=-1)  # (B, Q, 2 bones, 2 ends)
-    reach = (capsules.radii[:, CROSSING] * share).sum(axis=(2, 3))
+    reach = (surface.radii(state.betas)[:, CROSSING] * share).sum(axis=(2, 3))
     metres = across * (state.depth_zero / seen.focal.mean(axis=1))[:, None]
     apart = np.sqrt(np.maximum(reach**2 - metres**2, 0.0))
     return Meeting(along, front, apart, touching)

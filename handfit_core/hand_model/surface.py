@@ -106,6 +106,10 @@ class Surface:
         zero = np.zeros((len(betas), 3))
         return self.capsules(self._chain.pose(self._chain.state(betas, zero, hand_pose, zero, zero[:, 0])))
 
+    def radii(self, betas: np.ndarray) -> np.ndarray:
+        """(B, 19, 2) metres, at the capsules' ends, of hands of betas (B, 10)."""
+        return self._radii + (self._radius_dirs @ betas.T).transpose(2, 0, 1)
+
     def capsules(self, posed: Posed) -> Capsules:
         """The capsules of B posed hands. The last ones are kept: several terms ask for them."""
         if self._last is not None and self._last[0] is posed:
@@ -119,7 +123,7 @@ class Surface:
             batch, NUM_BONES, 2, 3
         )
         ends = origins[:, :, None] + local @ frames.transpose(1, 0, 3, 2)
-        radii = self._radii + (self._radius_dirs @ betas.T).transpose(2, 0, 1)
+        radii = self.radii(betas)
         found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, 0.0))
         self._last = posed, found
         return found

@@ -142,7 +142,7 @@ def facing(state: State, towards: float) -> State:
 def test_what_crosses_is_seen_with_its_order(towards: float) -> None:
     """Of a fist's thumb that lies over the fingers: in front as the palm shows, behind from the back."""
     own, state = fitter(), facing(fists(batch=1), towards)
-    found = meeting(own.chain, own.surface, seen_of(state), state)
+    found = meeting(own.surface, seen_of(state), state)
     over = found.front[0] != 0.0
     assert over.any()
     surface, posed = own.surface, own.chain.pose(state)
@@ -165,15 +165,15 @@ def test_neighbours_in_time_overrule_one_frame() -> None:
     seen = seen_of(repeated(state, 9))
     spoilt = replace(seen, depth=seen.depth.copy())
     spoilt.depth[4] *= -1.0
-    alone = meeting(own.chain, own.surface, spoilt, repeated(state, 9))
-    told = meeting(own.chain, own.surface, spoilt, repeated(state, 9), at(np.arange(9)))
+    alone = meeting(own.surface, spoilt, repeated(state, 9))
+    told = meeting(own.surface, spoilt, repeated(state, 9), at(np.arange(9)))
     assert not np.array_equal(alone.front[4], alone.front[3])
     assert np.array_equal(told.front[4], told.front[3])
     # Frames that are missing are no neighbours.
-    far = meeting(own.chain, own.surface, spoilt, repeated(state, 9), at(100 * np.arange(9)))
+    far = meeting(own.surface, spoilt, repeated(state, 9), at(100 * np.arange(9)))
     assert np.array_equal(far.front, alone.front)
     # So are those of another shot.
-    cut = meeting(own.chain, own.surface, spoilt, repeated(state, 9), at(np.arange(9), (3, 4)))
+    cut = meeting(own.surface, spoilt, repeated(state, 9), at(np.arange(9), (3, 4)))
     assert np.array_equal(cut.front[4], alone.front[4])
 
 
