@@ -37,6 +37,7 @@ from ..rigs import rig_of
 from . import store
 from .editable import check_keyable
 from .keys import (
+    SAME_FRAME,
     PoseKeys,
     check_unlocked,
     own_action,
@@ -164,9 +165,9 @@ def correct_frames(
         keep_field(armature, old)
     places = timing_of(armature).scene_frames(np.array(chosen, dtype=np.float64))
     now_quats, now_locations = pose_at(rig, places)
-    present = [read_pose_keys(rig, place, place) for place in places]
-    rotated = np.array([keys.rotation_keyed.any(axis=0) for keys in present])
-    located = np.array([keys.location_keyed.any() for keys in present])
+    present = read_pose_keys(rig, places.min(), places.max())
+    there = np.abs(places[:, None] - present.frames) <= SAME_FRAME
+    rotated, located = there @ present.rotation_keyed, there @ present.location_keyed
     turns, moves = np.isfinite(quats[..., 0]), np.asarray(np.isfinite(locations).all(axis=1))
     write_pose_keys(rig, PoseKeys(places, now_quats, now_locations, turns & ~rotated, moves & ~located))
     quats = np.where(turns[..., None], quats, now_quats)

@@ -118,7 +118,7 @@ def adding_correctives(mesh: bpy.types.Object, rig: Rig, offsets: np.ndarray) ->
 
     With them the evaluated mesh is the model's (`HandModel.posed`), under any pose that is set on the
     bones. `offsets`: `axes.corrective_offsets` (15, 9, V, 3). Yields how many keys each step made: 1, or 0
-    for a product that moves nothing. Blender calls the drivers simple expressions: it evaluates them
+    for a product that moves hardly anything. Blender calls the drivers simple expressions: it evaluates them
     itself, so they work with scripts disabled.
     """
     basis = np.empty((len(mesh.data.vertices), 3), dtype=np.float32)

@@ -167,11 +167,15 @@ class _Frames(Batch):
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
         found = self._solved(seen, self.own, anywhere, doubt, held, [start])
         if self.near is None:
-            together = np.asarray(self._touching.any(axis=1))
-            if together.sum() > 1:
-                # Frames that touch for the same reason do so in the same way.
-                bends = np.median((found.angles - self.own.angles)[together], axis=0)
-                start = replace(self.own, angles=self.own.angles + bends * together[:, None, None])
+            if self.touches is not None:
+                # Frames in which the same points touch do so in the same way.
+                _, reason = np.unique(np.nan_to_num(self.touches, nan=-1.0), axis=0, return_inverse=True)
+                bends = np.zeros_like(found.angles)
+                for one in np.unique(reason):
+                    same = (reason.reshape(-1) == one) & np.isfinite(self.touches).any(axis=1)
+                    if same.any():
+                        bends[same] = np.median((found.angles - self.own.angles)[same], axis=0)
+                start = replace(self.own, angles=self.own.angles + bends)
                 found = self._solved(seen, self.own, anywhere, doubt, held, [start])
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
             short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
@@ -299,6 +303,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     pose = _with_held(hand, locked, pose)
     if not hand.touching.any():
         return pose
+    _check(should_stop)
     # What smoothness leaves open between points that touch, their fingers close.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
     return each(replace(hand, pins=pins, **pose), model, None)

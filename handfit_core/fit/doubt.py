@@ -93,7 +93,7 @@ def expected_error(told: np.ndarray) -> np.ndarray:
 def among_neighbours(expected: np.ndarray, times: Times) -> np.ndarray:
     """(N, 5) expected errors of a clip's detections, as geometric means over those around in the same shot:
     errors outlast a frame, and evidence flickers."""
-    return np.exp(times.mean(np.log(expected), np.ones(2 * round(AROUND * times.fps) + 1)))
+    return np.exp(times.mean(np.log(expected), np.ones(2 * times.reach(AROUND) + 1)))
 
 
 def doubtful(expected: np.ndarray) -> np.ndarray:

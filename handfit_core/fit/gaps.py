@@ -58,6 +58,10 @@ class Times:
         """With `cuts` (N - 1,) bool between detections."""
         return cls(frames, np.append(0, np.cumsum(cuts)), fps)
 
+    def reach(self, seconds: float) -> int:
+        """How many frames that is, but no more than there are from the first to the last."""
+        return min(round(seconds * self.fps), int(self.frames[-1] - self.frames[0]))
+
     def mean(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """(N, n) means of values over the frames around in the same shot: weights (2 r + 1,) of those from r
         frames before to r after."""

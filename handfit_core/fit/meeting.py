@@ -35,7 +35,7 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 def meeting(surface: Surface, seen: Observation, state: State, times: Times | None = None) -> Meeting:
     """What is seen of hands that are roughly where `state` has them. `times`: when they were seen in a clip,
     of which neighbours agree; None: they know nothing of each other."""
-    size = np.ptp(seen.pixels, axis=1).max(axis=1)
+    size = np.maximum(np.ptp(seen.pixels, axis=1).max(axis=1), 1e-9)
     starts = _first_point(CROSSING)
     ends = [seen.pixels[:, starts[:, k]] for k in (0, 1)], [seen.pixels[:, starts[:, k] + 1] for k in (0, 1)]
     along, across = _nearest(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
@@ -52,8 +52,9 @@ def meeting(surface: Surface, seen: Observation, state: State, times: Times | No
     behind = np.abs(seen.depth[:, tips[1:]] - seen.depth[:, tips[:1]])
     behind /= np.hypot(seen.depth_sigma[:, tips[1:]], seen.depth_sigma[:, tips[:1]])
     touching = _within(np.linalg.norm(off, axis=-1) / size[:, None], PINCHED) * _within(behind, PINCHED_DEPTH)
+    says, touching = np.nan_to_num(says), np.nan_to_num(touching)
     if times is not None:
-        reach = round(3.0 * MEMORY * times.fps)
+        reach = times.reach(3.0 * MEMORY)
         bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (MEMORY * times.fps)) ** 2)
         says, touching = times.mean(says, bell), times.mean(touching, bell)
     front = np.where(crosses & (np.abs(says) > UNSURE), np.sign(says), 0.0)

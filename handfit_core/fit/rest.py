@@ -15,6 +15,7 @@ together with it, in a few rounds, so that what rests is held and what moves is 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -56,6 +57,8 @@ BRIEF: Final = 0.04
 CERTAIN: Final = 1e-4
 """of the distance, where the wrist is at its place"""
 ROUNDS: Final = 8
+MOST_FPS: Final = 1000.0
+"""of clips that say more: what changes from frame to frame would be less than numbers can tell"""
 MOVING: Final = 0.01
 """of the hand's size in the picture: a palm whose points stray as far within a quarter of a second moves"""
 STILLEST: Final = 0.05
@@ -65,6 +68,7 @@ STILLEST: Final = 0.05
 def palm_motion(seen: Observation, known: np.ndarray, fps: float) -> np.ndarray:
     """(T,) of consecutive frames, `STILLEST` where the palm holds still in the picture, and 1 where it moves
     or where nothing was seen, which `known` (T,) bool says."""
+    fps = min(fps, MOST_FPS)
     size = max(float(np.median(np.ptp(seen.pixels, axis=1).max(axis=1))), 1.0)
     palm = seen.pixels[:, list(PALM_KEYPOINTS)] / size
     palm -= palm.mean(axis=0)
@@ -83,7 +87,11 @@ def wrist_distances(
     """
     from scipy.linalg import solveh_banded
 
+    fps = min(fps, MOST_FPS)
     known = known & ~certain & (state.wrist[:, 2] > NEAREST)
+    if not known.any():
+        return np.ones(len(known))
+    state = replace(state, wrist=np.nan_to_num(state.wrist, nan=1.0))
     y = np.log(np.maximum(state.wrist[:, 2], NEAREST))
     bends = _smooth(state.angles.reshape(len(y), 5, 3, 3)[..., 2].sum(axis=-1), BRIEF * fps)
     error_changes, across = _changes(state, bends, fps)
@@ -112,7 +120,11 @@ def wrist_distances(
                     band[2 * (i - j), first + 2 * j :: 2][: len(weight)] += ci * cj * weight
         right = (trust[:, None] * sides).repeat(2, axis=0)
         right[::2, 0] += certain * y / CERTAIN**2
-        found = solveh_banded(band, right, lower=True, check_finite=False)
+        try:
+            found = solveh_banded(band, right, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            # Numbers that are no hand's: each frame is left where it is.
+            return np.ones(len(known))
         # What the bends say of every frame alike is eliminated last: it couples all frames.
         both = found[::2] + found[1::2]
         square = np.eye(5) + features.T @ (trust[:, None] * (features - both[:, 1:]))

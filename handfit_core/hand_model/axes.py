@@ -177,8 +177,8 @@ def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
     quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint
     j + 1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
 
-    Products that move nothing in the mean hand are zero in all others: betas turn bones by half a degree, and
-    a hinge would need all nine for hundredths of a millimetre.
+    Products that move hardly anything (`_LEAST_OFFSET`) in the mean hand are zero in all others: betas turn
+    bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
     mean = _by_product(model, bone_frames(model.shaped(), model.side))
     used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _LEAST_OFFSET

@@ -219,8 +219,9 @@ class _Axis:
     @classmethod
     def of(cls, ends: np.ndarray, radii: np.ndarray) -> _Axis:
         axis = ends[:, 1] - ends[:, 0]
-        length = np.sqrt((axis * axis).sum(axis=1))
-        return cls(ends[:, 0], axis / length[:, None], length, (radii[:, 1] - radii[:, 0]) / length)
+        length = np.maximum(np.sqrt((axis * axis).sum(axis=1)), 1e-9)
+        taper = np.clip((radii[:, 1] - radii[:, 0]) / length, -STEEPEST, STEEPEST)
+        return cls(ends[:, 0], axis / length[:, None], length, taper)
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
         """(..., K) how far along, 0..1, the skin is nearest to points (..., K, 3)."""
@@ -273,6 +274,8 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
+STEEPEST: Final = 0.9
+"""of a taper: at 1, one end's sphere would hold the other's"""
 _SECTIONS: Final = np.array([(0.1, 0.5), (0.5, 0.9)])
 """Between which parts of a bone its skin is measured; what the two say is carried on to its ends"""
 _OF_PALM: Final = np.array([(0.3, 0.65), (0.65, 0.95)])
@@ -326,7 +329,10 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _sections(across: np.ndarray, along: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middles (2, d) and mean radii (2,) of the skin (N, d) in two spans of a bone, `along` (N,) of its
     length."""
+    # A model with few vertices may have none there; a bone without any skin gets a line.
+    every = across if len(across) else np.zeros((1, across.shape[1]))
     parts = [across[(along >= first) & (along < last)] for first, last in spans]
+    parts = [part if len(part) else every for part in parts]
     low, high = (np.array([pick(part, axis=0) for part in parts]) for pick in (np.min, np.max))
     return (low + high) / 2.0, (high - low).mean(axis=1) / 2.0
 

@@ -154,8 +154,9 @@ def shortfall(hand: Hand, keypoint: int, pin: np.ndarray) -> float:
 
 @pytest.mark.parametrize("keypoint", [k for k in range(21) if k not in PALM])
 def test_other_fingers_stay_unless_the_palm_must_follow(keypoint: int) -> None:
-    """And where it must, they move by about as much as the finger falls short, riding on it unbent."""
-    stayed = 0
+    """And where it must, they move by about as much as the finger falls short, riding on it unbent. How far a
+    finger gets that is pressed on another one is not known by another way; they are few."""
+    stayed, on_others = 0, 0
     for hand, by in ways(keypoint):
         result = hand.dragged(keypoint, by)
         found = result.landmarks_2d[0]
@@ -164,12 +165,14 @@ def test_other_fingers_stay_unless_the_palm_must_follow(keypoint: int) -> None:
         pin = hand.before[keypoint] + by
         moved = distance(found, hand.before)[others(keypoint)].max()
         if pressed(hand, result):
+            on_others += 1
             continue
         short = shortfall(hand, keypoint, pin) if moved > LEAST * hand.size else 0.0
         assert moved <= LEAST * hand.size + MOST_PER_SHORTFALL * short, (hand.side, by)
         assert distance(found[keypoint], pin) < (1.0 if short < 1.0 else 0.03 * hand.size), (hand.side, by)
         stayed += moved < LEAST * hand.size
     assert stayed >= len(hands()), "those of the nearest drags, and more"
+    assert on_others <= 2 * len(hands())  # of 16
 
 
 @pytest.mark.parametrize("keypoint", PALM)

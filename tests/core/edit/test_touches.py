@@ -110,6 +110,16 @@ def test_frames_that_need_the_same_move_alike() -> None:
     assert np.abs(np.diff(moved, axis=0)).max() < 0.5 * moved.max()
 
 
+def test_frames_that_need_something_else_move_as_if_alone() -> None:
+    """Each in its own way, whatever others of the same request need."""
+    hand = moving()
+    half = len(hand) // 2
+    first, second = touches(len(hand), (8, 4), slice(half)), touches(len(hand), (20, 0), slice(half, None))
+    both = refit_each(replace(hand, touches=np.where(np.isfinite(first), first, second)))
+    alone = refit_each(replace(hand, touches=second))
+    assert np.abs(both.hand_pose[half:] - alone.hand_pose[half:]).max() < 1e-6
+
+
 def test_what_touches_already_hardly_moves() -> None:
     hand, pair = moving(), (8, 4)
     touching = touches(COUNT, pair)

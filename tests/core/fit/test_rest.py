@@ -172,3 +172,18 @@ def test_palms_that_hold_still() -> None:
     np.testing.assert_array_equal(moves[rests], STILLEST)
     np.testing.assert_array_equal(moves[(TIME > 1.6) & (TIME < 2.2)], 1.0)
     np.testing.assert_array_equal(moves[~known], 1.0)
+
+
+@pytest.mark.parametrize("fps", [25.0, 1e5])
+def test_numbers_that_are_no_hands_are_left_where_they_are(fps: float) -> None:
+    """Too near to be seen, or none at all, in all frames or in one, however many a second."""
+    state = repeated(make_state(1, chain_of()), 12)
+    everywhere, nowhere = np.ones(12, dtype=bool), np.zeros(12, dtype=bool)
+    for near in (slice(None), slice(3, 4)):
+        for distance in (0.001, np.nan):
+            wrist = state.wrist.copy()
+            wrist[near, 2] = distance
+            factors = wrist_distances(replace(state, wrist=wrist), everywhere, nowhere, fps, 1.0)
+            assert np.isfinite(factors).all()
+            if near == slice(None):
+                np.testing.assert_array_equal(factors, 1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,14 @@ def test_left_hands_are_mirrored_right_ones(surface: Surface) -> None:
     assert depths.max() > 0.005
     mirrored = (pose * [1.0, -1.0, -1.0]).reshape(8, 45)
     assert np.allclose(left.depths(left.of(betas, mirrored)), depths, atol=1e-6)
+
+
+def test_a_model_with_hardly_any_skin_has_a_surface_too() -> None:
+    """All of it belongs to the wrist, or to one bone: what is left is lines."""
+    model = load_model(None, "right")
+    for joint in (0, 4):
+        weights = np.zeros_like(model.weights)
+        weights[:, joint] = 1.0
+        bare = Surface(replace(model, weights=weights))
+        pose = np.random.default_rng(4).normal(size=(5, 45)) * 0.5
+        assert np.isfinite(bare.depths(bare.of(np.zeros((5, 10)), pose))).all()
