@@ -159,10 +159,6 @@ class CorrectionField:
         part = np.where(reach > 0, part, np.where(away == 0, 0.0, 1.0))
         return fade(part)
 
-    def touches(self, frames: np.ndarray) -> np.ndarray:
-        """(N,) source frames -> (N,) bool: whether any correction reaches there."""
-        return np.any(self.weights(frames) > 0.0, axis=1)
-
     def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N,) source frames -> rotations (N, 16, 3) in radians and wrist movements (N, 3) in metres."""
         weights = self.weights(frames)

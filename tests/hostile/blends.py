@@ -16,7 +16,7 @@ CORRECTION: dict[str, Any] = {
     "version": 1,
     "frames": {
         "3": {
-            "pins": {"8": [10.0, 20.0]}, "spread": 4.0, "added_key": False, "keyed": True,
+            "pins": {"8": [10.0, 20.0]}, "touches": {"12": 4}, "spread": 4.0, "added_key": False, "keyed": True,
             "rotation": np.zeros((16, 3)).tolist(), "location": [0.0, 0.0, 0.0],
             "start_rotation": np.zeros((16, 3)).tolist(), "start_location": [0.0, 0.0, 0.0],
         }
@@ -72,7 +72,7 @@ def cases() -> Iterator[Case]:
                 yield _blend(f"{owner}-{name}-raw-{raw}", (owner, f"[manient][{name}]", value))
     for raw, value in RAW.items():
         yield _blend(f"marks-{raw}", ("action", "[manient_corrections]", value))
-    of_frame = ("pins", "spread", "rotation", "location", "start_rotation", "start_location")
+    of_frame = ("pins", "touches", "spread", "rotation", "location", "start_rotation", "start_location")
     for path in (("version",), ("frames",), ("frames", "3"), *(("frames", "3", name) for name in of_frame)):
         for lie, text in VALUES.items():
             changes = [("hand", "corrections", told(CORRECTION, path, text))]

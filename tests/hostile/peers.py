@@ -55,6 +55,7 @@ def refit() -> dict[str, Any]:
         fps=25.0,
         smoothing=1.0,
         holes=(),
+        touches=np.full((2, 21), np.nan),
     )
     return {"id": 2, "request": "refit", "mode": "each", "hand": to_message(hand)}
 

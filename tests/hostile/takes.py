@@ -35,7 +35,10 @@ def good_take(**fields: Any) -> Take:
     for side in SIDES:
         hand = track_of(side, turned, pose, transl, camera, doubtful=np.arange(FRAMES) == 2)
         world = hand.joints_3d - hand.joints_3d[:, :1]
-        hands.append(replace(hand, keypoints_depth=np.zeros((FRAMES, 21)), world_landmarks=world))
+        hand = replace(hand, keypoints_depth=np.zeros((FRAMES, 21)), world_landmarks=world)
+        touches = np.full((FRAMES, 21), np.nan)
+        touches[2, 8] = 4.0
+        hands.append(replace(hand, expected_error=np.full((FRAMES, 5), 0.01), touches=touches))
     return replace(take_of(hands, camera, 160, 120), **fields)
 
 
