@@ -19,7 +19,37 @@ from ..plugins import failed
 from ..wording import capitalised
 
 
-class Rig(ABC):
+class PosedBones(ABC):
+    """Some bones of an armature that have, or get, keys."""
+
+    def __init__(self, armature: bpy.types.Object) -> None:
+        self.armature = armature
+
+    @property
+    @abstractmethod
+    def bones(self) -> list[str]:
+        """The bones' names. The first one's location may have keys too."""
+
+    @property
+    def lacking(self) -> str | None:
+        """Which bone is missing, in a sentence for a tooltip; None where all are there."""
+        there = self.armature.data.bones
+        try:
+            missing = next((name for name in self.bones if name not in there), None)
+        except HandModelError as error:
+            return capitalised(str(error))
+        if missing is None:
+            return None
+        return f"The hand lacks the bone {missing}: give its bones their names back"
+
+    def check(self) -> None:
+        """Raises HandModelError where a bone is missing."""
+        why = self.lacking
+        if why is not None:
+            raise HandModelError(f"{self.armature.name!r}: {why[:1].lower()}{why[1:]}")
+
+
+class Rig(PosedBones):
     """One hand on one armature. Nothing outside of this folder knows a bone's name, axes or order.
 
     Poses of bones are quaternions (N, 16, 4) as (w, x, y, z), each relative to its bone's rest, and the wrist
@@ -34,7 +64,7 @@ class Rig(ABC):
             setattr(cls, name, property(_guarded(getter)) if getter is not None else _guarded(own))
 
     def __init__(self, armature: bpy.types.Object, side: Side) -> None:
-        self.armature = armature
+        super().__init__(armature)
         self.side: Side = side
 
     @classmethod
@@ -72,24 +102,6 @@ class Rig(ABC):
         raise OptionError(
             f"{self.armature.name!r} keeps its own proportions: its shape cannot be changed here"
         )
-
-    @property
-    def lacking(self) -> str | None:
-        """Which bone is missing, in a sentence for a tooltip; None where all are there."""
-        there = self.armature.data.bones
-        try:
-            missing = next((name for name in self.bones if name not in there), None)
-        except HandModelError as error:
-            return capitalised(str(error))
-        if missing is None:
-            return None
-        return f"The hand lacks the bone {missing}: give its bones their names back"
-
-    def check(self) -> None:
-        """Raises HandModelError where a bone is missing."""
-        why = self.lacking
-        if why is not None:
-            raise HandModelError(f"{self.armature.name!r}: {why[:1].lower()}{why[1:]}")
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,9 +1,9 @@
-"""A captured hand's keys as arrays, and back, in bulk. Each bone keeps its own frames.
+"""The keys of a captured hand, or of a character's, as arrays, and back, in bulk.
 
-Rotations are quaternions (w, x, y, z) relative to the bone's rest, locations metres along the wrist
-bone's own axes, just as `Rig.to_bones` makes them. Frames are scene frames. Bones that the artist
-switched to Euler angles or axis-angle are read and written in their own mode. Only the action (and slot)
-that the armature uses now is touched, or another one's channels where they are named as `holder`.
+Each bone keeps its own frames. Rotations are quaternions (w, x, y, z) relative to the bone's rest, locations
+lie along the first bone's own axes, just as `Rig.to_bones` makes them. Frames are scene frames. Bones that
+the artist switched to Euler angles or axis-angle are read and written in their own mode. Only the action
+(and slot) that the armature uses now is touched, or another one's channels where they are named as `holder`.
 
 An action that another object uses too is copied before anything is written to it. Where a bone is missing
 all of these raise HandModelError, and writers raise OptionError where a channel is locked; nothing has
@@ -22,10 +22,9 @@ from mathutils import Euler, Quaternion
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import unflip_quats
 from handfit_core.hand_model.axes import RestPose
-from handfit_core.skeleton import NUM_JOINTS
 
 from ..blender_versions import action_slot, assign_action, channels
-from ..rigs.rig import Rig
+from ..rigs.rig import PosedBones
 from .editable import is_tweaked
 
 SAME_FRAME = 0.01
@@ -34,31 +33,30 @@ SAME_FRAME = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PoseKeys:
-    """The keys of one hand: N frames on which at least one of its bones has a key."""
+    """The keys of a rig's B bones (16 of a captured hand): N frames on which at least one has a key."""
 
     frames: np.ndarray
     """(N,) scene frames, increasing"""
     quats: np.ndarray
-    """(N, 16, 4) w, x, y, z relative to the bones' rest, in MANO's joint order; between a bone's own keys:
-    the curves' values"""
+    """(N, B, 4) w, x, y, z relative to the bones' rest; between a bone's own keys: the curves' values"""
     locations: np.ndarray
-    """(N, 3) metres along the wrist bone's axes"""
+    """(N, 3) along the first bone's axes; of a captured hand in metres"""
     rotation_keyed: np.ndarray
-    """(N, 16) bool: whether the bone's rotation has a key there"""
+    """(N, B) bool: whether the bone's rotation has a key there"""
     location_keyed: np.ndarray
-    """(N,) bool: whether the wrist's location has a key there"""
+    """(N,) bool: whether the first bone's location has a key there"""
 
     @classmethod
     def everywhere(
         cls, frames: np.ndarray, quats: np.ndarray, locations: np.ndarray | None = None
     ) -> PoseKeys:
-        """Keys for all 16 bones, and for the wrist's location where it is given, on every frame."""
+        """Keys for all bones, and for the first one's location where it is given, on every frame."""
         count = len(frames)
         return cls(
             np.asarray(frames, dtype=np.float64),
             quats,
             np.zeros((count, 3)) if locations is None else locations,
-            np.ones((count, NUM_JOINTS), dtype=bool),
+            np.ones(np.shape(quats)[:2], dtype=bool),
             np.full(count, locations is not None),
         )
 
@@ -70,8 +68,10 @@ class PoseKeys:
         )
 
 
-def read_pose_keys(rig: Rig, first: float = -np.inf, last: float = np.inf, *, holder: Any = None) -> PoseKeys:
-    """All keys of the hand's 16 bones from frame `first` to `last`, both included."""
+def read_pose_keys(
+    rig: PosedBones, first: float = -np.inf, last: float = np.inf, *, holder: Any = None
+) -> PoseKeys:
+    """All keys of the bones from frame `first` to `last`, both included."""
     curves = _Curves(rig.armature, holder)
     names = _bones(rig)
     own = [_frames_of(curves.rotation(name)) for name in names]
@@ -83,15 +83,15 @@ def read_pose_keys(rig: Rig, first: float = -np.inf, last: float = np.inf, *, ho
     return PoseKeys(frames, quats, locations, keyed, _contains(placed, frames))
 
 
-def pose_at(rig: Rig, frames: np.ndarray, *, holder: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """What the keys say on any frames: quaternions (N, 16, 4), wrist locations (N, 3).
+def pose_at(rig: PosedBones, frames: np.ndarray, *, holder: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """What the keys say on any frames: quaternions (N, B, 4), the first bone's locations (N, 3).
 
     Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked.
     """
     curves = _Curves(rig.armature, holder)
     frames = np.asarray(frames, dtype=np.float64)
-    quats = np.empty((len(frames), NUM_JOINTS, 4))
     names = _bones(rig)
+    quats = np.empty((len(frames), len(names), 4))
     for joint, name in enumerate(names):
         bone = rig.armature.pose.bones[name]
         values = _values_at(curves.rotation(name), getattr(bone, _rotation_path(bone)), frames)
@@ -100,7 +100,7 @@ def pose_at(rig: Rig, frames: np.ndarray, *, holder: Any = None) -> tuple[np.nda
     return unflip_quats(quats), locations
 
 
-def write_pose_keys(rig: Rig, keys: PoseKeys, *, holder: Any = None) -> None:
+def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> None:
     """Write the rows that `keys` marks as keyed: keys that lie there get the new value, others are inserted.
 
     All other keys stay as they are. A key that exists keeps its interpolation, and its handles move with
@@ -132,15 +132,15 @@ def write_pose_keys(rig: Rig, keys: PoseKeys, *, holder: Any = None) -> None:
 
 
 def remove_pose_keys(
-    rig: Rig, first: float, last: float, *, joints: list[int] | None = None, location: bool = True
+    rig: PosedBones, first: float, last: float, *, joints: list[int] | None = None, location: bool = True
 ) -> None:
-    """Take away the rotation keys of `joints` (None: all 16), and the wrist's location keys, from frame
+    """Take away the rotation keys of `joints` (None: all), and the first bone's location keys, from frame
     `first` to `last`, both included."""
     check_unlocked(rig, joints=joints, location=location)
     own_action(rig.armature)
     curves = _Curves(rig.armature)
     names = _bones(rig)
-    found = [c for j in (range(NUM_JOINTS) if joints is None else joints) for c in curves.rotation(names[j])]
+    found = [c for j in (range(len(names)) if joints is None else joints) for c in curves.rotation(names[j])]
     if location:
         found += curves.location(names[0])
     for curve in filter(None, found):
@@ -151,7 +151,7 @@ def remove_pose_keys(
     curves.tag()
 
 
-def align_signs(rig: Rig) -> None:
+def align_signs(rig: PosedBones) -> None:
     """Turn the sign of quaternion keys where the curve would else take the long way round to the next one.
 
     q and -q are the same rotation, so no pose changes.
@@ -180,8 +180,8 @@ def align_signs(rig: Rig) -> None:
     curves.tag()
 
 
-def set_pose(rig: Rig, quats: np.ndarray, location: np.ndarray | None = None) -> None:
-    """Put the bones into a pose without keys: quats (16, 4), location (3,) of the wrist.
+def set_pose(rig: PosedBones, quats: np.ndarray, location: np.ndarray | None = None) -> None:
+    """Put the bones into a pose without keys: quats (B, 4), location (3,) of the first one.
 
     Bones whose quaternion is NaN stay as they are.
     """
@@ -200,23 +200,23 @@ def set_pose(rig: Rig, quats: np.ndarray, location: np.ndarray | None = None) ->
         rig.armature.pose.bones[_bones(rig)[0]].location = location
 
 
-def keyed_bones(rig: Rig) -> np.ndarray:
-    """(16,) bool: the bones whose rotation has keys in the present action."""
+def keyed_bones(rig: PosedBones) -> np.ndarray:
+    """(B,) bool: the bones whose rotation has keys in the present action."""
     curves = _Curves(rig.armature)
     return np.array(
         [any(c is not None and len(c.keyframe_points) for c in curves.rotation(name)) for name in _bones(rig)]
     )
 
 
-def displayed_pose(rig: Rig) -> np.ndarray:
-    """(16, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
+def displayed_pose(rig: PosedBones) -> np.ndarray:
+    """(B, 4) the rotations that the bones have now, keyed or not, as (w, x, y, z)."""
     bones = [rig.armature.pose.bones[name] for name in _bones(rig)]
     return np.array([bone.matrix_basis.to_quaternion() for bone in bones])
 
 
-def check_unlocked(rig: Rig, *, joints: list[int] | None = None, location: bool = True) -> None:
-    """Raises OptionError where a channel of these joints (None: all 16), or of the wrist's location, is
-    locked."""
+def check_unlocked(rig: PosedBones, *, joints: list[int] | None = None, location: bool = True) -> None:
+    """Raises OptionError where a channel of these joints (None: all bones), or of the first one's location,
+    is locked."""
     curves, names = _Curves(rig.armature), _bones(rig)
     asked = [(name, curves.rotation(name)) for j, name in enumerate(names) if joints is None or j in joints]
     if location:
@@ -272,8 +272,8 @@ def _used_by_others(armature: bpy.types.Object, action: bpy.types.Action, slot: 
     return False
 
 
-def _bones(rig: Rig) -> list[str]:
-    """The names of the 16 bones. Raises HandModelError where one of them is missing."""
+def _bones(rig: PosedBones) -> list[str]:
+    """The names of the bones. Raises HandModelError where one of them is missing."""
     rig.check()
     return rig.bones
 

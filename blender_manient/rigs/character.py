@@ -1,0 +1,80 @@
+"""Hands of characters: what a kind of rig answers for, and what is written to."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import bpy
+import numpy as np
+
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.skeleton import Side
+
+from .rig import PosedBones
+
+
+@dataclass(frozen=True)
+class Found:
+    """A hand that was recognised."""
+
+    hand_map: HandMap
+    sure: float
+    """0 (not at all) to 1"""
+
+
+class Character(ABC):
+    """A kind of character rig: which of its bones are hands."""
+
+    label: ClassVar[str]
+    """What an artist calls it"""
+
+    @classmethod
+    @abstractmethod
+    def find(cls, armature: bpy.types.Object, bones: Bones, side: Side) -> Found | None:
+        """The hand of that side, if the armature has one of this kind."""
+
+    @classmethod
+    def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:  # noqa: ARG003
+        """What would make keys on the mapped bones useless, such as a switch that is set to IK; one sentence
+        each. None of them by default."""
+        return []
+
+
+class CharacterBones(PosedBones):
+    """Some bones of a character that get keys."""
+
+    def __init__(self, armature: bpy.types.Object, bones: Sequence[str]) -> None:
+        super().__init__(armature)
+        self._bones = list(bones)
+
+    @property
+    def bones(self) -> list[str]:
+        """The names."""
+        return self._bones
+
+
+def bones_of(armature: bpy.types.Object) -> Bones:
+    """How an armature's bones lie at rest, as Blender has them now."""
+    bones = armature.data.bones
+    names = tuple(bone.name for bone in bones)  # parents before children
+    index = {name: i for i, name in enumerate(names)}
+    parents = [-1 if bone.parent is None else index[bone.parent.name] for bone in bones]
+    matrices = np.empty((len(names), 4, 4), dtype=np.float32)
+    tails = np.empty((len(names), 3), dtype=np.float32)
+    inherits = np.empty(len(names), dtype=bool)
+    bones.foreach_get("matrix_local", matrices.ravel())
+    bones.foreach_get("tail_local", tails.ravel())
+    bones.foreach_get("use_inherit_rotation", inherits)
+    matrices = np.swapaxes(matrices, -1, -2).astype(np.float64)  # Blender stores columns
+    return Bones(
+        names,
+        np.array(parents, dtype=int),
+        matrices[:, :3, 3].copy(),
+        tails.astype(np.float64),
+        matrices[:, :3, :3].copy(),
+        inherits,
+    )

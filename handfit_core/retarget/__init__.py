@@ -1,0 +1,6 @@
+"""A captured hand's motion on the bones of any character, in NumPy.
+
+`bones.py` says how an armature's bones lie at rest, `hand_map.py` which of them are a hand, `names.py` and
+`structure.py` find that out, `transfer.py` turns a captured pose into theirs and back, and `contacts.py`
+keeps fingertips that touch touching.
+"""

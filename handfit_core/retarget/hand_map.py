@@ -1,0 +1,122 @@
+"""Which bones of a character are a hand: what an artist sees as a table, and what a preset file holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Final, cast
+
+from handfit_core.errors import HandModelError
+from handfit_core.files import shown
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, SIDES, Side
+
+PALM_FINGERS: Final = FINGERS[1:]
+"""The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
+
+_LONGEST: Final = 256
+"""characters of a bone's name; Blender's own limit is 63 bytes"""
+
+
+@dataclass(frozen=True)
+class HandMap:
+    """One hand of a character, as names of its bones. The empty name stands for a bone that is not there."""
+
+    side: Side
+    bones: tuple[str, ...]
+    """16 names, by MANO's joints: the bone that begins at that joint, the hand's own first. Toon hands leave
+    joints out; one bone may stand for the same joint of several fingers, and takes their mean"""
+    palm: tuple[str, str, str, str] = ("", "", "", "")
+    """The metacarpal bones of index, middle, ring and little finger"""
+    control: str = ""
+    """The bone that moves the whole hand; empty: the hand's own"""
+    rig: str = ""
+    """What the rig was taken for, as an artist reads it"""
+    thumb_roll: float = 0.0
+    """degrees about each of the thumb's bones, positive towards the palm's inside on either hand"""
+    keep_rest: bool = False
+    """Whether fingers keep the rest pose's difference from ours, instead of pointing as ours do"""
+    fold: float = 0.0
+    """How much of ring and little finger's bend their metacarpals take over, 0..1"""
+
+    @property
+    def mapped(self) -> dict[int, str]:
+        """Bone by joint, of the fingers' joints that have one."""
+        return {joint: name for joint, name in enumerate(self.bones) if joint and name}
+
+    @property
+    def keyed(self) -> tuple[str, ...]:
+        """The bones that fingers' motion is keyed on: each once, parents before children."""
+        folded = [name for name in self.palm[2:] if name] if self.fold else []
+        return tuple(dict.fromkeys([*folded, *self.mapped.values()]))
+
+    @property
+    def moved_by(self) -> str:
+        """The bone that moves the whole hand."""
+        return self.control or self.bones[0]
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """The fingers that have at least one bone."""
+        return tuple(f for f in FINGERS if any(self.bones[joint] for joint in FINGER_JOINTS[f]))
+
+    def check(self, there: Mapping[str, Any] | Any) -> None:
+        """Raises HandModelError where a named bone is not among `there`, or where there is no hand."""
+        if not self.bones[0]:
+            raise HandModelError(f"no bone stands for the {self.side} hand itself: choose it in the table")
+        if not self.mapped:
+            raise HandModelError(f"no bone stands for a finger of the {self.side} hand: choose some")
+        named = [*self.bones, *self.palm, self.control]
+        missing = next((name for name in named if name and name not in there), None)
+        if missing is not None:
+            raise HandModelError(f"there is no bone {shown(missing)!r}: choose another one in the table")
+
+    def to_json(self) -> str:
+        """The text that armatures and preset files keep."""
+        data = asdict(self)
+        names = dict(zip(JOINT_NAMES, data.pop("bones"), strict=True))
+        palm = dict(zip(PALM_FINGERS, data.pop("palm"), strict=True))
+        return json.dumps({**data, "bones": names, "palm": palm}, ensure_ascii=False, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> HandMap:
+        """The inverse of `to_json`. Raises HandModelError for whatever else the text is."""
+        try:
+            data = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise HandModelError("this is no table of a hand's bones: it is not JSON") from error
+        if not isinstance(data, dict):
+            raise HandModelError("this is no table of a hand's bones")
+        if data.get("side") not in SIDES:
+            raise HandModelError("a table of a hand's bones names its side, left or right")
+        values: dict[str, Any] = {"side": cast(Side, data["side"])}
+        values["bones"] = _names(data.get("bones"), JOINT_NAMES)
+        values["palm"] = _names(data.get("palm", {}), PALM_FINGERS)
+        kinds = {f.name: f.type for f in fields(cls)}
+        for name in ("control", "rig", "thumb_roll", "keep_rest", "fold"):
+            if name not in data:
+                continue
+            value, kind = data[name], kinds[name]
+            if kind == "float":
+                fits = type(value) in (int, float) and math.isfinite(value) and abs(value) <= 360.0
+            else:
+                fits = isinstance(value, bool if kind == "bool" else str) and len(str(value)) <= _LONGEST
+            if not fits:
+                raise HandModelError(f"{name} of this table of a hand's bones is {shown(str(value)[:40])!r}")
+            values[name] = value
+        return cls(**values)
+
+
+def _names(data: Any, keys: tuple[str, ...]) -> tuple[str, ...]:
+    if not isinstance(data, dict) or not set(data) <= set(keys):
+        raise HandModelError(f"a table of a hand's bones names them by {', '.join(keys)}")
+    names = tuple(data.get(key, "") for key in keys)
+    if not all(isinstance(name, str) and len(name) <= _LONGEST for name in names):
+        raise HandModelError("a table of a hand's bones holds names")
+    return names
+
+
+def empty_map(side: Side) -> HandMap:
+    """A table in which nothing is chosen yet."""
+    return HandMap(side, ("",) * NUM_JOINTS)

@@ -1,0 +1,313 @@
+"""From a captured hand's rotations to those of a character's bones, and back: every frame at once.
+
+Let `d` be our segment of a joint at rest, `t` the character's, `G` how our joint is turned relative to the
+wrist, and `B` the axes of the character's bone at rest. The palms are laid over each other by a rotation `A`
+(`palm_frame` of both), and `C` is the smallest rotation that takes `t` onto `A d`. Then the bone is to stand
+at `P = A G A^T C B`, relative to the hand's own bone at rest. Directions are met exactly whatever the rest
+poses are; about its own length a bone is turned as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.errors import HandModelError
+from handfit_core.geometry.rotations import (
+    quat_to_rotmat,
+    rotmat_to_quat,
+    rotmat_to_rotvec,
+    rotvec_to_rotmat,
+    skew,
+)
+from handfit_core.hand_model.axes import MIRROR_X, points_to_rest
+from handfit_core.hand_model.data import ShapedHand
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side, other_side
+
+_FOLDS = {"ring": 0.15, "little": 0.25}
+"""How much of the first joint's bend a metacarpal has at most: a fist cups the palm by 10 to 20 degrees"""
+_NEAR = 0.1
+"""Tails that lie nearer than this share of a bone's length to the next bone are where bones end"""
+
+
+@dataclass(frozen=True, eq=False)
+class SourceHand:
+    """A captured hand at rest, in metres, in the rest space of `axes.py`."""
+
+    side: Side
+    joints: np.ndarray
+    """(16, 3) by MANO's joints"""
+    tips: np.ndarray
+    """(5, 3) thumb, index, middle, ring, little"""
+
+    @classmethod
+    def of(cls, shaped: ShapedHand, side: Side) -> SourceHand:
+        """That of a hand model with a shape."""
+        return cls(side, points_to_rest(shaped.joints), points_to_rest(shaped.tips))
+
+    def mirrored(self) -> SourceHand:
+        """The other hand."""
+        return SourceHand(other_side(self.side), self.joints @ MIRROR_X, self.tips @ MIRROR_X)
+
+    def points(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the joints (T, 16, 3) and fingertips (T, 5, 3) of posed hands are, the wrist neither turned
+        nor moved; metres. `turns` (T, 16, 3, 3) as `TargetHand.local` takes them."""
+        whole = globally(turns)
+        joints = np.broadcast_to(self.joints, (len(turns), NUM_JOINTS, 3)).copy()
+        for joint in range(1, NUM_JOINTS):
+            parent = PARENTS[joint]
+            joints[:, joint] = joints[:, parent] + whole[:, parent] @ (
+                self.joints[joint] - self.joints[parent]
+            )
+        last = [FINGER_JOINTS[finger][2] for finger in FINGERS]
+        reach = np.einsum("tfab,fb->tfa", whole[:, last], self.tips - self.joints[last])
+        return joints, joints[:, last] + reach
+
+
+def mirrored_turns(turns: np.ndarray) -> np.ndarray:
+    """Rotations (..., 3, 3) of rest space as a mirror at x = 0 shows them."""
+    return MIRROR_X @ turns @ MIRROR_X
+
+
+def globally(turns: np.ndarray) -> np.ndarray:
+    """(T, 16, 3, 3) each joint's rotation relative to its parent -> relative to the wrist, whose own is
+    left out."""
+    whole = np.array(turns)
+    whole[:, 0] = np.eye(3)
+    for joint in range(1, NUM_JOINTS):
+        whole[:, joint] = whole[:, PARENTS[joint]] @ turns[:, joint]
+    return whole
+
+
+@dataclass(frozen=True, eq=False)
+class TargetHand:
+    """A character's hand that is to do what a captured one does: K bones that get keys."""
+
+    hand_map: HandMap
+    bones: tuple[str, ...]
+    """K names, parents before children"""
+    joints: tuple[tuple[int, ...], ...]
+    """The joints that each bone follows, by their mean; those of a metacarpal that folds, none"""
+    parents: tuple[int, ...]
+    """Each bone's nearest ancestor among the K; -1 for none, which is the hand"""
+    heads: np.ndarray
+    """(K, 3) where bones begin at rest, in the armature's space and units"""
+    tips: np.ndarray
+    """(5, 3) where fingers end at rest; NaN for fingers that are not there"""
+    rest: np.ndarray
+    """(K, 3, 3) the bones' axes at rest, B"""
+    corrected: np.ndarray
+    """(K, 3, 3) what lays each bone's direction over ours at rest, C"""
+    aligned: np.ndarray
+    """(3, 3) from our rest space to the armature's, A"""
+    scale: float
+    """How many of the armature's units a metre of the captured hand is: the palms' lengths compared"""
+    wrist: np.ndarray
+    """(3,) where the hand's own bone begins at rest"""
+
+    def standing(self, turns: np.ndarray) -> np.ndarray:
+        """(T, K, 3, 3) how the bones are to stand in the armature's space while the hand is at rest, P.
+
+        `turns` (T, 16, 3, 3) is each joint's rotation relative to its parent, in rest space; the wrist's is
+        not looked at.
+        """
+        whole = globally(turns)
+        found = np.empty((len(turns), len(self.bones), 3, 3))
+        for k, joints in enumerate(self.joints):
+            if joints:
+                turned = _mean(whole[:, list(joints)])
+            else:
+                finger = PALM_FINGERS[self.hand_map.palm.index(self.bones[k])]
+                bend = rotmat_to_rotvec(turns[:, FINGER_JOINTS[finger][0]])
+                turned = rotvec_to_rotmat(self.hand_map.fold * _FOLDS[finger] * bend)
+            found[:, k] = self.aligned @ turned @ self.aligned.T @ self.corrected[k] @ self.rest[k]
+        return found
+
+    def local(self, turns: np.ndarray) -> np.ndarray:
+        """(T, K, 3, 3) the bones' rotations relative to their own rest, as their channels have them."""
+        return self.channels(self.standing(turns))
+
+    def channels(self, standing: np.ndarray) -> np.ndarray:
+        """(T, K, 3, 3) what bones that stand so have in their channels: bones between them rest."""
+        found = np.empty_like(standing)
+        for k, parent in enumerate(self.parents):
+            carried = self.rest[k] if parent < 0 else standing[:, parent] @ self.rest[parent].T @ self.rest[k]
+            found[:, k] = np.swapaxes(carried, -1, -2) @ standing[:, k]
+        return found
+
+    def turns(self, local: np.ndarray) -> np.ndarray:
+        """The inverse of `local`: (T, 16, 3, 3). Joints without a bone do not turn; what of a bone's rotation
+        ours cannot show is left in."""
+        standing = np.empty_like(local)
+        for k, parent in enumerate(self.parents):
+            carried = self.rest[k] if parent < 0 else standing[:, parent] @ self.rest[parent].T @ self.rest[k]
+            standing[:, k] = carried @ local[:, k]
+        whole = np.broadcast_to(np.eye(3), (len(local), NUM_JOINTS, 3, 3)).copy()
+        known = {joint: k for k, joints in enumerate(self.joints) for joint in joints}
+        for joint in range(1, NUM_JOINTS):
+            whole[:, joint] = whole[:, PARENTS[joint]]
+            if joint in known:
+                k = known[joint]
+                turned = standing[:, k] @ self.rest[k].T @ self.corrected[k].T
+                whole[:, joint] = self.aligned.T @ turned @ self.aligned
+        found = whole.copy()
+        for joint in range(1, NUM_JOINTS):
+            found[:, joint] = np.swapaxes(whole[:, PARENTS[joint]], -1, -2) @ whole[:, joint]
+        return found
+
+    def points(self, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where bones that stand so begin (T, K, 3), and where fingers end (T, 5, 3), in the armature's space
+        and units while the hand is at rest. Tips of fingers that are not there are NaN."""
+        turned = standing @ np.swapaxes(self.rest, -1, -2)
+        heads = np.broadcast_to(self.heads, (len(standing), *self.heads.shape)).copy()
+        for k, parent in enumerate(self.parents):
+            if parent >= 0:
+                heads[:, k] = heads[:, parent] + turned[:, parent] @ (self.heads[k] - self.heads[parent])
+        tips = np.full((len(standing), len(FINGERS), 3), np.nan)
+        for f, finger in enumerate(FINGERS):
+            last = self.last(finger)
+            if last is not None:
+                tips[:, f] = heads[:, last] + turned[:, last] @ (self.tips[f] - self.heads[last])
+        return heads, tips
+
+    def last(self, finger: str) -> int | None:
+        """The index of a finger's last bone; None where it has none."""
+        chosen = [self.hand_map.bones[joint] for joint in FINGER_JOINTS[finger] if self.hand_map.bones[joint]]
+        return self.bones.index(chosen[-1]) if chosen else None
+
+
+def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHand:
+    """What is needed to have a character's hand follow a captured one of the same side. Raises HandModelError
+    where bones are missing, or lie so that there is no telling where the palm faces."""
+    hand_map.check(bones.index)
+    names = sorted(hand_map.keyed, key=bones.index.__getitem__)
+    at = [bones.index[name] for name in names]
+    wrist = bones.heads[bones.index[hand_map.bones[0]]]
+    knuckles, ours = {}, {}
+    for finger in hand_map.fingers:
+        joint = next(j for j in FINGER_JOINTS[finger] if hand_map.bones[j])
+        knuckles[finger] = bones.heads[bones.index[hand_map.bones[joint]]]
+        ours[finger] = source.joints[joint]
+    theirs, scale = palm_frame(wrist, knuckles, hand_map.side)
+    own, size = palm_frame(source.joints[0], ours, hand_map.side)
+    aligned = theirs @ own.T
+
+    followed = tuple(
+        tuple(j for j, name in hand_map.mapped.items() if name == own_name) for own_name in names
+    )
+    corrected = np.broadcast_to(np.eye(3), (len(names), 3, 3)).copy()
+    tips = np.full((len(FINGERS), 3), np.nan)
+    for f, finger in enumerate(FINGERS):
+        chain = [j for j in FINGER_JOINTS[finger] if hand_map.bones[j]]
+        if chain:
+            tips[f] = finger_end(bones, [bones.index[hand_map.bones[j]] for j in chain])
+    for k, joints in enumerate(followed):
+        if not joints:
+            continue
+        theirs_along, ours_along = np.zeros(3), np.zeros(3)
+        for joint in joints:
+            f = next(f for f, finger in enumerate(FINGERS) if joint in FINGER_JOINTS[finger])
+            after = [j for j in FINGER_JOINTS[FINGERS[f]] if j > joint and hand_map.bones[j]]
+            end = bones.heads[bones.index[hand_map.bones[after[0]]]] if after else tips[f]
+            theirs_along += _unit(end - bones.heads[at[k]])
+            ours_along += _unit((source.joints[after[0]] if after else source.tips[f]) - source.joints[joint])
+        along = _unit(aligned @ ours_along)
+        if not hand_map.keep_rest:
+            corrected[k] = swing(_unit(theirs_along), along)
+        if joints[0] in FINGER_JOINTS["thumb"] and hand_map.thumb_roll:
+            sign = 1.0 if hand_map.side == "right" else -1.0
+            axis = along if not hand_map.keep_rest else _unit(theirs_along)
+            corrected[k] = rotvec_to_rotmat(np.radians(sign * hand_map.thumb_roll) * axis) @ corrected[k]
+    return TargetHand(
+        hand_map,
+        tuple(names),
+        followed,
+        tuple(next((at.index(a) for a in bones.ancestors(bone) if a in at), -1) for bone in at),
+        bones.heads[at],
+        tips,
+        bones.frames[at],
+        corrected,
+        aligned,
+        scale / size,
+        wrist,
+    )
+
+
+def palm_frame(wrist: np.ndarray, knuckles: Mapping[str, np.ndarray], side: Side) -> tuple[np.ndarray, float]:
+    """Along the palm, towards the index finger and out of the back of the hand, as columns (3, 3), and how
+    long the palm is.
+
+    `knuckles`: where each finger that is there begins, by its name. Hands with fewer fingers are laid over by
+    those that they have. Raises HandModelError where there are too few, or where they lie on a line.
+    """
+    fingers = [finger for finger in FINGERS[1:] if finger in knuckles]
+    if not fingers or len(knuckles) < 2:
+        raise HandModelError(
+            "two fingers or more are needed, one of them no thumb, to tell where a palm faces"
+        )
+    middle = "middle" if "middle" in fingers else None
+    along = (knuckles[middle] if middle else np.mean([knuckles[f] for f in fingers], axis=0)) - wrist
+    first = fingers[0] if len(fingers) > 1 else "thumb"
+    toward = knuckles[first] - knuckles[fingers[-1]]
+    size = float(np.linalg.norm(along))
+    if size > 0.0:
+        toward = toward - along * (along @ toward) / size**2
+    across = float(np.linalg.norm(toward))
+    if not (size > 0.0 and across > 1e-3 * size):
+        raise HandModelError(
+            "the bones of this hand lie on one line or in one place, so that there is no telling where its "
+            "palm faces: look whether the table names the right bones"
+        )
+    along, toward = along / size, toward / across
+    back = np.cross(along, toward) * (1.0 if side == "left" else -1.0)
+    return np.stack([along, toward, back], axis=-1), size
+
+
+def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:
+    """Where a finger ends at rest (3,): where the bone behind its last one begins, if there is one.
+
+    Else where its last bone ends, if tails mean anything in this finger: that of the bone before ends where
+    the last one begins. Else a bit farther on the way from the bone before, or along the last one's Y.
+    """
+    last = chain[-1]
+    behind = [c for c in bones.children[last] if np.linalg.norm(bones.heads[c] - bones.heads[last]) > 0.0]
+    if len(behind) == 1:
+        return bones.heads[behind[0]]
+    if len(chain) > 1:
+        step = bones.heads[last] - bones.heads[chain[-2]]
+        gap = np.linalg.norm(bones.tails[chain[-2]] - bones.heads[last])
+        if gap > _NEAR * np.linalg.norm(step):
+            return bones.heads[last] + 0.8 * step
+    return bones.tails[last]
+
+
+def swing(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(3, 3) the smallest rotation between two unit vectors (3,); about any axis where they are opposite."""
+    across, cosine = np.cross(start, end), float(start @ end)
+    if cosine < -1.0 + 1e-9:
+        aside = _unit(np.cross(start, np.eye(3)[np.argmin(np.abs(start))]))
+        return 2.0 * np.outer(aside, aside) - np.eye(3)
+    turn = skew(across)
+    return np.eye(3) + turn + turn @ turn / (1.0 + cosine)
+
+
+def _mean(rotations: np.ndarray) -> np.ndarray:
+    """(T, N, 3, 3) -> (T, 3, 3) their mean, by quaternions that are near each other."""
+    if rotations.shape[1] == 1:
+        return rotations[:, 0]
+    quats = rotmat_to_quat(rotations)
+    sign = np.where(np.sum(quats * quats[:, :1], axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    return quat_to_rotmat((sign * quats).sum(axis=1))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vector)
+    if not length > 0.0:
+        raise HandModelError(
+            "two of this hand's bones begin in the same place: look whether the table names the right bones"
+        )
+    return vector / length
