@@ -8,7 +8,18 @@ from types import ModuleType
 
 import bpy
 
-from . import cache, error_graph, jobs, operators, panels, preferences, properties, shared_worker, source_info
+from . import (
+    cache,
+    error_graph,
+    hand_table,
+    jobs,
+    operators,
+    panels,
+    preferences,
+    properties,
+    shared_worker,
+    source_info,
+)
 from .panels import preferences as preferences_panel
 from .scene import confidence, render_setup, reshape, see_through
 
@@ -76,6 +87,7 @@ def _files_of(package: ModuleType) -> list[ModuleType]:
 _MODULES = (
     preferences_panel,  # what follows asks for what the user has chosen
     preferences,
+    hand_table,
     properties,
     cache,
     reshape,

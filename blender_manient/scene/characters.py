@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import functools
+from collections import OrderedDict
 
 import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.hand_map import HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand
 from ..rigs.character import Found
 from .store import CapturedHand, captured_hands, hand_of
+
+_REMEMBERED = 32
+_recognised: OrderedDict[tuple[int, Side, int], Found | HandModelError] = OrderedDict()
+"""What was recognised of the last hands, by their armature, and the names and places of its bones"""
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
@@ -56,7 +61,13 @@ def why_not_reachable(armature: bpy.types.Object) -> str | None:
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
     """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
-    return _read(getattr(armature.manient.character, side).hand_map)
+    kept = _read(getattr(armature.manient.character, side).hand_map)
+    return kept if kept is not None and kept.side == side else None
+
+
+def is_damaged(armature: bpy.types.Object, side: Side) -> bool:
+    """Whether a table is kept for a hand that cannot be read."""
+    return bool(getattr(armature.manient.character, side).hand_map) and kept_map(armature, side) is None
 
 
 def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
@@ -65,41 +76,69 @@ def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
 
 
 def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The kept table of a hand, else the one that is recognised now. Raises HandModelError."""
-    return kept_map(armature, side) or found_hand(armature, side).hand_map
+    """The kept table of a hand, else the one that is recognised. Raises HandModelError."""
+    return kept_map(armature, side) or recognised(armature, side).hand_map
+
+
+def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
+    """The same for showing it: an empty table where nothing is kept or recognised."""
+    try:
+        return hand_map_of(armature, side)
+    except HandModelError:
+        return empty_map(side)
 
 
 def recognised(armature: bpy.types.Object, side: Side) -> Found:
-    """The hand that is recognised by its bones, looked for once: for panels. Raises HandModelError."""
-    found = _recognised(armature.name, side, _fingerprint(armature))
+    """The hand that is recognised by its bones, looked for once, as panels ask at every redraw. Raises
+    HandModelError."""
+    bones = armature.data.bones
+    heads = np.empty((len(bones), 3), dtype=np.float32)
+    bones.foreach_get("head_local", heads.ravel())
+    key = (armature.session_uid, side, hash((*bones.keys(), heads.tobytes())))
+    if key not in _recognised:
+        try:
+            _recognised[key] = found_hand(armature, side)
+        except HandModelError as error:
+            _recognised[key] = error
+        if len(_recognised) > _REMEMBERED:
+            _recognised.popitem(last=False)
+    found = _recognised[key]
     if isinstance(found, HandModelError):
         raise HandModelError(str(found))
     return found
 
 
-def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[Side, CapturedHand]:
-    """Which captured hand each of a character's hands follows: the chosen one, else a selected one of that
-    side, else the scene's only one of it. Raises OptionError where there are several."""
-    found: dict[Side, CapturedHand] = {}
-    hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
-    for side in SIDES:
-        settings = getattr(armature.manient.character, side)
-        if not settings.use:
-            continue
-        chosen = hand_of(settings.source) if settings.source is not None else None
-        if chosen is None:
-            own = [hand for hand in hands if hand.side == side]
-            selected = [hand for hand in own if hand.armature.select_get()]
-            own = selected or own
-            if len(own) > 1:
-                names = ", ".join(hand.armature.name for hand in own[:4])
-                raise OptionError(
-                    f"several captured {side} hands could move {armature.name!r} ({names}): choose one"
-                )
-            chosen = own[0] if own else None
-        if chosen is not None:
-            found[side] = chosen
+def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
+    """Look anew, and let go of the kept table, unless nothing is recognised. Raises HandModelError then."""
+    _recognised.clear()
+    found = recognised(armature, side)
+    getattr(armature.manient.character, side).hand_map = ""
     return found
+
+
+def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context) -> CapturedHand | None:
+    """Which captured hand a character's hand follows: the chosen one, else a selected one of that side, else
+    the scene's only one of it; None for none. Raises OptionError where there are several."""
+    chosen = getattr(armature.manient.character, side).source
+    hand = hand_of(chosen) if chosen is not None else None
+    if hand is not None:
+        return hand
+    hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
+    own = [hand for hand in hands if hand.side == side]
+    own = [hand for hand in own if hand.armature.select_get()] or own
+    if len(own) > 1:
+        names = ", ".join(hand.armature.name for hand in own[:4])
+        raise OptionError(
+            f"several captured {side} hands could move {armature.name!r} ({names}): choose one in the panel"
+        )
+    return own[0] if own else None
+
+
+def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[Side, CapturedHand]:
+    """The captured hand of each of a character's hands that gets motion. Raises OptionError."""
+    character = armature.manient.character
+    used = [side for side in SIDES if getattr(character, side).use]
+    return {side: hand for side in used if (hand := source_of(armature, side, context)) is not None}
 
 
 @functools.lru_cache(maxsize=64)
@@ -108,16 +147,3 @@ def _read(text: str) -> HandMap | None:
         return HandMap.from_json(text) if text else None
     except HandModelError:
         return None
-
-
-@functools.lru_cache(maxsize=16)
-def _recognised(name: str, side: Side, _bones: int) -> Found | HandModelError:
-    try:
-        return found_hand(bpy.data.objects[name], side)
-    except HandModelError as error:
-        return error
-
-
-def _fingerprint(armature: bpy.types.Object) -> int:
-    """Changes with the bones' names and number; panels ask at every redraw."""
-    return hash((armature.session_uid, tuple(armature.data.bones.keys())))
