@@ -136,9 +136,12 @@ def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context
 
 def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[Side, CapturedHand]:
     """The captured hand of each of a character's hands that gets motion. Raises OptionError."""
-    character = armature.manient.character
-    used = [side for side in SIDES if getattr(character, side).use]
-    return {side: hand for side in used if (hand := source_of(armature, side, context)) is not None}
+    found: dict[Side, CapturedHand] = {}
+    for side in SIDES:
+        hand = source_of(armature, side, context) if getattr(armature.manient.character, side).use else None
+        if hand is not None:
+            found[side] = hand
+    return found
 
 
 @functools.lru_cache(maxsize=64)
