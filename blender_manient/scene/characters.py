@@ -22,12 +22,13 @@ _recognised: OrderedDict[tuple[int, Side, int], Found | HandModelError] = Ordere
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The character's armature that an object is, or that deforms or carries it; None for captured hands and
-    all others."""
+    """The character's armature that an object is, or that deforms or carries it, or that it shows an instance
+    of, as objects do that link a character; None for captured hands and all others."""
     if obj is None:
         return None
     deforming = [m.object for m in obj.modifiers if m.type == "ARMATURE"]
-    for one in (obj, *deforming, obj.parent):
+    instanced = obj.instance_collection.all_objects if obj.instance_collection is not None else ()
+    for one in (obj, *deforming, obj.parent, *instanced):
         if one is not None and one.type == "ARMATURE" and not one.manient.is_hand:
             return one
     return None
