@@ -30,7 +30,7 @@ class Character(ABC):
     @classmethod
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:  # noqa: ARG003
         """What would make keys on the mapped bones useless, such as a switch that is set to IK; one sentence
-        each. None of them by default."""
+        each. None of them by default. The map has no `control` where only fingers get keys."""
         return []
 
 

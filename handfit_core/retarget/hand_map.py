@@ -116,11 +116,19 @@ class Found:
     """0 (not at all) to 1"""
 
 
+class SeveralHands(HandModelError):
+    """There are hands of one side that are as sure as each other."""
+
+    def __init__(self, sentence: str, sure: float) -> None:
+        super().__init__(sentence)
+        self.sure = sure
+
+
 def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = ()) -> Found | None:
     """The surest of the hands that were found on one side, the surest first; None where there are none.
 
     Where several are of one hand, as a rig's controls and the bones that follow them, it is the one with the
-    fewest bones among `driven`, whose own keys would do nothing. Raises HandModelError where two hands of the
+    fewest bones among `driven`, whose own keys would do nothing. Raises SeveralHands where two hands of the
     side are as sure as each other, as where an armature holds two characters.
     """
     found = [one for one in found if one.sure > 0.8 * found[0].sure]
@@ -131,9 +139,10 @@ def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = (
     there = np.linalg.norm(ends[:, 0] - ends[0, 0], axis=-1) < 0.5 * sizes[0]
     if not there.all():
         hands = dict.fromkeys(repr(shown(one.hand_map.bones[0])) for one in found)
-        raise HandModelError(
+        raise SeveralHands(
             f"there are several {found[0].hand_map.side} hands here, {', '.join(hands)}: choose the bones of "
-            "one in the table, or separate the characters into armatures of their own"
+            "one in the table, or separate the characters into armatures of their own",
+            found[0].sure,
         )
     return min(found, key=lambda one: (sum(name in driven for name in one.hand_map.keyed), -one.sure))
 

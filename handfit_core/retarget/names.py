@@ -8,12 +8,14 @@ other as fingers do.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import re
 import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from handfit_core.errors import HandModelError
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, Found, HandMap
 from handfit_core.retarget.transfer import leaning
@@ -90,7 +92,8 @@ class Rig:
     @functools.cached_property
     def slots(self) -> dict[int, str]:
         """The names without prefix: by MANO's joints, and 16 to 19 for the metacarpals of `PALM_FINGERS`."""
-        words, named = dict(zip(FINGERS, self.fingers.split(), strict=True)), {0: self.hand}
+        words: dict[str, str] = dict(zip(FINGERS, self.fingers.split(), strict=True))
+        named = {0: self.hand}
         bones = (self.bones.split("|") * 3)[:3]
         for finger, joints in FINGER_JOINTS.items():
             parts = self.thumb if finger == "thumb" and self.thumb else self.parts
@@ -117,7 +120,7 @@ _ANATOMY = ("Metacarpal", "Proximal", "Distal")
 _NUMBERS = "1 2 3 4 5"
 _FROM_0 = ("0", "1", "2")
 RIGS = (
-    Rig("Rigify", "hand.L", "{}.0{}.L", "thumb f_index f_middle f_ring f_pinky",
+    Rig("Rigify bones", "hand.L", "{}.0{}.L", "thumb f_index f_middle f_ring f_pinky",
         palm="palm.01.L|palm.02.L|palm.03.L|palm.04.L"),
     Rig("Mixamo", "LeftHand", "LeftHand{}{}", "Thumb Index Middle Ring Pinky", prefix="mixamorig:"),
     Rig("Ready Player Me", "LeftHand", "LeftHand{}{}", "Thumb Index Middle Ring Pinky"),
@@ -158,9 +161,9 @@ def named_hands(bones: Bones, side: Side) -> list[Found]:
     the controls and the deforming bones of a control rig."""
     found = []
     for rig, bearers in _bearers(bones, side):
-        guess = _hand(bones, side, rig, bearers)
-        if guess is not None:
-            found.append(guess)
+        with contextlib.suppress(HandModelError):  # bones in one place or on a line are no hand
+            guess = _hand(bones, side, rig, bearers)
+            found += [guess] if guess is not None else []
     return sorted(found, key=lambda one: -one.sure)
 
 
@@ -213,8 +216,8 @@ def _hand(bones: Bones, side: Side, rig: Rig, bearers: dict[int, int]) -> Found 
         for joint, bone in zip(joints, (bearers[j] for j in fingers[finger]), strict=True):
             slots[joint] = bone
     names = tuple(bones.names[bone] if bone >= 0 else "" for bone in slots)
-    metacarpals = tuple("" if bone is None else bones.names[bone] for bone in palm)
-    hand_map = HandMap(side, names, metacarpals, rig=rig.label)
+    index, middle, ring, little = ("" if bone is None else bones.names[bone] for bone in palm)
+    hand_map = HandMap(side, names, (index, middle, ring, little), rig=rig.label)
     if parsed(bones.names[bearers[min(bearers)]]).side is None:
         sign = 1.0 if side == "left" else -1.0
         if sign * leaning(bones, hand_map) < 0.0:
@@ -223,5 +226,5 @@ def _hand(bones: Bones, side: Side, rig: Rig, bearers: dict[int, int]) -> Found 
         parsed(bones.names[bone]).left == parsed(rig.prefix + rig.slots[s]).left
         for s, bone in bearers.items()
     ]
-    rest = 0.05 * sum(usual) / len(usual) + 0.02 * (bearers.get(0) == hand) + 0.01 * any(metacarpals)
-    return Found(hand_map, (0.67 + 0.05 * len(fingers)) * ordered / (3 * len(fingers)) + rest)
+    rest = 0.05 * sum(usual) / len(usual) + 0.02 * (bearers.get(0) == hand) + 0.01 * any(hand_map.palm)
+    return Found(hand_map, (0.66 + 0.05 * len(fingers)) * ordered / (3 * len(fingers)) + rest)

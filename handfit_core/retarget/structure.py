@@ -99,16 +99,19 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     for i, (_, own) in enumerate(chains):
         others = [j for j in range(len(chains)) if j != i]
         near = far(own[0]) / np.median([far(starts[j]) for j in others]) if len(own) == shortest else 1.0
-        aside = _unit(bones.heads[ends[i]] - bones.heads[own[0]]) @ _unit(sum(along[j] for j in others))
+        aside = _unit(bones.heads[ends[i]] - bones.heads[own[0]]) @ _unit(
+            np.sum([along[j] for j in others], axis=0)
+        )
         likely[i] = 2.0 * max(1.0 - near, 0.0) + np.arccos(np.clip(aside, -1.0, 1.0)) / (0.5 * np.pi)
     thumb = int(np.argmax(likely))
     others = [i for i in range(len(chains)) if i != thumb]
 
-    knuckles = np.array([bones.heads[starts[i]] for i in others])
-    row = np.linalg.svd(knuckles - knuckles.mean(axis=0))[2][0]
-    start, end = bones.heads[chains[thumb][1][0]], bones.heads[chains[thumb][1][-1]]
-    row = row * np.sign(row @ (0.5 * (start + end) - knuckles.mean(axis=0)))
-    others = [others[i] for i in np.argsort(-knuckles @ row)]
+    # By their directions from the wrist, as metacarpals differ in length.
+    rays = np.array([_unit(bones.heads[starts[i]] - wrist) for i in others])
+    row = np.linalg.svd(rays - rays.mean(axis=0))[2][0]
+    start, end = bones.heads[chains[thumb][1][0]], bones.heads[ends[thumb]]
+    row = row * np.sign(row @ (_unit(0.5 * (start + end) - wrist) - rays.mean(axis=0)))
+    others = [others[i] for i in np.argsort(-rays @ row)]
 
     slots, palm = [""] * NUM_JOINTS, [""] * 4
     slots[0] = bones.names[hand]
