@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 
 from handfit_core.errors import HandfitError, HandModelError
@@ -139,20 +141,20 @@ def _told_of(armature: bpy.types.Object, side: Side) -> list[tuple[str, str]]:
         told.append((text, "ERROR"))
     try:
         hand_map = hand_map_of(armature, side)
-        own = kept_map(armature, side) is not None
-        if own:
-            told.append((f"{hand_map.rig or 'Unknown rig'}, with your table", "CHECKMARK"))
+        rig = hand_map.rig or "Unknown rig"
+        if kept_map(armature, side) is not None:
+            told.append((f"{rig}, with your own table", "CHECKMARK"))
+        elif (sure := recognised(armature, side).sure) >= _SURE:
+            told.append((f"{rig}, for sure", "CHECKMARK"))
         else:
-            sure = recognised(armature, side).sure
-            if sure >= _SURE:
-                told.append((f"{hand_map.rig}, for sure", "CHECKMARK"))
-            else:
-                doubt = "likely" if sure >= _LIKELY else "a guess"
-                told.append((f"{hand_map.rig}, {doubt}: look at Bones below", "QUESTION"))
+            doubt = "likely" if sure >= _LIKELY else "perhaps"
+            told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
         hand_map.check(armature.data.bones)
     except HandModelError as error:
         return [*told, (capitalised(str(error)), "ERROR")]
-    told += [(text, "ERROR") for text in troubles(armature, hand_map)]
+    if armature.manient.character.wrist == "FINGERS":
+        hand_map = replace(hand_map, control="")
+    told += [(text, "ERROR") for text in map(capitalised, troubles(armature, hand_map))]
     reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
     if reasons:
         more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""

@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 import functools
-from collections import OrderedDict
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.retarget.hand_map import HandMap, empty_map
+from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
-from ..rigs import found_hand
-from ..rigs.character import Found
+from ..rigs import found_hand, troubles
 from .store import CapturedHand, captured_hands, hand_of
 
 _REMEMBERED = 32
-_recognised: OrderedDict[tuple[int, Side, int], Found | HandModelError] = OrderedDict()
-"""What was recognised of the last hands, by their armature, and the names and places of its bones"""
+"""hands"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Recognised:
+    """What was recognised, and of what."""
+
+    heads: np.ndarray
+    names: tuple[str, ...]
+    found: Found | HandModelError
+    told: tuple[str, ...]
+
+    def holds(self, bones: bpy.types.ArmatureBones, heads: np.ndarray) -> bool:
+        if not np.array_equal(self.heads, heads):
+            return False
+        if isinstance(self.found, HandModelError):
+            return self.names == tuple(bones.keys())
+        found = self.found.hand_map
+        return all(name in bones for name in (*found.bones, *found.palm, found.control) if name)
+
+
+_recognised: dict[tuple[int, Side], _Recognised] = {}
+"""By the armature's session_uid"""
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
@@ -78,35 +98,41 @@ def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
 
 def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
     """The kept table of a hand, else the one that is recognised. Raises HandModelError."""
-    return kept_map(armature, side) or recognised(armature, side).hand_map
+    kept = kept_map(armature, side)
+    if kept is not None:
+        return kept
+    found = recognised(armature, side).hand_map
+    return recognised(armature, side, tuple(troubles(armature, found))).hand_map
 
 
 def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
     """The same for showing it: an empty table where nothing is kept or recognised."""
     try:
-        return hand_map_of(armature, side)
+        return kept_map(armature, side) or recognised(armature, side).hand_map
     except HandModelError:
         return empty_map(side)
 
 
-def recognised(armature: bpy.types.Object, side: Side) -> Found:
-    """The hand that is recognised by its bones, looked for once, as panels ask at every redraw. Raises
-    HandModelError."""
+def recognised(armature: bpy.types.Object, side: Side, told: tuple[str, ...] = ()) -> Found:
+    """The hand that is recognised by its bones, looked for once, as panels ask at every redraw; anew where
+    bones were moved or renamed, and where the rig's troubles were not `told` before, as after a switch from IK
+    to FK. Raises HandModelError."""
     bones = armature.data.bones
+    key: tuple[int, Side] = (armature.session_uid, side)
     heads = np.empty((len(bones), 3), dtype=np.float32)
     bones.foreach_get("head_local", heads.ravel())
-    key = (armature.session_uid, side, hash((*bones.keys(), heads.tobytes())))
-    if key not in _recognised:
+    known = _recognised.get(key)
+    if known is None or not known.holds(bones, heads) or (told and told != known.told):
+        if len(_recognised) >= _REMEMBERED:
+            _recognised.clear()
         try:
-            _recognised[key] = found_hand(armature, side)
+            found = found_hand(armature, side)
         except HandModelError as error:
-            _recognised[key] = error
-        if len(_recognised) > _REMEMBERED:
-            _recognised.popitem(last=False)
-    found = _recognised[key]
-    if isinstance(found, HandModelError):
-        raise HandModelError(str(found))
-    return found
+            found = error
+        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, told)
+    if isinstance(known.found, HandModelError):
+        raise HandModelError(str(known.found))
+    return known.found
 
 
 def recognise_again(armature: bpy.types.Object, side: Side) -> Found:

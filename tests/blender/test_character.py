@@ -125,7 +125,7 @@ def test_a_bone_chosen_in_the_table_is_kept_and_gets_the_motion(make_take):
     assert kept.bones == (*[names[j] for j in range(9)], "", *[names[j] for j in range(10, 16)])
     assert (kept.thumb_roll, kept.keep_rest, kept.rig) == (25.0, True, "Mixamo")
     assert kept_map(armature, "right") is None
-    assert "Mixamo, with your table" in said()
+    assert "Mixamo, with your own table" in said()
     apply()
     keyed = {c.data_path.split('"')[1] for c in action_curves(armature.animation_data.action)}
     assert names[9] not in keyed
@@ -135,14 +135,14 @@ def test_a_bone_chosen_in_the_table_is_kept_and_gets_the_motion(make_take):
     assert table().little_3 == names[9]
 
 
-def test_every_row_is_drawn_and_reads_its_own_bone(make_take):  # noqa: ARG001
+def test_every_row_is_drawn_and_reads_its_own_bone():
     armature = mixamo()
     select(armature)
     every = {joint: f"joint {joint}" for joint in range(16)}
     shown = HandMap("right", tuple(every.values()), ("a", "b", "c", "d"), "e", "Mixamo", 10.0, True, 0.5)
     keep_map(armature, shown)
     table().side = "right"
-    values = [getattr(table(), name) for name in table().bl_rna.properties.keys() if name != "rna_type"]
+    values = [getattr(table(), one.identifier) for one in table().bl_rna.properties]
     assert set(shown.bones) | set(shown.palm) | {"e", 10.0, True, 0.5} <= set(values)
     said = drawn(MANIENT_PT_character_bones).said
     assert all(text in said for text in ("Thumb 1", "Little 1", "Metacarpals", "control", "thumb_roll"))
@@ -199,8 +199,8 @@ def test_no_text_that_is_kept_stops_the_panel(make_take, text):
     assert "Left Hand" in said()
     assert "hand_map" not in drawn(MANIENT_PT_character_bones).said
     table().side = "left"
-    for name in table().bl_rna.properties.keys():
-        getattr(table(), name)
+    for one in table().bl_rna.properties:
+        getattr(table(), one.identifier)
     table_of(armature, "left").to_json().encode()
     bpy.ops.manient.recognise_hand(side="left")
     assert said().count("Mixamo, for sure") == 2
@@ -447,5 +447,3 @@ def test_undo_takes_keys_action_and_table_back(make_take):
     assert kept_map(armature, "left") is not None
     bpy.ops.ed.undo()
     assert kept_map(bpy.data.objects["Character"], "left") is None
-
-

@@ -5,7 +5,7 @@ from __future__ import annotations
 import addon_utils
 import bpy
 
-from scenarios.capturing import hands, keys_of, part
+from scenarios.capturing import keys_of, part
 from scenarios.panels import opened_by_default
 
 OTHER = "f_pinky.02.L"
