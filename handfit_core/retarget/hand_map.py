@@ -18,6 +18,11 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINT
 PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
 
+USUAL_THUMB_ROLL: Final = 30.0
+"""degrees of `HandMap.thumb_roll` for rigs that nobody has looked at: what Rigify's metarig, VRM's T-pose and
+Mixamo's thumbs need within 6 degrees, since they rest with the nail turned farther away from the hand's back
+than ours"""
+
 _LONGEST: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
 
