@@ -42,8 +42,8 @@ class HandMap:
     rig: str = ""
     """What the rig was taken for, as an artist reads it"""
     thumb_roll: float = 0.0
-    """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on either
-    hand"""
+    """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on
+    either hand"""
     keep_rest: bool = False
     """Whether fingers keep the rest pose's difference from ours, instead of pointing as ours do"""
     fold: float = 0.0
