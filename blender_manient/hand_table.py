@@ -82,7 +82,7 @@ ManientHandTable.__annotations__ |= {
     "thumb_roll": FloatProperty(
         name="Thumb Roll",
         description="Turns the thumb's bones about themselves, in degrees, where the thumb's skin bends "
-        "sideways; positive is towards the palm, on either hand",
+        "sideways; positive turns its nail towards the back of the hand",
         soft_min=-90.0,
         soft_max=90.0,
         min=-180.0,

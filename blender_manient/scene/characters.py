@@ -115,8 +115,8 @@ def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 def recognised(armature: bpy.types.Object, side: Side, told: tuple[str, ...] = ()) -> Found:
     """The hand that is recognised by its bones, looked for once, as panels ask at every redraw; anew where
-    bones were moved or renamed, and where the rig's troubles were not `told` before, as after a switch from IK
-    to FK. Raises HandModelError."""
+    bones were moved or renamed, and where the rig's troubles were not `told` before, as after a switch from
+    IK to FK. Raises HandModelError."""
     bones = armature.data.bones
     key: tuple[int, Side] = (armature.session_uid, side)
     heads = np.empty((len(bones), 3), dtype=np.float32)
@@ -168,6 +168,27 @@ def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[S
         hand = source_of(armature, side, context) if getattr(armature.manient.character, side).use else None
         if hand is not None:
             found[side] = hand
+    return found
+
+
+def hands_to_move(
+    armature: bpy.types.Object, context: bpy.types.Context
+) -> list[tuple[HandMap, CapturedHand]]:
+    """A character's hands, and the captured hand that each of them follows. A hand that it lacks is
+    left out, unless its source was chosen. Raises OptionError and HandModelError where none is left."""
+    found, lacking = [], None
+    for side, hand in sources_of(armature, context).items():
+        try:
+            found.append((hand_map_of(armature, side), hand))
+        except HandModelError as error:
+            if getattr(armature.manient.character, side).source is not None:
+                raise
+            lacking = lacking or error
+    if not found:
+        raise lacking or OptionError(
+            "there is no captured hand in this scene that this character could follow: capture one, import a "
+            "hand take, or choose one of the other side to have it mirrored"
+        )
     return found
 
 

@@ -63,7 +63,7 @@ def said():
 def refused(call, match):
     """That an operator fails with that sentence and that neither action nor table is there afterwards."""
     before = len(bpy.data.actions)
-    with pytest.raises(RuntimeError, match=match):
+    with pytest.raises(RuntimeError, match=f"(?i){match}"):
         call()
     assert len(bpy.data.actions) == before
 
@@ -160,12 +160,12 @@ def test_recognising_happens_once_until_bones_change(monkeypatch):
     assert sorted(asked) == ["left", "right"]
     armature.data.bones[mixamo_names("left")[1]].name = "other"
     drawn(MANIENT_PT_character)
-    assert len(asked) == 4
+    assert asked[2:] == ["left"]
     bpy.ops.object.mode_set(mode="EDIT")
     armature.data.edit_bones["mixamorig:Hips"].head = (0, 0, 0.5)
     bpy.ops.object.mode_set(mode="OBJECT")
     drawn(MANIENT_PT_character)
-    assert len(asked) == 6
+    assert len(asked) == 5
 
 
 @pytest.mark.parametrize(
