@@ -10,6 +10,7 @@ from handfit_core.errors import HandfitError, HandModelError
 from handfit_core.retarget.hand_map import PALM_FINGERS
 from handfit_core.skeleton import FINGERS, SIDES, Side
 
+from .. import live_link
 from ..rigs import troubles
 from ..scene.characters import (
     active_character,
@@ -89,6 +90,9 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
         layout.operator("manient.apply_to_character", text="Apply Pose", icon="POSE_HLT").mode = "POSE"
         layout.prop(character, "live", icon="LINKED", toggle=True)
+        trouble = live_link.trouble(armature) if character.live else None
+        if trouble is not None:
+            sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
 
 
 class MANIENT_PT_character_bones(Section, bpy.types.Panel):
