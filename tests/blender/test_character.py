@@ -310,7 +310,8 @@ def test_the_opposite_bones():
 
 def test_the_opposite_bone_among_several_in_one_place_has_the_likest_name():
     specs = []
-    for side, mark in (("left", "L"), ("right", "R")):
+    for side in SIDES:
+        mark = side[0].upper()
         for layer in ("", "ORG-", "DEF-"):
             names = {j: f"{layer}bone{j}.{mark}" for j in range(16)}
             specs += hand_specs(side, np.random.default_rng(3), names=names, place=AWAY[side])
