@@ -117,6 +117,16 @@ def check(armature, side, seed, label, sure=0.9):
     return found.hand_map
 
 
+def upright(built: Built) -> bpy.types.Object:
+    """An armature whose bones end above where they begin, as some importers leave them."""
+    return build_armature(
+        [
+            BoneSpec(name, built.names[parent] if parent >= 0 else "", head, head + [0.0, 0.0, 0.1])
+            for name, parent, head in zip(built.names, built.parents, built.heads, strict=True)
+        ]
+    )
+
+
 NAMELESS = "By its structure"
 FUZZED = [(rig.label, rig) for rig in RIGS] + [(NAMELESS, None)] * 5
 
@@ -278,8 +288,8 @@ def test_makehumans_rigs(file, label, side):
     while waiting:
         for name in [name for name, bone in waiting.items() if bone["parent"] not in waiting]:
             bone = waiting.pop(name)
-            ends = (bone[end]["default_position"] for end in ("head", "tail"))
-            specs.append(BoneSpec(name, bone["parent"] or "", *ends, bone["roll"]))
+            head, tail = (bone[end]["default_position"] for end in ("head", "tail"))
+            specs.append(BoneSpec(name, bone["parent"] or "", head, tail, bone["roll"]))
     hand_map = check(build_armature(specs), side, 6, label)
     assert all(hand_map.bones)
 
@@ -315,12 +325,7 @@ def test_what_the_vrm_addon_has_noted_is_believed():
         built = Built()
         fore, place = body(built, "left")
         add_hand(built, "left", names, np.random.default_rng(1), parent=fore, place=place)
-        armature = build_armature(
-            [
-                BoneSpec(name, built.names[parent] if parent >= 0 else "", head, head + [0.0, 0.0, 0.1])
-                for name, parent, head in zip(built.names, built.parents, built.heads, strict=True)
-            ]
-        )
+        armature = upright(built)
         noted = armature.data.vrm_addon_extension
         assert found_hand(armature, "left").hand_map.rig == NAMELESS
         wanted = {"hand": 0} | {
@@ -362,11 +367,7 @@ def test_two_characters_in_one_armature_are_told():
     for number, prefix in enumerate(("mixamorig:", "mixamorig7:")):
         fore, place = body(built, "left", name=f"b{number}")
         add_hand(built, "left", names_of(mixamo, "left", prefix), rng, parent=fore, place=place + number)
-    specs = [
-        BoneSpec(name, built.names[parent] if parent >= 0 else "", head, head + [0.0, 0.0, 0.1])
-        for name, parent, head in zip(built.names, built.parents, built.heads, strict=True)
-    ]
-    armature = build_armature(specs)
+    armature = upright(built)
     with pytest.raises(
         HandModelError, match="several left hands here, 'mixamorig:LeftHand', 'mixamorig7:LeftHand'"
     ):
