@@ -101,7 +101,7 @@ def reading_motion(
     """
     rig, rest = hand.rig, hand.rig.rest
     wanted = _keyed_frames(hand) if frames is None else np.asarray(frames, dtype=np.float64)
-    if _told_by_keys(hand.armature):
+    if told_by_keys(hand.armature):
         quats, locations = pose_at(rig, wanted)
     else:
         quats, locations = yield from _shown(hand, wanted)
@@ -123,7 +123,8 @@ def _keyed_frames(hand: CapturedHand) -> np.ndarray:
     return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
-def _told_by_keys(armature: bpy.types.Object) -> bool:
+def told_by_keys(armature: bpy.types.Object) -> bool:
+    """Whether nothing but the present action's keys moves the bones of an armature."""
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
@@ -174,7 +175,7 @@ def applying(
     if onto.into == "ACTION":
         yield from _writing_into_present(armature, computed.keys)
     else:
-        yield from _writing_anew(armature, computed.keys, onto.into)
+        yield from writing_anew(armature, computed.keys, onto.into)
     return computed.applied
 
 
@@ -229,7 +230,7 @@ def _writing_into_present(
     yield from writing(keys)
 
 
-def _writing_anew(
+def writing_anew(
     armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
 ) -> Generator[float, None, None]:
     """Write an action that nobody uses until it is whole."""
