@@ -112,6 +112,7 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
         own_action(rig.armature)
         chosen = np.flatnonzero(keys.rotation_keyed.any(axis=0)).tolist()
         check_unlocked(rig, joints=chosen, location=bool(keys.location_keyed.any()))
+    rig.allow(keys.quats)
     curves = _Curves(rig.armature, holder, make=True)
     for joint, name in enumerate(names):
         chosen = keys.rotation_keyed[:, joint]
@@ -185,6 +186,7 @@ def set_pose(rig: PosedBones, quats: np.ndarray, location: np.ndarray | None = N
 
     Bones whose quaternion is NaN stay as they are.
     """
+    rig.allow(np.asarray(quats)[None])
     for name, quat in zip(_bones(rig), quats, strict=True):
         if np.isnan(quat).any():
             continue
