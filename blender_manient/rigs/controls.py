@@ -38,7 +38,7 @@ _CONTROL: Final = "Hand Control"
 _COLLECTIONS: Final = ("Captured Bones", "Hand Controls", "Mechanism")
 _SHAPE: Final = "hand_control_shape"
 _QUARTER: Final = pi / 2
-_FAN: Final = {"thumb": 1.0, "index": 1.0, "middle": 0.2, "ring": -0.5, "little": -1.2}
+_FAN: Final = {"thumb": -1.0, "index": -1.0, "middle": -0.2, "ring": 0.5, "little": 1.2}
 """How far each finger spreads for what the fingers' control is turned"""
 _PLAY: Final = np.radians(1.0)
 """How much farther than the keys limits reach, for what lies between keys"""
@@ -135,15 +135,15 @@ def switch(armature: bpy.types.Object) -> None:
     """Switch the controls and the limits on or off, as `Object.manient` has it."""
     for _, constraint in _constraints(armature):
         on = armature.manient.limits if constraint.name == LIMIT else armature.manient.use_controls
-        constraint.mute = not on
+        constraint.enabled = on
 
 
 def rest(armature: bpy.types.Object) -> None:
-    """Put the controls at rest, and mute constraints that somebody else has put on them. Keys stay."""
+    """Put the controls at rest, and switch constraints of others on them off. Keys stay."""
     for bone in _handles(armature):
         bone.matrix_basis = Matrix.Identity(4)
         for constraint in _foreign(bone):
-            constraint.mute = True
+            constraint.enabled = False
 
 
 def in_use(armature: bpy.types.Object) -> bool:
@@ -177,6 +177,11 @@ def keyed_curves(armature: bpy.types.Object) -> Iterator[tuple[Any, bpy.types.FC
         for curve in list(holder.fcurves) if holder is not None else ():
             if curve.data_path.startswith(paths):
                 yield holder, curve
+
+
+def is_own(constraint: bpy.types.Constraint) -> bool:
+    """Whether a constraint is one of the controls'. They do nothing unless the controls are `in_use`."""
+    return constraint.name.startswith((_CONTROL, LIMIT))
 
 
 def _handles(armature: bpy.types.Object) -> list[bpy.types.PoseBone]:
@@ -221,7 +226,7 @@ def _limit(limit: Any, lower: np.ndarray, upper: np.ndarray) -> None:
 def _constraints(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.PoseBone, bpy.types.Constraint]]:
     for bone in armature.pose.bones:
         for constraint in bone.constraints:
-            if constraint.name.startswith((_CONTROL, LIMIT)):
+            if is_own(constraint):
                 yield bone, constraint
 
 

@@ -133,9 +133,13 @@ def _of_bones(rig: Rig, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _remove_curves(armature: bpy.types.Object) -> None:
+    emptied = {}
     for holder, curve in list(controls.keyed_curves(armature)):
-        group = curve.group
+        if curve.group is not None:
+            emptied[curve.group.name] = holder
         holder.fcurves.remove(curve)
+    for name, holder in emptied.items():
+        group = holder.groups.get(name)  # from Blender 4.4 on, they go with their last curve
         if group is not None and len(group.channels) == 0:
             holder.groups.remove(group)
 

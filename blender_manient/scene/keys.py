@@ -109,10 +109,10 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
     """
     names = _bones(rig)
     if holder is None:
+        rig.allow(keys.quats)
         own_action(rig.armature)
         chosen = np.flatnonzero(keys.rotation_keyed.any(axis=0)).tolist()
         check_unlocked(rig, joints=chosen, location=bool(keys.location_keyed.any()))
-    rig.allow(keys.quats)
     curves = _Curves(rig.armature, holder, make=True)
     for joint, name in enumerate(names):
         chosen = keys.rotation_keyed[:, joint]

@@ -70,7 +70,9 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     set_pose(rig, old.turned_to(new, present), old.moved_to(new, present_place, plane))
     holder = _mirrored_action(own, rig)
     if holder is not None and len(keys.frames):
-        write_pose_keys(rig, keys.turned(old, new, plane), holder=holder)
+        turned = keys.turned(old, new, plane)
+        write_pose_keys(rig, turned, holder=holder)
+        rig.allow(turned.quats)
     _keep(hand, armature, model, betas, plane)
     return armature
 

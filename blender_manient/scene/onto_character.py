@@ -26,6 +26,7 @@ from handfit_core.slices import retold
 from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
+from ..rigs.controls import in_use, is_own
 from .characters import why_not_reachable
 from .editable import is_tweaked
 from .keys import (
@@ -128,7 +129,8 @@ def told_by_keys(armature: bpy.types.Object) -> bool:
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
-    return not any(c.enabled and c.influence > 0.0 for bone in armature.pose.bones for c in bone.constraints)
+    others = (c for bone in armature.pose.bones for c in bone.constraints if not is_own(c))
+    return not in_use(armature) and not any(c.enabled and c.influence > 0.0 for c in others)
 
 
 def _shown(hand: CapturedHand, frames: np.ndarray) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:

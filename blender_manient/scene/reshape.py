@@ -203,7 +203,9 @@ def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     rig.follow(shaped)
     new = rig.rest
     for holder, keys in kept:
-        write_pose_keys(rig, keys.turned(old, new), holder=holder)
+        turned = keys.turned(old, new)
+        write_pose_keys(rig, turned, holder=holder)
+        rig.allow(turned.quats)
     set_pose(rig, old.turned_to(new, quats)[0], old.moved_to(new, locations)[0])
 
 
