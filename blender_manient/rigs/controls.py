@@ -10,6 +10,7 @@ They are those of anatomy, and reach as far as the keys do.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from math import pi
@@ -36,6 +37,10 @@ LIMIT: Final = "Joint Limits"
 _CONTROL: Final = "Hand Control"
 """What the constraints' names begin with"""
 _COLLECTIONS: Final = ("Captured Bones", "Hand Controls", "Mechanism")
+_BEFORE: Final = "before_controls"
+"""A bone's custom property: what is given back when the controls are removed, as JSON"""
+_COLORS: Final = {"hand": (1.0, 0.7, 0.15), "fingers": (1.0, 0.7, 0.15)}
+_FINGER_COLOR: Final = (0.25, 0.8, 1.0)
 _SHAPE: Final = "hand_control_shape"
 _QUARTER: Final = pi / 2
 _FAN: Final = {"thumb": -1.0, "index": -1.0, "middle": -0.2, "ring": 0.5, "little": 1.2}
@@ -80,7 +85,9 @@ def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], 
     for role, name in names.items():
         armature.data.bones[name][MARK] = role
     free = [name for name in bones[1:] if not any(pose[name].lock_location)]
-    armature.data.bones[names[CAPTURED]]["unlocked"] = json.dumps(free)
+    before = {"unlocked": free, "display": armature.data.display_type}
+    armature.data.bones[names[CAPTURED]][_BEFORE] = json.dumps(before)
+    armature.data.display_type = "STICK"  # the controls are to be seen behind the bones
     for name in free:
         pose[name].lock_location = (True,) * 3
     _collect(armature, bones, names)
@@ -116,9 +123,7 @@ def take_down(armature: bpy.types.Object) -> None:
         if curve.data_path.startswith(f'pose.bones["{names.get(CAPTURED)}"]'):
             drivers.remove(curve)
     if CAPTURED in names:
-        for name in json.loads(armature.data.bones[names[CAPTURED]].get("unlocked", "[]")):
-            if name in pose:
-                pose[name].lock_location = (False,) * 3
+        _give_back(armature, armature.data.bones[names[CAPTURED]].get(_BEFORE, ""))
     shapes = {pose[name].custom_shape for name in names.values()} - {None}
     for name in names.values():
         pose[name].custom_shape = None
@@ -129,6 +134,17 @@ def take_down(armature: bpy.types.Object) -> None:
         collection = armature.data.collections_all.get(name)
         if collection is not None:
             armature.data.collections.remove(collection)
+
+
+def _give_back(armature: bpy.types.Object, text: str) -> None:
+    # What was not written here gives nothing back: the .blend may come from anybody.
+    with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        before = json.loads(text)
+        for name in before["unlocked"]:
+            if name in armature.pose.bones:
+                armature.pose.bones[name].lock_location = (False,) * 3
+        if armature.data.display_type == "STICK":
+            armature.data.display_type = before["display"]
 
 
 def switch(armature: bpy.types.Object) -> None:
@@ -293,7 +309,10 @@ def _dress(bone: bpy.types.PoseBone, role: str, at: bpy.types.PoseBone) -> None:
         bone.lock_rotation = (False, True, False)
     bone.custom_shape = _shape(role if role in ("hand", "fingers") else "finger")
     bone.custom_shape_transform = at
-    bone.color.palette = "THEME09" if role in ("hand", "fingers") else "THEME04"
+    bone.color.palette = "CUSTOM"
+    color = np.array(_COLORS.get(role, _FINGER_COLOR))
+    bone.color.custom.normal = color
+    bone.color.custom.select, bone.color.custom.active = 0.5 + 0.5 * color, 0.7 + 0.3 * color
 
 
 def _shape(kind: str) -> bpy.types.Object:

@@ -86,6 +86,7 @@ def flatten(armature) -> None:
 def everything(armature) -> dict:
     """What adding and removing controls must leave as it was."""
     return {
+        "display": armature.data.display_type,
         "bones": [(b.name, b.use_deform, [c.name for c in b.collections]) for b in armature.data.bones],
         "collections": [c.name for c in armature.data.collections_all],
         "properties": [list(b.keys()) for b in armature.data.bones],
