@@ -25,6 +25,7 @@ from handfit_core.solvers import SOLVERS
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
 from .scene.matching import CHOICES
+from .scene.poses import pose_items
 
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
@@ -213,6 +214,19 @@ class ManientSettings(bpy.types.PropertyGroup):
     captured: StringProperty(  # type: ignore
         description="Keys of the listed captures that are in this scene: undo and redo take them along",
         options={"HIDDEN"},
+    )
+
+    # Poses
+    pose: EnumProperty(  # type: ignore
+        name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
+    )
+    pose_blend: FloatProperty(  # type: ignore
+        name="Blend",
+        description="How far from the present pose to the chosen one",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
     )
 
     # Refine

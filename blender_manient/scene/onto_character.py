@@ -175,7 +175,7 @@ def applying(
     for hand_map, captured in hands:
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
         target, keyed, left_alone = prepared(armature, hand_map, motion)
-        quats = _within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
+        quats = within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
         written.append(
             (CharacterBones(armature, target.bones), PoseKeys.everywhere(motion.frames, quats), keyed)
         )
@@ -232,7 +232,7 @@ def _writing(
         yield done / len(steps)
 
 
-def _within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
+def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
     """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are."""
     quats = quats.copy()
     for k, name in enumerate(names):

@@ -40,7 +40,7 @@ def test_fingers_relax_and_the_wrist_stays(hand):
     bpy.context.scene.frame_set(9)  # between keys
     before = displayed_pose(rig_of(armature))
     keys = read_pose_keys(rig_of(armature))
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     bpy.context.view_layer.update()
     found = finger_rotations(armature, side)
     np.testing.assert_allclose(found, rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3)), atol=1e-4)
@@ -66,7 +66,7 @@ def test_it_fades_out_over_spread_and_clear_takes_it_back(hand):
     bpy.context.scene.manient.spread = 4
     before = read_pose_keys(rig_of(armature))
     bpy.context.scene.frame_set(6)
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     after = read_pose_keys(rig_of(armature))
     change = turned(before, after)
     assert change[:, 0].max() == 0.0
@@ -84,7 +84,7 @@ def test_without_a_spread_it_stays_in_its_frame(hand):
     bpy.context.scene.manient.spread = 0
     before = read_pose_keys(rig_of(armature))
     bpy.context.scene.frame_set(6)
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     change = turned(before, read_pose_keys(rig_of(armature))).max(axis=1)
     np.testing.assert_array_equal(change > 1e-4, before.frames == 6)
 
@@ -100,7 +100,7 @@ def test_between_the_frames_of_a_retimed_clip(make_take, picture):
     model = load_model("open-hand", "right")
     before = read_pose_keys(rig_of(armature))
     scene.frame_set(1003)
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     scene.frame_set(1003)
     expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
     np.testing.assert_allclose(finger_rotations(armature, "right"), expected, atol=1e-4)
@@ -115,7 +115,7 @@ def test_pins_that_come_and_go_leave_it(hand):
     """A point that is dragged in a relaxed frame is measured against the relaxed pose."""
     armature, _, _ = hand
     bpy.context.scene.frame_set(6)
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     relaxed = pose_at(rig_of(armature), np.array([6.0]))
     dragged = changed_quats(relaxed[0][0], np.zeros((16, 3)), np.full((16, 3), 0.1))
     corrections.correct_frames(armature, [6], dragged[None], relaxed[1], 4, pins=[{8: (10.0, 20.0)}])
@@ -125,14 +125,14 @@ def test_pins_that_come_and_go_leave_it(hand):
     # It is the artist's own, even where the frame had been keyed anew before.
     corrections.end_corrections(armature, [6])
     assert corrections.corrected_frames(armature) == []
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     assert corrections.corrected_frames(armature) == [6]
 
 
 def test_bones_without_keys_are_only_posed(hand):
     armature, side, model = hand
     remove_pose_keys(rig_of(armature), -100, 100, joints=[4, 5, 6])
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     keys = read_pose_keys(rig_of(armature))
     assert not keys.rotation_keyed[:, [4, 5, 6]].any()
     bpy.context.view_layer.update()
@@ -145,7 +145,7 @@ def test_auto_keying_keys_them_too(hand):
     armature.animation_data_clear()
     bpy.context.scene.tool_settings.use_keyframe_insert_auto = True
     bpy.context.scene.frame_set(5)
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     keys = read_pose_keys(rig_of(armature))
     assert keys.frames.tolist() == [5.0]
     assert keys.rotation_keyed[0].tolist() == [False] + [True] * 15
@@ -154,7 +154,7 @@ def test_auto_keying_keys_them_too(hand):
 def test_without_animation_there_are_no_keys(hand):
     armature, _, _ = hand
     armature.animation_data_clear()
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     assert armature.animation_data is None or armature.animation_data.action is None
     assert np.abs(displayed_pose(rig_of(armature))[1:, 1]).min() > 0.01
 
@@ -166,7 +166,7 @@ def test_euler_bones_pose_mode_and_undo(hand):
     name = armature.name
     bpy.ops.ed.undo_push(message="before")
     before = displayed_pose(rig_of(armature))
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
     bpy.context.view_layer.update()
     expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
     np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)

@@ -121,7 +121,7 @@ OPERATORS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("mark_doubtful", {"hand": "?"}),
     ("select_hand", {"hand": "?"}),
     ("clear_corrections", {"scope": "FRAME"}),
-    ("relax_pose", {}),
+    ("apply_pose", {}),
     ("reset_shape", {}),
     ("apply_take", {"source": "?"}),
     ("mirror_hand", {}),
