@@ -45,9 +45,10 @@ _PREVIEW = 128
 class PosableHand(ABC):
     """One hand that poses are put on and read from."""
 
-    def __init__(self, rig: PosedBones, joints: list[tuple[int, ...]]) -> None:
+    def __init__(self, rig: PosedBones, joints: list[tuple[int, ...]], own: set[str]) -> None:
         self.rig = rig
         self._joints = joints  # of each bone
+        self._own = own  # names of all bones by which an artist chooses this hand
 
     @abstractmethod
     def read(self) -> Pose:
@@ -78,7 +79,7 @@ class PosableHand(ABC):
         if context.mode != "POSE":
             return set()
         bones = context.selected_pose_bones or ()
-        return {bone.name for bone in bones if bone.id_data == self.rig.armature} & {*self.rig.bones}
+        return {bone.name for bone in bones if bone.id_data == self.rig.armature} & self._own
 
     def _chosen(self, context: bpy.types.Context) -> np.ndarray:
         """(B,) bool"""
@@ -95,7 +96,7 @@ class _Captured(PosableHand):
     """A captured hand."""
 
     def __init__(self, hand: CapturedHand) -> None:
-        super().__init__(hand.rig, [(joint,) for joint in range(NUM_JOINTS)])
+        super().__init__(hand.rig, [(joint,) for joint in range(NUM_JOINTS)], {*hand.rig.bones})
         self._hand = hand
 
     def read(self) -> Pose:
@@ -119,7 +120,7 @@ class _Captured(PosableHand):
             field = corrections_of(armature)
             # Points that hold other fingers go on holding them.
             free = {f for f, name in enumerate(FINGERS) if moved[list(FINGER_JOINTS[name])].any()}
-            pins = {p: at for p, at in field.pins(frame).items() if p > 0 and (p - 1) // 4 not in free}
+            pins = {p: at for p, at in field.pins(frame).items() if (p - 1) // 4 not in free}
             touches = {
                 a: b for a, b in field.touching(frame).items() if not {(a - 1) // 4, (b - 1) // 4} & free
             }
@@ -143,7 +144,8 @@ class _OfCharacter(PosableHand):
         source = SourceHand.of(kept_model(OPEN_HAND, hand_map.side).shaped(), hand_map.side)
         self._armature, self._source = armature, source
         self._target = target_hand(bones_of(armature), hand_map, source)
-        super().__init__(CharacterBones(armature, self._target.bones), list(self._target.joints))
+        rig = CharacterBones(armature, self._target.bones)
+        super().__init__(rig, list(self._target.joints), {*rig.bones, *hand_map.bones, hand_map.moved_by})
 
     def read(self) -> Pose:
         """As constraints and controls leave it, relative to the hand's own bone."""
