@@ -170,47 +170,74 @@ def applying(
     A motion of the other side is mirrored. Raises HandModelError and OptionError, before anything is changed.
     """
     check_own_keys(armature, present=onto.into == "ACTION")
-    written: list[tuple[CharacterBones, PoseKeys, np.ndarray]] = []
-    applied = []
+    computed = yield from computing(armature, hands, onto)
+    if onto.into == "ACTION":
+        yield from _writing_into_present(armature, computed.keys)
+    else:
+        yield from _writing_anew(armature, computed.keys, onto.into)
+    return computed.applied
+
+
+@dataclass(frozen=True, eq=False)
+class BoneKeys:
+    """Keys that are to be written."""
+
+    rig: CharacterBones
+    keys: PoseKeys
+    keyed: np.ndarray
+    """(B,) bool: the bones that get them"""
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """What hands are to do, before any of it is written."""
+
+    keys: list[BoneKeys]
+    applied: list[Applied]
+
+
+def computing(
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+) -> Generator[float, None, Computed]:
+    """What `applying` writes, and raises; nothing is changed."""
+    keys, applied = [], []
     for hand_map, captured in hands:
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
-        target, keyed, left_alone = prepared(armature, hand_map, motion)
+        fingers_only = onto.wrist == "FINGERS"
+        target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
         quats = within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
-        written.append(
-            (CharacterBones(armature, target.bones), PoseKeys.everywhere(motion.frames, quats), keyed)
-        )
-        if onto.wrist != "FINGERS":
+        fingers = CharacterBones(armature, target.bones)
+        keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
+        if not fingers_only:
             placed = yield from _moving(armature, target, motion, onto)
-            written.append((CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
+            keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone)))
-    if onto.into == "ACTION":
-        yield from _writing_into_present(armature, written)
-    else:
-        yield from _writing_anew(armature, written, onto.into)
-    return applied
+    return Computed(keys, applied)
 
 
 def _writing_into_present(
-    armature: bpy.types.Object, written: Sequence[tuple[CharacterBones, PoseKeys, np.ndarray]]
+    armature: bpy.types.Object, keys: Sequence[BoneKeys]
 ) -> Generator[float, None, None]:
-    for rig, keys, keyed in written:
-        check_unlocked(rig, joints=np.flatnonzero(keyed).tolist(), location=bool(keys.location_keyed.any()))
+    for one in keys:
+        located = bool(one.keys.location_keyed.any())
+        check_unlocked(one.rig, joints=np.flatnonzero(one.keyed).tolist(), location=located)
     own_action(armature)
-    for rig, keys, keyed in written:
-        first, last, joints = float(keys.frames[0]), float(keys.frames[-1]), np.flatnonzero(keyed).tolist()
-        remove_pose_keys(rig, first, last, joints=joints, location=bool(keys.location_keyed.any()))
-    yield from _writing(written)
+    for one in keys:
+        first, last = float(one.keys.frames[0]), float(one.keys.frames[-1])
+        located = bool(one.keys.location_keyed.any())
+        remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
+    yield from writing(keys)
 
 
 def _writing_anew(
-    armature: bpy.types.Object, written: Sequence[tuple[CharacterBones, PoseKeys, np.ndarray]], into: Into
+    armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
 ) -> Generator[float, None, None]:
     """Write an action that nobody uses until it is whole."""
     action = bpy.data.actions.new(f"{armature.name} hands")
     given = False
     try:
         slot = new_slot(action, armature.name)
-        yield from _writing(written, channels(action, slot, make=True))
+        yield from writing(keys, channels(action, slot, make=True))
         _give(armature, action, slot, into)
         given = True
     finally:
@@ -219,16 +246,16 @@ def _writing_anew(
                 bpy.data.actions.remove(action)
 
 
-def _writing(
-    written: Sequence[tuple[CharacterBones, PoseKeys, np.ndarray]], holder: Any = None
-) -> Generator[float, None, None]:
-    """A bone per step."""
-    steps = [(rig, keys, bone) for rig, keys, keyed in written for bone in np.flatnonzero(keyed)]
-    for done, (rig, keys, bone) in enumerate(steps, start=1):
-        only = np.zeros_like(keys.rotation_keyed)
-        only[:, bone] = True
-        located = keys.location_keyed if bone == 0 else np.zeros(len(keys.frames), dtype=bool)
-        write_pose_keys(rig, replace(keys, rotation_keyed=only, location_keyed=located), holder=holder)
+def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, None, None]:
+    """Write keys, a bone per step; tells how much is done, 0..1."""
+    steps = [(one, bone) for one in keys for bone in np.flatnonzero(one.keyed)]
+    for done, (one, bone) in enumerate(steps, start=1):
+        only = np.zeros_like(one.keys.rotation_keyed)
+        only[:, bone] = one.keys.rotation_keyed[:, bone]
+        located = one.keys.location_keyed & (bone == 0)
+        write_pose_keys(
+            one.rig, replace(one.keys, rotation_keyed=only, location_keyed=located), holder=holder
+        )
         yield done / len(steps)
 
 
@@ -328,17 +355,17 @@ def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
 
 
 def prepared(
-    armature: bpy.types.Object, hand_map: HandMap, motion: Motion
+    armature: bpy.types.Object, hand_map: HandMap, source: SourceHand, *, fingers_only: bool
 ) -> tuple[TargetHand, np.ndarray, list[str]]:
-    """What keys of a motion of the same side need to know: the hand, which of its bones can be keyed (K,)
+    """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
     bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
     why = why_not_reachable(armature)
     if why is not None:
         raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
-    found = troubles(armature, hand_map)
+    found = troubles(armature, replace(hand_map, control="") if fingers_only else hand_map)
     if found:
         raise OptionError(found[0])
-    target = target_hand(bones_of(armature), hand_map, motion.source)
+    target = target_hand(bones_of(armature), hand_map, source)
     reasons = [why_not_turned(armature, name) for name in target.bones]
     keyed = np.array([reason is None for reason in reasons])
     if not keyed.any():

@@ -32,7 +32,7 @@ from .characters import character_of, kept_map, recognised, why_not_reachable
 from .corrections import correct_frames, corrections_of, timing_of
 from .editable import why_not_keyable, why_not_readable
 from .keys import PoseKeys, displayed_pose, keyed_bones, set_pose, write_pose_keys
-from .onto_character import Motion, check_own_keys, prepared, within_locks
+from .onto_character import check_own_keys, prepared, within_locks
 from .sampling import rotations_of
 from .store import CapturedHand, active_hand, hand_of
 
@@ -164,8 +164,7 @@ class _OfCharacter(PosableHand):
     def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
         check_own_keys(self._armature, present=True)
         frames = np.array([context.scene.frame_current_final])
-        still = Motion(self._source, frames, np.eye(3)[None, None], np.zeros((1, 3)))
-        _, free, _ = prepared(self._armature, self._target.hand_map, still)
+        _, free, _ = prepared(self._armature, self._target.hand_map, self._source, fingers_only=True)
         moved = free & np.isfinite(quats[:, 0])
         keys = PoseKeys(
             frames, np.nan_to_num(quats)[None], np.zeros((1, 3)), moved[None], np.zeros(1, dtype=bool)
