@@ -485,7 +485,7 @@ def main() -> None:
         ready = ready_poses()
         poses = np.array([one.pose.hand_pose for one in ready.values()])
         picture = sheet(list(ready), poses, arguments.turned, arguments.size, arguments.columns)
-        cv2.imwrite(str(arguments.sheet), picture[..., ::-1])
+        cv2.imwrite(str(arguments.sheet), picture[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, 85])
         return
     model = model_of("right")
     names, turned = ["Relaxed", *(r.name for r in TABLE)], [25.0, *(r.turned for r in TABLE)]

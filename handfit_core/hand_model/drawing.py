@@ -82,7 +82,7 @@ def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, 
     parts = np.stack([1.0 - b - c, b, c], axis=-1)
     z = (parts * corners[of, :, 2]).sum(axis=1)
     normal = np.einsum("kc,kcd->kd", parts, normals[faces[of]])
-    light = 0.16 + 0.62 * np.maximum(normal @ _KEY, 0.0) + 0.24 * np.maximum(normal @ _FILL, 0.0)
+    light = 0.18 + 0.72 * np.maximum(normal @ _KEY, 0.0) + 0.24 * np.maximum(normal @ _FILL, 0.0)
     order = np.argsort(z)  # the nearest is written last
     depth, picture = np.full((size, size), -np.inf), np.zeros((size, size))
     depth[y[order], x[order]] = z[order]
