@@ -94,6 +94,7 @@ def blend(changes: list[tuple[str, str, Any]], take: str = "") -> None:
         "action": armature.animation_data.action,
     }
     if any(owner == "pose" for owner, _, _ in changes):
+        bpy.context.view_layer.objects.active = armature
         bpy.ops.manient.save_pose_asset(asset_name=OWN_POSE)
         owners["pose"] = bpy.data.actions[OWN_POSE].asset_data
     if take:
