@@ -8,7 +8,8 @@ import numpy as np
 from handfit_core.errors import OptionError
 
 from ..blender_versions import channels, new_slot
-from ..scene.keys import PoseKeys, displayed_pose, write_pose_keys
+from ..scene.controls import rotations_now
+from ..scene.keys import PoseKeys, write_pose_keys
 from ..scene.poses import keep_pose, posable_hands, why_not_posable
 from .needs_hand import Refuses, errors_reported
 
@@ -57,7 +58,7 @@ class MANIENT_OT_save_pose_asset(Refuses, bpy.types.Operator):
         if rig.armature.manient.is_hand:
             chosen[0, 0] = self.wrist
         keys = PoseKeys(
-            np.array([1.0]), displayed_pose(rig)[None], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool)
+            np.array([1.0]), rotations_now(rig)[None], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool)
         )
         write_pose_keys(rig, keys, holder=channels(action, slot, make=True))
         action.asset_mark()

@@ -11,7 +11,7 @@ from ..section import Section, sentence
 
 class MANIENT_PT_shape(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_shape"
-    bl_label = "Shape and Motion"
+    bl_label = "Shape and Pose"
     bl_order = 6
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
@@ -24,6 +24,15 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("manient.mirror_hand", icon="MOD_MIRROR")
         column.operator("manient.apply_take", icon="IMPORT")
+        column = layout.column(align=True)
+        if hand.rig.controls:
+            row = column.row(align=True)
+            row.prop(hand.armature.manient, "use_controls", toggle=True)
+            row.prop(hand.armature.manient, "limits", toggle=True)
+            column.operator("manient.bake_controls", icon="ACTION")
+            column.operator("manient.remove_controls", icon="X")
+        else:
+            column.operator("manient.add_controls", icon="POSE_HLT")
         if hand.armature.manient.wrist != "open":
             layout.prop(hand.armature.manient, "forearm")
 

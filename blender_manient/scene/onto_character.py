@@ -26,6 +26,7 @@ from handfit_core.slices import retold
 from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
+from ..rigs.controls import in_use, is_own
 from .characters import why_not_reachable
 from .editable import is_tweaked
 from .keys import (
@@ -101,7 +102,7 @@ def reading_motion(
     """
     rig, rest = hand.rig, hand.rig.rest
     wanted = _keyed_frames(hand) if frames is None else np.asarray(frames, dtype=np.float64)
-    if _told_by_keys(hand.armature):
+    if told_by_keys(hand.armature):
         quats, locations = pose_at(rig, wanted)
     else:
         quats, locations = yield from _shown(hand, wanted)
@@ -123,11 +124,13 @@ def _keyed_frames(hand: CapturedHand) -> np.ndarray:
     return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
-def _told_by_keys(armature: bpy.types.Object) -> bool:
+def told_by_keys(armature: bpy.types.Object) -> bool:
+    """Whether nothing but the present action's keys moves the bones of an armature."""
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
-    return not any(c.enabled and c.influence > 0.0 for bone in armature.pose.bones for c in bone.constraints)
+    others = (c for bone in armature.pose.bones for c in bone.constraints if not is_own(c))
+    return not in_use(armature) and not any(c.enabled and c.influence > 0.0 for c in others)
 
 
 def _shown(hand: CapturedHand, frames: np.ndarray) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
@@ -174,7 +177,7 @@ def applying(
     if onto.into == "ACTION":
         yield from _writing_into_present(armature, computed.keys)
     else:
-        yield from _writing_anew(armature, computed.keys, onto.into)
+        yield from writing_anew(armature, computed.keys, onto.into)
     return computed.applied
 
 
@@ -229,7 +232,7 @@ def _writing_into_present(
     yield from writing(keys)
 
 
-def _writing_anew(
+def writing_anew(
     armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
 ) -> Generator[float, None, None]:
     """Write an action that nobody uses until it is whole."""

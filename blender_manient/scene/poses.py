@@ -29,6 +29,7 @@ from ..blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.rig import PosedBones
 from .characters import character_of, kept_map, recognised, why_not_reachable
+from .controls import rotations_now
 from .corrections import correct_frames, corrections_of, timing_of
 from .editable import why_not_keyable, why_not_readable
 from .keys import PoseKeys, displayed_pose, keyed_bones, set_pose, write_pose_keys
@@ -100,7 +101,7 @@ class _Captured(PosableHand):
         self._hand = hand
 
     def read(self) -> Pose:
-        quats = displayed_pose(self.rig)[None]
+        quats = rotations_now(self.rig)[None]
         return Pose(
             self._hand.side, self._hand.rig.from_bones(self._hand.shaped(), quats, np.zeros((1, 3)))[1][0]
         )
