@@ -50,6 +50,9 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
 }
 """Constraints that turn a bone away from its keys. Limits only cut them off"""
 
+_CHUNK = 250
+"""frames that are computed at once, in some milliseconds"""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -208,7 +211,12 @@ def computing(
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
         fingers_only = onto.wrist == "FINGERS"
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
-        quats = within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
+        quats = np.empty((len(motion.frames), len(target.bones), 4))
+        for start in range(0, len(quats), _CHUNK):
+            some = slice(start, start + _CHUNK)
+            local = rotmat_to_quat(target.local(motion.turns[some]))
+            quats[some] = within_locks(armature, target.bones, local)
+            yield 0.0
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
         if not fingers_only:
