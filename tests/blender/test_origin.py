@@ -1,4 +1,4 @@
-"""The origin goes to the wrist, and nothing else moves: not the hand, not what hangs on it, not the picture."""
+"""The origin goes to the wrist, and nothing else moves: not the hand, what hangs on it, or the picture."""
 
 from __future__ import annotations
 
