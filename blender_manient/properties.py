@@ -384,6 +384,9 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
     )
+    origin: FloatVectorProperty(  # type: ignore
+        size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
+    )
     use_controls: BoolProperty(  # type: ignore
         name="Controls",
         description="Have the controls move the hand; without them it does what its keys say",

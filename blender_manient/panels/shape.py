@@ -33,6 +33,7 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
             column.operator("manient.remove_controls", icon="X")
         else:
             column.operator("manient.add_controls", icon="POSE_HLT")
+        layout.operator("manient.origin_to_wrist", icon="OBJECT_ORIGIN")
         if hand.armature.manient.wrist != "open":
             layout.prop(hand.armature.manient, "forearm")
 
