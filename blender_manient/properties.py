@@ -26,6 +26,7 @@ from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
 from .hand_table import ManientHandTable
 from .scene.matching import CHOICES
+from .scene.poses import pose_items
 
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
@@ -216,6 +217,19 @@ class ManientSettings(bpy.types.PropertyGroup):
         options={"HIDDEN"},
     )
 
+    # Poses
+    pose: EnumProperty(  # type: ignore
+        name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
+    )
+    pose_blend: FloatProperty(  # type: ignore
+        name="Blend",
+        description="How far from the present pose to the chosen one",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
     # Refine
     spread: IntProperty(  # type: ignore
         name="Spread",
@@ -373,6 +387,21 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
+    )
+    origin: FloatVectorProperty(  # type: ignore
+        size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
+    )
+    use_controls: BoolProperty(  # type: ignore
+        name="Controls",
+        description="Have the controls move the hand; without them it does what its keys say",
+        default=True,
+        update=told("controls"),
+    )
+    limits: BoolProperty(  # type: ignore
+        name="Joint Limits",
+        description="Stop fingers where joints do, but no sooner than the captured motion goes",
+        default=True,
+        update=told("controls"),
     )
     show_confidence: BoolProperty(  # type: ignore
         name="Confidence Colors",
