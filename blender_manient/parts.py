@@ -8,9 +8,20 @@ from types import ModuleType
 
 import bpy
 
-from . import cache, error_graph, jobs, operators, panels, preferences, properties, shared_worker, source_info
+from . import (
+    cache,
+    error_graph,
+    jobs,
+    live_link,
+    operators,
+    panels,
+    preferences,
+    properties,
+    shared_worker,
+    source_info,
+)
 from .panels import preferences as preferences_panel
-from .scene import confidence, render_setup, reshape, see_through
+from .scene import confidence, controls, render_setup, reshape, see_through
 
 _KINDS = (
     bpy.types.AddonPreferences,
@@ -79,12 +90,14 @@ _MODULES = (
     properties,
     cache,
     reshape,
+    controls,
     confidence,
     error_graph,
     see_through,
     render_setup,
     shared_worker,
     jobs,
+    live_link,
     source_info,
     *_files_of(operators),
     *_files_of(panels),

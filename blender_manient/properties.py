@@ -25,6 +25,7 @@ from handfit_core.solvers import SOLVERS
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
 from .scene.matching import CHOICES
+from .scene.poses import pose_items
 
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
@@ -215,6 +216,19 @@ class ManientSettings(bpy.types.PropertyGroup):
         options={"HIDDEN"},
     )
 
+    # Poses
+    pose: EnumProperty(  # type: ignore
+        name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
+    )
+    pose_blend: FloatProperty(  # type: ignore
+        name="Blend",
+        description="How far from the present pose to the chosen one",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
     # Refine
     spread: IntProperty(  # type: ignore
         name="Spread",
@@ -241,7 +255,11 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
     """One hand of Object.manient.character."""
 
     use: BoolProperty(  # type: ignore
-        name="Use", description="Whether this hand gets motion", default=True, override=_OVERRIDABLE
+        name="Use",
+        description="Whether this hand gets motion",
+        default=True,
+        update=told("character"),
+        override=_OVERRIDABLE,
     )
     source: PointerProperty(  # type: ignore
         name="Source",
@@ -249,11 +267,13 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         "scene's only one of its side",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     hand_map: StringProperty(  # type: ignore
         description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
         "that are recognised",
+        update=told("character"),
         override=_OVERRIDABLE,
     )
 
@@ -286,26 +306,37 @@ class ManientCharacter(bpy.types.PropertyGroup):
             ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
         ),
         default="FINGERS",
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     reference: IntProperty(  # type: ignore
         name="Marked Frame",
         description="The scene frame in which the character's hand is as it is to be in the captured pose",
         default=1,
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     contacts: BoolProperty(  # type: ignore
         name="Keep Contacts",
         description="Where captured fingertips touch, the character's touch too: both fingers give way",
         default=True,
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     live: BoolProperty(  # type: ignore
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
         default=False,
-        update=told("live"),
+        update=told("character"),
         override=_OVERRIDABLE,
+    )
+    action: PointerProperty(  # type: ignore
+        type=bpy.types.Action,
+        description="The action that the live link keys (live_link.py)",
+        override=_OVERRIDABLE,
+    )
+    linked: StringProperty(  # type: ignore
+        description="Changes with what the live link has keyed", override=_OVERRIDABLE
     )
 
 
@@ -352,6 +383,21 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
+    )
+    origin: FloatVectorProperty(  # type: ignore
+        size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
+    )
+    use_controls: BoolProperty(  # type: ignore
+        name="Controls",
+        description="Have the controls move the hand; without them it does what its keys say",
+        default=True,
+        update=told("controls"),
+    )
+    limits: BoolProperty(  # type: ignore
+        name="Joint Limits",
+        description="Stop fingers where joints do, but no sooner than the captured motion goes",
+        default=True,
+        update=told("controls"),
     )
     show_confidence: BoolProperty(  # type: ignore
         name="Confidence Colors",

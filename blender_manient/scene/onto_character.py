@@ -26,6 +26,7 @@ from handfit_core.slices import retold
 from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
+from ..rigs.controls import in_use, is_own
 from .characters import why_not_reachable
 from .editable import is_tweaked
 from .keys import (
@@ -48,6 +49,9 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
     *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
 }
 """Constraints that turn a bone away from its keys. Limits only cut them off"""
+
+_CHUNK = 250
+"""frames that are computed at once, in some milliseconds"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +105,7 @@ def reading_motion(
     """
     rig, rest = hand.rig, hand.rig.rest
     wanted = _keyed_frames(hand) if frames is None else np.asarray(frames, dtype=np.float64)
-    if _told_by_keys(hand.armature):
+    if told_by_keys(hand.armature):
         quats, locations = pose_at(rig, wanted)
     else:
         quats, locations = yield from _shown(hand, wanted)
@@ -123,11 +127,13 @@ def _keyed_frames(hand: CapturedHand) -> np.ndarray:
     return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
-def _told_by_keys(armature: bpy.types.Object) -> bool:
+def told_by_keys(armature: bpy.types.Object) -> bool:
+    """Whether nothing but the present action's keys moves the bones of an armature."""
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
-    return not any(c.enabled and c.influence > 0.0 for bone in armature.pose.bones for c in bone.constraints)
+    others = (c for bone in armature.pose.bones for c in bone.constraints if not is_own(c))
+    return not in_use(armature) and not any(c.enabled and c.influence > 0.0 for c in others)
 
 
 def _shown(hand: CapturedHand, frames: np.ndarray) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
@@ -174,7 +180,7 @@ def applying(
     if onto.into == "ACTION":
         yield from _writing_into_present(armature, computed.keys)
     else:
-        yield from _writing_anew(armature, computed.keys, onto.into)
+        yield from writing_anew(armature, computed.keys, onto.into)
     return computed.applied
 
 
@@ -205,7 +211,12 @@ def computing(
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
         fingers_only = onto.wrist == "FINGERS"
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
-        quats = _within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
+        quats = np.empty((len(motion.frames), len(target.bones), 4))
+        for start in range(0, len(quats), _CHUNK):
+            some = slice(start, start + _CHUNK)
+            local = rotmat_to_quat(target.local(motion.turns[some]))
+            quats[some] = within_locks(armature, target.bones, local)
+            yield 0.0
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
         if not fingers_only:
@@ -229,7 +240,7 @@ def _writing_into_present(
     yield from writing(keys)
 
 
-def _writing_anew(
+def writing_anew(
     armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
 ) -> Generator[float, None, None]:
     """Write an action that nobody uses until it is whole."""
@@ -259,7 +270,7 @@ def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, No
         yield done / len(steps)
 
 
-def _within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
+def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
     """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are."""
     quats = quats.copy()
     for k, name in enumerate(names):
