@@ -10,9 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
+from blender_manient.rigs import found_hand
+from blender_manient.rigs.character import bones_of
 from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.hand_model.axes import points_to_rest
+from handfit_core.hand_model.axes import bone_frames, points_to_rest
 from handfit_core.retarget.names import RIGS
+from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, Side
 from scripts.benchmark.kinematics import model_of
 from scripts.character_sheets import following, main, poses
@@ -80,3 +83,29 @@ def test_what_is_not_there_is_said(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "none.blend: no such file" in said
     assert "no armature 'Other'" in said
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_thumbs_of_rigify_bend_about_their_own_axis(side):
+    """Its metarig's bones are rolled so that they bend about X: with the roll that thumbs get, X lies where
+    ours does."""
+    import addon_utils  # bpy brings it
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    addon_utils.enable("rigify", default_set=True, persistent=True)
+    try:
+        bpy.ops.object.armature_human_metarig_add()
+        armature = bpy.context.object
+        bones, hand_map = bones_of(armature), found_hand(armature, side).hand_map
+    finally:
+        addon_utils.disable("rigify", default_set=True)
+    shaped = model_of(side).shaped()
+    own = bone_frames(shaped, side)
+    for roll, most in ((hand_map.thumb_roll, 8.0), (0.0, 40.0)):
+        target = target_hand(bones, replace(hand_map, thumb_roll=roll), SourceHand.of(shaped, side))
+        for joint in FINGER_JOINTS["thumb"]:
+            bone = target.joints.index((joint,))
+            axis = target.aligned.T @ target.corrected[bone] @ target.rest[bone][:, 0]
+            off = np.degrees(np.arccos(axis @ own[joint][:, 0]))
+            assert off < most
+            assert roll or off > 20.0, "without a roll it would be seen"
