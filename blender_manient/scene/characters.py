@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -13,7 +14,28 @@ from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand
 from ..rigs.character import Found
-from .store import CapturedHand, captured_hands, hand_of
+from .store import CapturedHand, captured_hands, hand_of, kept_here
+
+
+@dataclass(frozen=True, eq=False)
+class CharacterObjects:
+    """A whole character, to be written to a file."""
+
+    armature: bpy.types.Object
+    meshes: tuple[bpy.types.Object, ...]
+    side: None = None
+
+    @classmethod
+    def of(cls, armature: bpy.types.Object) -> CharacterObjects:
+        """With what it deforms or carries in the open scene and renders show: proxies and cages are no part
+        of it."""
+        shown = (o for o in bpy.context.scene.objects if o.type == "MESH" and not o.hide_render)
+        return cls(armature, tuple(o for o in shown if armature in (*_deforming(o), o.parent)))
+
+
+def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The armatures of a scene that are no captured hands, by name."""
+    return sorted(filter(_is_character, scene.objects), key=lambda o: o.name)
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
@@ -21,11 +43,8 @@ def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
     all others."""
     if obj is None:
         return None
-    deforming = [m.object for m in obj.modifiers if m.type == "ARMATURE"]
-    for one in (obj, *deforming, obj.parent):
-        if one is not None and one.type == "ARMATURE" and not one.manient.is_hand:
-            return one
-    return None
+    around = (obj, *_deforming(obj), obj.parent)
+    return next((one for one in around if one is not None and _is_character(one)), None)
 
 
 def active_character(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -56,7 +75,7 @@ def why_not_reachable(armature: bpy.types.Object) -> str | None:
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
     """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
-    return _read(getattr(armature.manient.character, side).hand_map)
+    return _read(getattr(armature.manient.character, side).hand_map) if kept_here() else None
 
 
 def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
@@ -100,6 +119,14 @@ def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[S
         if chosen is not None:
             found[side] = chosen
     return found
+
+
+def _is_character(obj: bpy.types.Object) -> bool:
+    return obj.type == "ARMATURE" and not (kept_here() and obj.manient.is_hand)
+
+
+def _deforming(obj: bpy.types.Object) -> list[bpy.types.Object | None]:
+    return [m.object for m in obj.modifiers if m.type == "ARMATURE"]
 
 
 @functools.lru_cache(maxsize=64)
