@@ -225,11 +225,12 @@ def computing(
     keys, applied = [], []
     for hand_map, captured in hands:
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
-        target, keyed, left_alone = prepared(armature, hand_map, motion.source)
+        fingers_only = onto.wrist == "FINGERS"
+        target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
         quats = _within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
-        if onto.wrist != "FINGERS":
+        if not fingers_only:
             placed = yield from _moving(armature, target, motion, onto)
             keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone)))
@@ -376,14 +377,14 @@ def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
 
 
 def prepared(
-    armature: bpy.types.Object, hand_map: HandMap, source: SourceHand
+    armature: bpy.types.Object, hand_map: HandMap, source: SourceHand, *, fingers_only: bool
 ) -> tuple[TargetHand, np.ndarray, list[str]]:
     """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
     bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
     why = why_not_reachable(armature)
     if why is not None:
         raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
-    found = troubles(armature, hand_map)
+    found = troubles(armature, replace(hand_map, control="") if fingers_only else hand_map)
     if found:
         raise OptionError(found[0])
     target = target_hand(bones_of(armature), hand_map, source)
