@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import Found, HandMap
+from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, Found, HandMap
 from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, Side
 
 from .character import Character
@@ -32,7 +32,7 @@ class VrmCharacter(Character):
             nodes = {human.bone: human.node.bone_name for human in noted.vrm0.humanoid.human_bones}
         there = [nodes.get(name, "") for name in _humanoid(side, newer)]
         there = [name if name in bones.index else "" for name in there]
-        hand_map = HandMap(side, tuple(there), rig=cls.label)
+        hand_map = HandMap(side, tuple(there), rig=cls.label, thumb_roll=USUAL_THUMB_ROLL)
         return Found(hand_map, 1.0) if there[0] and len(hand_map.fingers) > 1 else None
 
 

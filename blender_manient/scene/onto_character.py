@@ -108,7 +108,7 @@ def reading_motion(
     wanted = _gaps_filled(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
     if len(wanted) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    if _told_by_keys(hand.armature):
+    if told_by_keys(hand.armature):
         quats, locations = pose_at(rig, wanted)
     else:
         quats, locations = yield from _shown(hand, wanted)
@@ -145,7 +145,8 @@ def _gaps_filled(keyed: np.ndarray) -> np.ndarray:
     return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
-def _told_by_keys(armature: bpy.types.Object) -> bool:
+def told_by_keys(armature: bpy.types.Object) -> bool:
+    """Whether nothing but the present action's keys moves the bones of an armature."""
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
@@ -196,7 +197,7 @@ def applying(
     if onto.into == "ACTION":
         yield from _writing_into_present(armature, computed.keys)
     else:
-        yield from _writing_anew(armature, computed.keys, onto.into)
+        yield from writing_anew(armature, computed.keys, onto.into)
     return computed.applied
 
 
@@ -251,7 +252,7 @@ def _writing_into_present(
     yield from writing(keys)
 
 
-def _writing_anew(
+def writing_anew(
     armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
 ) -> Generator[float, None, None]:
     """Write an action that nobody uses until it is whole."""

@@ -18,6 +18,11 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINT
 PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
 
+USUAL_THUMB_ROLL: Final = 30.0
+"""degrees of `HandMap.thumb_roll` for rigs that nobody has looked at: what Rigify's metarig, VRM's T-pose and
+Mixamo's thumbs need within 6 degrees, since they rest with the nail turned farther away from the hand's back
+than ours"""
+
 _LONGEST: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
 
@@ -37,7 +42,8 @@ class HandMap:
     rig: str = ""
     """What the rig was taken for, as an artist reads it"""
     thumb_roll: float = 0.0
-    """degrees about each of the thumb's bones, positive towards the palm's inside on either hand"""
+    """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on
+    either hand"""
     keep_rest: bool = False
     """Whether fingers keep the rest pose's difference from ours, instead of pointing as ours do"""
     fold: float = 0.0

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from handfit_core.errors import HandModelError
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import PALM_FINGERS, Found, HandMap
+from handfit_core.retarget.hand_map import PALM_FINGERS, USUAL_THUMB_ROLL, Found, HandMap
 from handfit_core.retarget.transfer import leaning
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
@@ -88,6 +88,8 @@ class Rig:
     """The metacarpals, likewise, or all four"""
     prefix: str = ""
     """What stands before each name as a rule; anything else may, too"""
+    thumb_roll: float = USUAL_THUMB_ROLL
+    """As in `HandMap`: with it, nails of characters that were looked at face where ours does"""
 
     @functools.cached_property
     def slots(self) -> dict[int, str]:
@@ -143,15 +145,15 @@ RIGS = (
         palm="lCarpal1|lCarpal2|lCarpal3|lCarpal4"),
     Rig("Daz Genesis 9", "l_hand", "l_{}{}", "thumb index mid ring pinky", palm="l_{}metacarpal"),
     Rig("MakeHuman", "wrist.L", "finger{}-{}.L", _NUMBERS,
-        palm="metacarpal1.L|metacarpal2.L|metacarpal3.L|metacarpal4.L"),
+        palm="metacarpal1.L|metacarpal2.L|metacarpal3.L|metacarpal4.L", thumb_roll=15.0),
     Rig("Auto-Rig Pro", "hand.l", "c_{}{}.l", palm="c_{}1_base.l"),
     Rig("Auto-Rig Pro", "hand.l", "{}1.l|c_{}2.l|c_{}3.l", palm="c_{}1_base.l"),
-    Rig("SMPL-X", "left_wrist", "left_{}{}"),
+    Rig("SMPL-X", "left_wrist", "left_{}{}", thumb_roll=0.0),
     Rig("3ds Max Biped", "L Hand", "L Finger{}{}", "0 1 2 3 4", ("", "1", "2"), prefix="Bip01 "),
     Rig("Rokoko", "LeftHand", "LeftFinger{}{}", _NUMBERS, ("Proximal", "Medial", "Distal"), _ANATOMY,
         palm="LeftFinger{}Metacarpal"),
     Rig("Captured hand", "wrist.L", "{}_{}.L", "thumb index middle ring little",
-        ("proximal", "middle", "distal"), _ANATOMY),
+        ("proximal", "middle", "distal"), _ANATOMY, thumb_roll=0.0),
 )  # fmt: skip
 """Where two explain a hand as well, the first does"""
 
@@ -217,7 +219,7 @@ def _hand(bones: Bones, side: Side, rig: Rig, bearers: dict[int, int]) -> Found 
             slots[joint] = bone
     names = tuple(bones.names[bone] if bone >= 0 else "" for bone in slots)
     index, middle, ring, little = ("" if bone is None else bones.names[bone] for bone in palm)
-    hand_map = HandMap(side, names, (index, middle, ring, little), rig=rig.label)
+    hand_map = HandMap(side, names, (index, middle, ring, little), rig=rig.label, thumb_roll=rig.thumb_roll)
     if parsed(bones.names[bearers[min(bearers)]]).side is None:
         sign = 1.0 if side == "left" else -1.0
         if sign * leaning(bones, hand_map) < 0.0:

@@ -14,7 +14,7 @@ import numpy as np
 
 from handfit_core.errors import HandModelError
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import Found, HandMap
+from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, Found, HandMap
 from handfit_core.retarget.names import parsed
 from handfit_core.retarget.transfer import leaning
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
@@ -133,7 +133,9 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     own = (own[:-1] if np.median(lengths) > 3 and len(own) > 2 else own)[-3:]
     for joint, bone in zip(FINGER_JOINTS["thumb"][3 - len(own) :], own, strict=True):
         slots[joint] = bones.names[bone]
-    hand_map = HandMap("left", tuple(slots), (palm[0], palm[1], palm[2], palm[3]), rig=LABEL)
+    hand_map = HandMap(
+        "left", tuple(slots), (palm[0], palm[1], palm[2], palm[3]), rig=LABEL, thumb_roll=USUAL_THUMB_ROLL
+    )
 
     every = [hand, *(bone for stem, own in chains for bone in (*stem, *own))]
     outwards = [_unit(bones.heads[starts[i]] - wrist) @ along[i] for i in others]

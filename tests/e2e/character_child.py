@@ -1,7 +1,7 @@
 """A character's file made, and results looked at, in processes of their own.
 
-    character_child.py make CHARACTER.blend
-    character_child.py look RESULT FPS FRAME...
+character_child.py make CHARACTER.blend
+character_child.py look RESULT FPS FRAME...
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def bone_names(side: Side) -> dict[int, str]:
 
 
 def make(path: str) -> None:
-    """A character with two bent hands, in centimetres, that hangs on an empty and nods; with a skin, an eye on
-    a bone, a cage that no render shows, and a prop that is none of its own."""
+    """A character with two bent hands, in centimetres, that hangs on an empty and nods; with a skin, an eye
+    on a bone, a cage that no render shows, and a prop that is none of its own."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     rng = np.random.default_rng(11)
     specs = [BoneSpec("mixamorig:Hips", "", (0, 0, 100), (0, 0, 110))]
@@ -92,7 +92,7 @@ def _tetrahedra(name: str, armature: bpy.types.Object, bones: list[str]) -> bpy.
 
 
 def look(path: str, fps: str, *frames: str) -> None:
-    """Print where bones begin and where the skin's points are, in metres of the world, and what else is there."""
+    """Print where bones begin and the skin's points are, in metres of the world, and what else is there."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps = int(fps)  # glTF holds seconds

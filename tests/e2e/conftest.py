@@ -18,8 +18,8 @@ TIMEOUT = 1200
 
 @pytest.fixture(params=["wheel", "blender"])
 def in_blender(request, tmp_path):
-    """in_blender(script, *arguments) -> CompletedProcess: under the bpy wheel and in real Blender, in a folder
-    of its own."""
+    """in_blender(script, *arguments) -> CompletedProcess: under the bpy wheel and in real Blender, in a
+    folder of its own."""
     if request.param == "wheel":
         command = [sys.executable]
     elif CHROOT:

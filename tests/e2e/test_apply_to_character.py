@@ -126,9 +126,7 @@ def test_a_character_comes_out_with_the_motion(in_blender, hero, look, tmp_path)
     clip, before = take(), hero.read_bytes()
     clip.save(tmp_path / "clip.take.npz")
     out = tmp_path / "out"
-    done = in_blender(
-        SCRIPT, "clip.take.npz", "-o", out, "--apply-to", hero, "--format", "blend,glb,fbx,bvh"
-    )
+    done = in_blender(SCRIPT, "clip.take.npz", "-o", out, "--apply-to", hero, "--format", "blend,glb,fbx,bvh")
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = report(out)
     assert entry["status"] == "ok"
@@ -159,7 +157,9 @@ def test_a_character_comes_out_with_the_motion(in_blender, hero, look, tmp_path)
         for frame in map(str, NUMBERS):
             ours, theirs = blend["shown"][frame], found["shown"][frame]
             hips = np.subtract(ours["heads"]["mixamorig:RightHand"], theirs["heads"]["mixamorig:RightHand"])
-            assert np.abs(hips).max() < (0.01 if ending != ".bvh" else np.inf), "it nods, and stands in its place"
+            assert np.abs(hips).max() < (0.01 if ending != ".bvh" else np.inf), (
+                "it nods, and stands in its place"
+            )
             if ending in (".glb", ".fbx"):
                 apart = np.subtract(np.array(ours["points"])[:, None], np.array(theirs["points"])[None])
                 assert np.linalg.norm(apart, axis=-1).min(axis=1).max() < 1e-4, (ending, frame)
