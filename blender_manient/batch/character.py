@@ -122,7 +122,7 @@ class Character:
 
     def check(self, *, keep_addons: bool) -> None:
         """Raises HandfitError where none of the wanted hands could get motion, whatever is captured."""
-        armature, _ = self.open(keep_addons=keep_addons)
+        armature, gone = self.open(keep_addons=keep_addons)
         problems = []
         for side in self.hands:
             try:
@@ -130,9 +130,8 @@ class Character:
             except HandModelError as error:
                 problems.append(str(error))
         if len(problems) == len(self.hands):
-            raise OptionError(
-                f"{shown(self.path)}: {'; '.join(problems) or 'no hand of it is to get motion'}"
-            )
+            problems = problems or ["--hands lets no hand of it have motion"]
+            raise OptionError("; ".join([f"{shown(self.path)}: {problems[0]}", *problems[1:], *gone]))
 
     def open(self, *, keep_addons: bool) -> tuple[bpy.types.Object, list[str]]:
         """Open the file. Returns the armature, and sentences about what is not as it should be.

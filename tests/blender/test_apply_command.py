@@ -177,7 +177,7 @@ def test_a_hand_that_was_not_captured_is_left_alone_and_other_inputs_go_on(
         (["--to", "hero.blend", "--hands", "left=up"], "as in left=right,right=none; got left=up"),
         (["--to", "hero.blend", "--hands", "thumb=left"], "got thumb=left"),
         (["--to", "hero.blend", "--hands", "left=0"], "got left=0"),
-        (["--to", "hero.blend", "--hands", "left=none"], "--hands names no hand of it that is to get motion"),
+        (["--to", "hero.blend", "--hands", "left=none"], "--hands lets no hand of it have motion"),
         (["--to", "hero.blend", "--hands", "all,left=left"], "hands must be one of auto"),
         (["--to", "hero.blend", "--bones", "words.blend"], "this is no table of a hand's bones"),
         (["--to", "hero.blend", "--bones", "nowhere.json"], "nowhere.json: could not be read"),
@@ -193,11 +193,11 @@ def test_what_cannot_work_is_said_before_any_work(
     Path("half.blend").write_bytes(hero.read_bytes()[: hero.stat().st_size // 2])
     Path("left.json").write_text(map_of("left").to_json())
     build_armature([BoneSpec("root", "", (0, 0, 0), (0, 0, 1))], "Hero")
-    bpy.ops.wm.save_as_mainfile(filepath="unknown.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "unknown.blend"))
     build_armature([BoneSpec("root", "", (0, 0, 0), (0, 0, 1))], "Sidekick")
-    bpy.ops.wm.save_as_mainfile(filepath="two.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.save_as_mainfile(filepath="none.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "none.blend"))
     assert apply(tmp_path, clip, *arguments) == 2
     errors = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
     assert len(errors) == 1
