@@ -20,7 +20,6 @@ from handfit_core.take import HandTrack, Take
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
 from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of
 from ..scene.timing import set_timing
-from .console import start_empty
 
 _LARGEST_PRESET = 1 << 20
 """bytes"""
@@ -120,9 +119,9 @@ class Character:
         )
         return cls(path, armature, hands, _presets(args.bones or []), onto, args.reference)
 
-    def check(self, *, keep_addons: bool) -> None:
+    def check(self) -> None:
         """Raises HandfitError where none of the wanted hands could get motion, whatever is captured."""
-        armature, gone = self.open(keep_addons=keep_addons)
+        armature, gone = self.open()
         problems = []
         for side in self.hands:
             try:
@@ -133,14 +132,12 @@ class Character:
             problems = problems or ["--hands lets no hand of it have motion"]
             raise OptionError("; ".join([f"{shown(self.path)}: {problems[0]}", *problems[1:], *gone]))
 
-    def open(self, *, keep_addons: bool) -> tuple[bpy.types.Object, list[str]]:
+    def open(self) -> tuple[bpy.types.Object, list[str]]:
         """Open the file. Returns the armature, and sentences about what is not as it should be.
 
-        Nothing in the file is run: drivers that need Python stand still. `keep_addons` leaves add-ons and
-        preferences as they are. Raises InputError and OptionError.
+        Nothing in the file is run: drivers that need Python stand still. Raises InputError and OptionError.
         """
         name = shown(self.path)
-        start_empty(keep_addons=keep_addons)
         try:
             bpy.ops.wm.open_mainfile(filepath=str(self.path.absolute()), load_ui=True, use_scripts=False)
         except RuntimeError as error:
@@ -163,15 +160,13 @@ class Character:
             raise OptionError(f"{name}: {armature.name!r}: {why_not[:1].lower()}{why_not[1:]}")
         return armature, gone
 
-    def put(
-        self, take: Take, model: str | None, *, keep_addons: bool
-    ) -> tuple[CharacterObjects, dict[str, Any], list[str]]:
+    def put(self, take: Take, model: str | None) -> tuple[CharacterObjects, dict[str, Any], list[str]]:
         """Open the file and key a take on the character. The scene gets the take's rate and range.
 
         `model` is taken instead of the one that the take names. Returns what belongs to the character, what
         report.json says of it, and sentences about what is not as it should be. Raises HandfitError.
         """
-        armature, warnings = self.open(keep_addons=keep_addons)
+        armature, warnings = self.open()
         hands, told, alone = [], [], []
         for side, wanted in self.hands.items():
             try:
@@ -215,7 +210,9 @@ class Character:
         elif self.armature:
             problem = f"there is no armature {shown(self.armature)!r}; choose from {names}"
         else:
-            problem = f"there are several armatures; name one after the file, as in {self.path.name}:{names}"
+            problem = (
+                f"there are several armatures ({names}); name one, as in {self.path.name}:{there[0].name}"
+            )
         raise OptionError("; ".join([f"{shown(self.path)}: {problem}", *gone]))
 
     def _bones_of(self, armature: bpy.types.Object, side: Side) -> HandMap:

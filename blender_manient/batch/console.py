@@ -11,8 +11,6 @@ import traceback
 from collections.abc import Iterator
 from typing import NoReturn
 
-import bpy
-
 
 def show_all_names() -> None:
     """A file name must not end a run on a console that cannot show it."""
@@ -37,15 +35,6 @@ def stopped_by_signals() -> Iterator[None]:
         for number, handler in before.items():
             if handler is not None:  # None: Blender's own, which Python cannot put back
                 signal.signal(number, handler)
-
-
-def start_empty(*, keep_addons: bool) -> None:
-    """Replace the open file by an empty one. `keep_addons` leaves the add-ons and preferences as they are;
-    otherwise they become Blender's factory settings."""
-    if keep_addons:
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    else:
-        bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
 @contextlib.contextmanager

@@ -170,7 +170,7 @@ def test_a_hand_that_was_not_captured_is_left_alone_and_other_inputs_go_on(
         (["--to", "hero.blend:Villain"], "there is no armature 'Villain'; choose from Hero"),
         (
             ["--to", "two.blend"],
-            "there are several armatures; name one after the file, as in two.blend:Hero, ",
+            "there are several armatures (Hero, Sidekick); name one, as in two.blend:Hero",
         ),
         (["--to", "none.blend"], "there is no armature in its open scene"),
         (["--to", "unknown.blend"], "no left hand was found among the 1 bones of 'Hero'"),
