@@ -115,7 +115,7 @@ def _show(armature: bpy.types.Object) -> None:
         turns = rest.frames @ basis @ np.swapaxes(rest.frames, -1, -2)
         if hand.side != hand_map.side:
             source, turns = source.mirrored(), mirrored_turns(turns)
-        target, keyed, _ = prepared(armature, hand_map, source)
+        target, keyed, _ = prepared(armature, hand_map, source, fingers_only=True)
         quats = rotmat_to_quat(target.local(turns[None]))[0]
         quats[~keyed] = np.nan
         set_pose(CharacterBones(armature, target.bones), quats)

@@ -64,6 +64,11 @@ def palm(wrist, first, middle, last):
     return np.stack([along, across, np.cross(along, across)], axis=-1)
 
 
+def turn_of(bone: bpy.types.PoseBone) -> np.ndarray:
+    """(3, 3) from how a bone lies at rest to how it stands."""
+    return np.array((bone.matrix @ bone.bone.matrix_local.inverted()).to_3x3())
+
+
 def worst_angle(armature, hand_map: HandMap, turns) -> float:
     """How far the segments of a posed character's fingers are from where the captured hand's point, degrees.
 
@@ -92,16 +97,16 @@ def worst_angle(armature, hand_map: HandMap, turns) -> float:
             there = [joint for joint in chain if hand_map.bones[joint]]
             for joint, after in zip(there, [*there[1:], None], strict=True):
                 bone = shown[hand_map.bones[joint]]
-                turned = np.array(bone.matrix.to_3x3()) @ np.linalg.inv(
-                    np.array(armature.data.bones[bone.name].matrix_local.to_3x3())
-                )
+                turned = turn_of(bone)
                 if after is not None:
                     points = np.array(shown[hand_map.bones[after]].head - bone.head)
                     wanted = joints[row, after] - joints[row, joint]
                 else:
                     points = turned @ (target.tips[number] - rest[bone.name])
                     wanted = tips[row, number] - joints[row, joint]
-                wanted = theirs @ own.T @ (wanted / np.linalg.norm(wanted))
+                wanted = (
+                    turn_of(shown[hand_map.bones[0]]) @ theirs @ own.T @ (wanted / np.linalg.norm(wanted))
+                )
                 # The sine holds small angles where the cosine has no digits left.
                 points = points / np.linalg.norm(points)
                 worst = max(worst, np.arctan2(np.linalg.norm(np.cross(points, wanted)), points @ wanted))

@@ -72,9 +72,21 @@ def test_two_characters_in_one_armature_are_named():
         the_surest(named_hands(bones, "left"), bones)
 
 
+def test_a_hand_with_a_counterpart_goes_before_one_without():
+    built, rng = Built(), np.random.default_rng(3)
+    for side, prefix in (("left", "robo_"), ("left", ""), ("right", "")):
+        fore, place = body(built, side, name=prefix + side)
+        away = 0.5 * len(prefix)
+        add_hand(built, side, names_of(RIGS[0], side, prefix), rng, parent=fore, place=place + away)
+    bones = built.bones()
+    found = the_surest(named_hands(bones, "left"), bones)
+    assert found is not None
+    assert found.hand_map.bones[0] == "hand.L"
+
+
 def test_bones_that_follow_others_are_not_taken():
     """As a rig's controls and the deforming bones that copy them."""
-    built, rng = Built(), np.random.default_rng(3)
+    built = Built()
     fore, place = body(built, "right")
     for prefix in ("DEF-", "", "ORG-"):
         names = names_of(RIGS[0], "right", prefix)
@@ -88,7 +100,6 @@ def test_bones_that_follow_others_are_not_taken():
     found = the_surest(named_hands(bones, "right"), bones, driven)
     assert found is not None
     assert found.hand_map.bones[1] == "DEF-f_index.01.R"
-    del rng
 
 
 def test_short_fingers_end_with_the_last_joint():
