@@ -24,6 +24,7 @@ from handfit_core.solvers import SOLVERS
 
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
+from .hand_table import ManientHandTable
 from .scene.matching import CHOICES
 from .scene.poses import pose_items
 
@@ -238,6 +239,9 @@ class ManientSettings(bpy.types.PropertyGroup):
         soft_max=50,
         max=1000,
     )
+
+    # Character
+    hand_table: PointerProperty(type=ManientHandTable)  # type: ignore
 
     # Export
     export_format: EnumProperty(  # type: ignore
