@@ -11,6 +11,7 @@ import bpy
 from . import (
     cache,
     error_graph,
+    hand_table,
     jobs,
     live_link,
     operators,
@@ -87,6 +88,7 @@ def _files_of(package: ModuleType) -> list[ModuleType]:
 _MODULES = (
     preferences_panel,  # what follows asks for what the user has chosen
     preferences,
+    hand_table,
     properties,
     cache,
     reshape,

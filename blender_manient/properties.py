@@ -24,7 +24,9 @@ from handfit_core.solvers import SOLVERS
 
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
+from .hand_table import ManientHandTable
 from .scene.matching import CHOICES
+from .scene.poses import pose_items
 
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
@@ -215,6 +217,19 @@ class ManientSettings(bpy.types.PropertyGroup):
         options={"HIDDEN"},
     )
 
+    # Poses
+    pose: EnumProperty(  # type: ignore
+        name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
+    )
+    pose_blend: FloatProperty(  # type: ignore
+        name="Blend",
+        description="How far from the present pose to the chosen one",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
     # Refine
     spread: IntProperty(  # type: ignore
         name="Spread",
@@ -224,6 +239,9 @@ class ManientSettings(bpy.types.PropertyGroup):
         soft_max=50,
         max=1000,
     )
+
+    # Character
+    hand_table: PointerProperty(type=ManientHandTable)  # type: ignore
 
     # Export
     export_format: EnumProperty(  # type: ignore
@@ -369,6 +387,9 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
+    )
+    origin: FloatVectorProperty(  # type: ignore
+        size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
     )
     use_controls: BoolProperty(  # type: ignore
         name="Controls",

@@ -11,8 +11,8 @@ from typing import Any, cast, get_args
 import bpy
 
 from handfit_core.errors import HandfitError, HandModelError, InputError, OptionError
-from handfit_core.files import is_file, read_file, shown, why
-from handfit_core.retarget.hand_map import HandMap
+from handfit_core.files import is_file, shown
+from handfit_core.retarget.hand_map import HandMap, read_preset
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
@@ -21,8 +21,6 @@ from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why
 from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of
 from ..scene.timing import set_timing
 
-_LARGEST_PRESET = 1 << 20
-"""bytes"""
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
 """Which captured hand each of the character's gets where nobody says"""
 _OPTIONS = ("bones", "wrist", "reference", "into", "no_contacts")
@@ -47,10 +45,8 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
     )
     group.add_argument(
         "--bones",
-        action="append",
         metavar="PRESET.json",
-        help="the bones of one hand, as the panel saves them; may be given for each hand (default: those "
-        "that are recognised)",
+        help="which bones are its hands, as the panel saves it (default: those that are recognised)",
     )
     group.add_argument(
         "--wrist",
@@ -85,7 +81,7 @@ class Character:
     hands: Mapping[Side, str]
     """By its own hands, which captured one they get: left, right, or a number from 1"""
     bones: Mapping[Side, HandMap]
-    """Presets"""
+    """Those that a preset tells"""
     onto: Onto
     reference: float | None
 
@@ -109,6 +105,7 @@ class Character:
                     f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
                 )
         path, armature = _file_and_armature(args.apply_to)
+        tables = read_preset(args.bones) if args.bones else []
         onto = Onto(
             into=cast(Into, (args.into or "new").upper()),
             wrist=cast(Wrist, (args.wrist or "fingers").upper()),
@@ -117,7 +114,7 @@ class Character:
         hands = cast(
             "dict[Side, str]", {side: to for side, to in said.items() if to != "none"} if said else _HANDS
         )
-        return cls(path, armature, hands, _presets(args.bones or []), onto, args.reference)
+        return cls(path, armature, hands, {table.side: table for table in tables}, onto, args.reference)
 
     def check(self) -> None:
         """Raises HandfitError where none of the wanted hands could get motion, whatever is captured."""
@@ -247,19 +244,3 @@ def _file_and_armature(text: str) -> tuple[Path, str]:
         if is_file(Path(text[:at]).expanduser()):
             return Path(text[:at]).expanduser(), text[at + 1 :]
     raise OptionError(f"{shown(text)}: there is no such character's file")
-
-
-def _presets(paths: list[str]) -> dict[Side, HandMap]:
-    """Presets by the hands that they are of. Raises HandModelError and OptionError."""
-    found: dict[Side, HandMap] = {}
-    for path in paths:
-        try:
-            hand_map = HandMap.from_json(read_file(path, _LARGEST_PRESET).decode())
-        except (OSError, ValueError) as error:
-            raise OptionError(f"{shown(path)}: could not be read ({why(error)})") from error
-        except HandModelError as error:
-            raise HandModelError(f"{shown(path)}: {error}") from error
-        if hand_map.side in found:
-            raise OptionError(f"{shown(path)}: --bones names the bones of the {hand_map.side} hand twice")
-        found[hand_map.side] = hand_map
-    return found

@@ -48,6 +48,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
 
     rig = build_rig(named_after(hand.collection.name, f"{side} hand"), shaped, side)
     armature = rig.armature
+    armature.manient.origin = source.manient.origin
     for collection in source.users_collection:
         collection.objects.link(armature)
     armature.parent, armature.parent_type = source.parent, source.parent_type

@@ -237,7 +237,7 @@ def computing(
         for start in range(0, len(quats), _CHUNK):
             some = slice(start, start + _CHUNK)
             local = rotmat_to_quat(target.local(motion.turns[some]))
-            quats[some] = _within_locks(armature, target.bones, local)
+            quats[some] = within_locks(armature, target.bones, local)
             yield 0.0
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
@@ -292,7 +292,7 @@ def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, No
         yield done / len(steps)
 
 
-def _within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
+def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
     """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are."""
     quats = quats.copy()
     for k, name in enumerate(names):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Collection, Mapping, Sequence
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final, cast
 
 import numpy as np
 
 from handfit_core.errors import HandModelError
-from handfit_core.files import shown
+from handfit_core.files import read_file, shown, why
 from handfit_core.retarget.bones import Bones
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, SIDES, Side
 
@@ -25,6 +25,8 @@ than ours"""
 
 _LONGEST: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
+_LARGEST_PRESET: Final = 1_000_000
+"""bytes; a preset with 63 bytes for every bone's name has some 4 000"""
 
 
 @dataclass(frozen=True)
@@ -91,10 +93,7 @@ class HandMap:
     @classmethod
     def from_json(cls, text: str) -> HandMap:
         """The inverse of `to_json`. Raises HandModelError for whatever else the text is."""
-        try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise HandModelError("this is no table of a hand's bones: it is not JSON") from error
+        data = _json(text, "table")
         if not isinstance(data, dict):
             raise HandModelError("this is no table of a hand's bones")
         if data.get("side") not in SIDES:
@@ -108,7 +107,7 @@ class HandMap:
                 continue
             value, kind = data[name], kinds[name]
             if kind == "float":
-                fits = type(value) in (int, float) and math.isfinite(value) and abs(value) <= 360.0
+                fits = type(value) in (int, float) and abs(value) <= 360.0
             else:
                 fits = isinstance(value, bool if kind == "bool" else str) and len(str(value)) <= _LONGEST
             if not fits:
@@ -160,6 +159,41 @@ def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = (
 def _ends(hand_map: HandMap) -> tuple[str, str]:
     """Where a palm begins and where it ends: bones."""
     return hand_map.bones[0], hand_map.bones[next(j for j in (4, 1, 7, 10, 13) if hand_map.bones[j])]
+
+
+def to_preset(hand_maps: Iterable[HandMap]) -> str:
+    """The text of a preset file: a JSON list of the tables of one hand or both."""
+    return f"[{','.join(hand_map.to_json() for hand_map in hand_maps)}]"
+
+
+def from_preset(text: str) -> list[HandMap]:
+    """The inverse of `to_preset`. Raises HandModelError for whatever else the text is."""
+    data = _json(text, "preset")
+    if not isinstance(data, list):
+        raise HandModelError("this is no preset of a hand's bones: it is no list of tables")
+    read = [HandMap.from_json(json.dumps(one)) for one in data]
+    if sorted(hand_map.side for hand_map in read) not in (["left"], ["right"], ["left", "right"]):
+        raise HandModelError("a preset has one table for a hand or one for each")
+    return read
+
+
+def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
+    """The tables of a preset file. Raises HandModelError, which names it."""
+    try:
+        return from_preset(read_file(path, _LARGEST_PRESET).decode("utf-8", "replace"))
+    except (OSError, ValueError) as error:
+        raise HandModelError(f"{shown(path)}: {why(error)}") from error
+    except HandModelError as error:
+        raise HandModelError(f"{shown(path)}: {error}") from error
+
+
+def _json(text: str, what: str) -> Any:
+    try:
+        data = json.loads(text)
+        json.dumps(data, ensure_ascii=False).encode()  # Blender cannot show half a surrogate pair
+    except (ValueError, RecursionError) as error:
+        raise HandModelError(f"this is no {what} of a hand's bones: it is not JSON") from error
+    return data
 
 
 def _names(data: Any, keys: tuple[str, ...]) -> tuple[str, ...]:

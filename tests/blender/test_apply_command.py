@@ -13,6 +13,7 @@ from blender_manient import command
 from blender_manient.batch.character import Character
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.onto_character import motion_of
+from handfit_core.retarget.hand_map import to_preset
 from handfit_core.retarget.transfer import globally
 from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, other_side
 
@@ -179,9 +180,11 @@ def test_a_hand_that_was_not_captured_is_left_alone_and_other_inputs_go_on(
         (["--to", "hero.blend", "--hands", "left=0"], "got left=0"),
         (["--to", "hero.blend", "--hands", "left=none"], "--hands lets no hand of it have motion"),
         (["--to", "hero.blend", "--hands", "all,left=left"], "hands must be one of auto"),
-        (["--to", "hero.blend", "--bones", "words.blend"], "this is no table of a hand's bones"),
-        (["--to", "hero.blend", "--bones", "nowhere.json"], "nowhere.json: could not be read"),
-        (["--to", "hero.blend", "--bones", "left.json", "--bones", "left.json"], "the left hand twice"),
+        (
+            ["--to", "hero.blend", "--bones", "words.blend"],
+            "words.blend: this is no preset of a hand's bones",
+        ),
+        (["--to", "hero.blend", "--bones", "nowhere.json"], "nowhere.json: No such file"),
         (["--to", "unknown.blend", "--bones", "left.json", "--hands", "left=left"], "there is no bone"),
     ],
 )
@@ -191,7 +194,7 @@ def test_what_cannot_work_is_said_before_any_work(
     monkeypatch.chdir(tmp_path)
     Path("words.blend").write_text("these are words")
     Path("half.blend").write_bytes(hero.read_bytes()[: hero.stat().st_size // 2])
-    Path("left.json").write_text(map_of("left").to_json())
+    Path("left.json").write_text(to_preset([map_of("left")]))
     build_armature([BoneSpec("root", "", (0, 0, 0), (0, 0, 1))], "Hero")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "unknown.blend"))
     build_armature([BoneSpec("root", "", (0, 0, 0), (0, 0, 1))], "Sidekick")
@@ -236,12 +239,8 @@ def test_presets_say_which_bones(clip, tmp_path):
     character(keep=False)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hero.blend"))
     swapped = {side: map_of(other_side(side)) for side in SIDES}
-    presets = []
-    for side, hand_map in swapped.items():
-        path = tmp_path / f"{side}.json"
-        path.write_text(hand_map.to_json(), encoding="utf-8")
-        presets += ["--bones", path]
-    assert apply(tmp_path, clip, "--to", tmp_path / "hero.blend", *presets) == 0
+    (tmp_path / "hero.json").write_text(to_preset(swapped.values()), encoding="utf-8")
+    assert apply(tmp_path, clip, "--to", tmp_path / "hero.blend", "--bones", tmp_path / "hero.json") == 0
     assert [hand["bones"] for hand in report(tmp_path)[0]["character"]["hands"]] == [15, 15]
 
 

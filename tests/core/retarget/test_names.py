@@ -7,7 +7,7 @@ import pytest
 
 from handfit_core.retarget.hand_map import SeveralHands, the_surest
 from handfit_core.retarget.names import RIGS, named_hands, parsed
-from handfit_core.skeleton import NUM_JOINTS, SIDES
+from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 
 from .rigs import Built, add_hand, body, character, names_of
 
@@ -74,7 +74,8 @@ def test_two_characters_in_one_armature_are_named():
 
 def test_a_hand_with_a_counterpart_goes_before_one_without():
     built, rng = Built(), np.random.default_rng(3)
-    for side, prefix in (("left", "robo_"), ("left", ""), ("right", "")):
+    hands: list[tuple[Side, str]] = [("left", "robo_"), ("left", ""), ("right", "")]
+    for side, prefix in hands:
         fore, place = body(built, side, name=prefix + side)
         away = 0.5 * len(prefix)
         add_hand(built, side, names_of(RIGS[0], side, prefix), rng, parent=fore, place=place + away)
