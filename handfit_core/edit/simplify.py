@@ -28,8 +28,10 @@ _SMOOTH = 1e-4
 """s above: what decides the slopes where no dense frame lies between two keys"""
 _NEAREST = 1e-3
 """metres in front of the camera. What lies nearer is not judged in pixels"""
-_THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2), (4, 0), (4, 2), (5, 1))
+_THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2
 """Every n-th key, from which one on, is taken away in turn"""
+_STRETCH = 20
+"""Dense frames of which the keys are kept as they were before a thinning, if that left no fewer"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,8 @@ class Sight:
         """(N, 21, 3) keypoints in the camera frame, metres, of poses as `RestPose` has them: quats
         (N, 16, 4), locations (N, 3). Pose blend shapes of fingertips are left out."""
         frames = self.rest.frames
-        turns = frames @ quat_to_rotmat(quats) @ np.swapaxes(frames, -1, -2)
+        vector = np.einsum("jab,njb->nja", frames, quats[..., 1:])
+        turns = quat_to_rotmat(np.concatenate([quats[..., :1], vector], axis=-1))
         points = keypoints_from_joints(*self.source.points(turns)) - self.rest.wrist
         moved = self.rest.wrist + locations @ frames[0].T
         return (points @ np.swapaxes(turns[:, 0], -1, -2) + moved[:, None]) @ WORLD_FROM_CAMERA
@@ -121,14 +124,14 @@ def simplifying(
     needed = np.zeros(len(frames), dtype=bool)
     needed[[0, -1, *kept]] = True
     best = yield from fit.refined(np.broadcast_to(needed, (fit.groups, len(frames))))
-    for every, first in _THINNINGS:
-        keys = best.keys.copy()
-        for group in keys:
-            spare = np.flatnonzero(group & ~needed)
-            group[spare[first::every]] = False
-        found = yield from fit.refined(keys)
-        if found.cost < best.cost:
-            best = found
+    for turn, (every, first) in enumerate(_THINNINGS):
+        thinned = best.keys.copy()
+        for keys in thinned:
+            spare = np.flatnonzero(keys & ~needed)
+            keys[spare[first::every]] = False
+        found = yield from fit.refined(thinned)
+        merged = yield from fit.refined(_fewer(best.keys, found.keys, turn * _STRETCH // 3) | needed)
+        best = min(best, found, merged, key=lambda state: state.cost)
     return best.simplified()
 
 
@@ -145,7 +148,7 @@ class _State:
     turned: np.ndarray
     """(T, N) radians: by how much rotations are off, and locations by their arms"""
     missed: np.ndarray
-    """(N, 21) pixels; nothing where nobody sees it"""
+    """(N, 21) pixels; zeros where no bound asks for them"""
 
     @property
     def cost(self) -> int:
@@ -163,7 +166,7 @@ class _State:
         return Simplified(
             tuple(splines),
             float(np.degrees(self.turned[turning].max(initial=0.0))),
-            None if self.fit.sight is None else float(self.missed.max(initial=0.0)),
+            None if self.fit.sight is None else float(self.fit.missed(self.values).max(initial=0.0)),
         )
 
 
@@ -220,12 +223,16 @@ class _Fit:
             else:
                 found = channels_to_quat(values[i, :, : track.values.shape[1]], track.mode)
                 turned[i] = _between(rotations, found)
-        missed = np.zeros((len(self.frames), 1))
-        if self.sight is not None and np.isfinite(self.pixels):
-            points = self.sight.points(*self._pose(values))
-            off = np.linalg.norm(self.sight.intrinsics.project(points) - self._picture, axis=-1)
-            missed = np.where(self._seen[:, None], np.nan_to_num(off, nan=np.inf), 0.0)
+        judged = self.sight is not None and np.isfinite(self.pixels)
+        missed = self.missed(values) if judged else np.zeros((len(self.frames), 1))
         return _State(self, keys.copy(), values, slopes, turned, missed)
+
+    def missed(self, values: np.ndarray) -> np.ndarray:
+        """(N, 21) pixels by which a captured hand with these values is seen at the wrong place."""
+        assert self.sight is not None
+        points = self.sight.points(*self._pose(values))
+        off = np.linalg.norm(self.sight.intrinsics.project(points) - self._picture, axis=-1)
+        return np.where(self._seen[:, None], np.nan_to_num(off, nan=np.inf), 0.0)
 
     def _pose(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, 16, 4) quaternions and (N, 3) locations of a captured hand."""
@@ -282,6 +289,15 @@ def _worst(keys: np.ndarray, excess: np.ndarray) -> np.ndarray:
     most = np.maximum.reduceat(excess, starts)
     rows = np.flatnonzero((excess > 0.0) & (excess == most[segments]))
     return rows[np.unique(segments[rows], return_index=True)[1]]
+
+
+def _fewer(keys: np.ndarray, others: np.ndarray, first: int) -> np.ndarray:
+    """(G, N) bool: stretch by stretch those of two choices of keys that are fewer; `first`: which frame of a
+    stretch the clip begins with."""
+    stretch = (np.arange(keys.shape[1]) + first) // _STRETCH
+    starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+    counts = [np.add.reduceat(choice, starts, axis=1, dtype=int) for choice in (keys, others)]
+    return np.where((counts[1] < counts[0])[:, stretch - stretch[0]], others, keys)
 
 
 def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
