@@ -21,7 +21,7 @@ from handfit_core.take import HandTrack, Take
 
 from .controls import shown_keys, shown_pose
 from .corrections import end_corrections
-from .editable import check_editable, check_keyable
+from .editable import check_editable, check_keyable, check_unlayered
 from .keys import (
     PoseKeys,
     align_signs,
@@ -76,6 +76,7 @@ def apply_hand(
     """The same from another captured hand of the scene, as the artist left it: its keys, on its frames
     (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as `apply_track`."""
     hand, other = _checked(obj, mode), _captured(source)
+    check_unlayered(other.armature)
     if hand.armature == other.armature:
         raise OptionError(
             f"{hand.armature.name!r} is the hand that gets the motion; choose another one to take it from"

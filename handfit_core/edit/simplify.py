@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -24,8 +25,12 @@ from handfit_core.hand_model.axes import WORLD_FROM_CAMERA, RestPose
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_from_joints
 
+LOCATION: Final = NUM_JOINTS
+"""`Channels.joint` of the wrist's location"""
 _SMOOTH = 1e-4
 """s above: what decides the slopes where no dense frame lies between two keys"""
+_MET = 0.999
+"""of a bound: what is left for Blender, which keeps keys in 32 bits"""
 _NEAREST = 1e-3
 """metres in front of the camera. What lies nearer is not judged in pixels"""
 _THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2
@@ -45,21 +50,27 @@ class Channels:
     """QUATERNION, AXIS_ANGLE, an order such as XYZ, or LOCATION"""
     group: int = 0
     """Channels of one group have their keys on common frames; groups count from 0"""
-    arm: float = 0.0
+    arm: float = 1.0
     """Of a location: the length that, turned by the bound in degrees, moves as far as it may"""
+    joint: int = -1
+    """Which joint of a hand that is seen it turns, in MANO's order, or `LOCATION`"""
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """How a captured hand's 16 bones, and its location, are seen by the camera that captured it."""
+    """A captured hand's dense motion as the camera that captured it sees it."""
 
     rest: RestPose
     source: SourceHand
     intrinsics: Intrinsics
+    quats: np.ndarray
+    """(N, 16, 4) as `RestPose` has them"""
+    locations: np.ndarray
+    """(N, 3) metres"""
 
     def points(self, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
-        """(N, 21, 3) keypoints in the camera frame, metres, of poses as `RestPose` has them: quats
-        (N, 16, 4), locations (N, 3). Pose blend shapes of fingertips are left out."""
+        """(N, 21, 3) keypoints in the camera frame, metres, of such poses. Pose blend shapes of fingertips
+        are left out."""
         frames = self.rest.frames
         vector = np.einsum("jab,njb->nja", frames, quats[..., 1:])
         turns = quat_to_rotmat(np.concatenate([quats[..., :1], vector], axis=-1))
@@ -117,10 +128,11 @@ def simplifying(
     are so far, counted once per channel.
 
     `frames` (N,), increasing; `kept`: rows that keep their keys in any case, as the first and the last one
-    do. With a `sight`, the first 16 channels are a captured hand's rotations in MANO's order, and the 17th its
-    location. Locations have to keep to `degrees`, too, by their `arm`.
+    do. `pixels` is asked for with a `sight` only. Locations have to keep to `degrees`, too, by their `arm`.
     """
-    fit = _Fit(np.asarray(frames, dtype=np.float64), channels, np.radians(degrees), pixels, sight)
+    fit = _Fit(
+        np.asarray(frames, dtype=np.float64), channels, _MET * np.radians(degrees), _MET * pixels, sight
+    )
     needed = np.zeros(len(frames), dtype=bool)
     needed[[0, -1, *kept]] = True
     best = yield from fit.refined(np.broadcast_to(needed, (fit.groups, len(frames))))
@@ -196,10 +208,10 @@ class _Fit:
             for track in channels
         ]
         if sight is not None:
-            points = sight.points(*self._pose(self.dense))
+            points = sight.points(sight.quats, sight.locations)
             self._seen = points[..., 2].min(axis=1) > _NEAREST
             self._picture = sight.intrinsics.project(points)
-            self._levers = _levers(points, sight.intrinsics)
+            self._levers = _levers(points, sight.intrinsics)[[track.joint for track in channels]]
 
     def refined(self, keys: np.ndarray) -> Generator[int, None, _State]:
         """The keys (G, N), and those more that the bounds ask for."""
@@ -219,7 +231,7 @@ class _Fit:
             rotations = self._rotations[i]
             if rotations is None:
                 off = np.linalg.norm(values[i] - self.dense[i], axis=-1)
-                turned[i] = off / track.arm if track.arm > 0.0 else 0.0
+                turned[i] = off / track.arm
             else:
                 found = channels_to_quat(values[i, :, : track.values.shape[1]], track.mode)
                 turned[i] = _between(rotations, found)
@@ -230,17 +242,15 @@ class _Fit:
     def missed(self, values: np.ndarray) -> np.ndarray:
         """(N, 21) pixels by which a captured hand with these values is seen at the wrong place."""
         assert self.sight is not None
-        points = self.sight.points(*self._pose(values))
+        quats, locations = self.sight.quats.copy(), self.sight.locations
+        for own, track in zip(values, self.channels, strict=True):
+            if track.joint == LOCATION:
+                locations = own[:, :3]
+            else:
+                quats[:, track.joint] = channels_to_quat(own[:, : track.values.shape[1]], track.mode)
+        points = self.sight.points(quats, locations)
         off = np.linalg.norm(self.sight.intrinsics.project(points) - self._picture, axis=-1)
         return np.where(self._seen[:, None], np.nan_to_num(off, nan=np.inf), 0.0)
-
-    def _pose(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 16, 4) quaternions and (N, 3) locations of a captured hand."""
-        quats = [
-            channels_to_quat(values[i, :, : track.values.shape[1]], track.mode)
-            for i, track in enumerate(self.channels[:NUM_JOINTS])
-        ]
-        return np.stack(quats, axis=1), values[NUM_JOINTS, :, :3]
 
     def _excess(self, state: _State) -> np.ndarray:
         """(G, N) how many times the bound it is off where it is farther off than that; else zero. What is
@@ -251,9 +261,8 @@ class _Fit:
         worst = state.missed.argmax(axis=1)
         rows = np.flatnonzero(state.missed.max(axis=1) > self.pixels)
         if len(rows):
-            moved = state.turned[: NUM_JOINTS + 1, rows] * self._levers[:, rows, worst[rows]]
-            place = np.linalg.norm(state.values[NUM_JOINTS, rows] - self.dense[NUM_JOINTS, rows], axis=-1)
-            moved[NUM_JOINTS] = place * self._levers[NUM_JOINTS, rows, worst[rows]]
+            arms = np.array([[track.arm if track.joint == LOCATION else 1.0] for track in self.channels])
+            moved = state.turned[:, rows] * arms * self._levers[:, rows, worst[rows]]
             group = self.of_group[moved.argmax(axis=0)]
             np.maximum.at(excess, (group, rows), state.missed[rows, worst[rows]] / self.pixels)
         return excess
@@ -318,7 +327,9 @@ def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[n
     u = (np.tile(frames, tracks) - place[left][segment])[:, None] / h[segment]
     v = 1.0 - u
     rise, fall = u * v * v * h[segment], -u * u * v * h[segment]
-    base = value[left][segment] * (v * v * (1.0 + 2.0 * u)) + value[right][segment] * (u * u * (1.0 + 2.0 * v))
+    base = value[left][segment] * (v * v * (1.0 + 2.0 * u)) + value[right][segment] * (
+        u * u * (1.0 + 2.0 * v)
+    )
     rest = dense.reshape(-1, 4) - base
 
     total = lambda rows: np.add.reduceat(rows, at[left], axis=0)  # noqa: E731
