@@ -77,8 +77,7 @@ class MANIENT_OT_restore_keys(OnKeys, bpy.types.Operator):
     @errors_reported
     def execute(self, context):
         """Exchange the actions."""
-        armature = armature_of(context)
-        name = armature.animation_data.action.name
-        if restore(armature):
-            self.report({"INFO"}, f"All keys are back; the changes since are kept in {name} (fewer keys)")
+        changed = restore(hands_to_simplify(context)[0].rig.armature)
+        if changed is not None:
+            self.report({"INFO"}, f"All keys are back; the changes since are kept in {changed.name}")
         return {"FINISHED"}

@@ -26,6 +26,8 @@ from .keys import (
     PoseKeys,
     align_signs,
     check_unlocked,
+    frames_between,
+    is_smooth,
     remove_pose_keys,
     write_pose_keys,
 )
@@ -89,6 +91,11 @@ def apply_hand(
         keys = shown_keys(other.rig)
         if len(keys.frames) == 0:
             raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
+        if is_smooth(other.rig):  # what lies between keys would be lost
+            moved, frames = keys, frames_between(keys.frames)
+            keys = PoseKeys.everywhere(frames, *shown_pose(other.rig, frames))
+            keys.rotation_keyed[:] = moved.rotation_keyed.any(axis=0)
+            keys.location_keyed[:] = moved.location_keyed.any()
     return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)
 
 

@@ -41,6 +41,7 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    is_smooth,
     own_action,
     pose_at,
     read_pose_keys,
@@ -369,8 +370,11 @@ def _snapped(places: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 
 def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:
-    """Take the keys of a scene frame away if the pose there stays the same without them."""
+    """Take the keys of a scene frame away if the pose there stays the same without them. On Bezier curves
+    they stay: the handles of their neighbours were shortened for them."""
     rig = rig_of(armature)
+    if is_smooth(rig):
+        return
     place = np.array([frame])
     quats, locations = pose_at(rig, place)
     remove_pose_keys(rig, frame, frame)

@@ -437,7 +437,16 @@ def _from_quats(
         earlier = float(before[-1])
     start = _values_at(parts, getattr(bone, _rotation_path(bone)), np.array([earlier]))
     if bone.rotation_mode == "QUATERNION":
-        return unflip_quats(np.concatenate([start, quats]))[1:].T
+        turned = unflip_quats(np.concatenate([start, quats]))[1:]
+        # Keys that lie far apart may be more than half a turn away from each other: there the sign is that of
+        # what is there already, if it is much the same rotation.
+        there = _values_at(parts, getattr(bone, _rotation_path(bone)), frames)
+        alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
+        same = _contains(co[:, 0].astype(np.float64), frames)
+        told = np.abs(alike) > np.where(same, 0.7, 0.99)
+        last = np.maximum.accumulate(np.where(told, np.arange(len(frames)), -1))
+        sign = np.where((last >= 0) & (alike[last] < 0.0), -1.0, 1.0)
+        return (turned * sign[:, None]).T
     if bone.rotation_mode == "AXIS_ANGLE":
         turned = [Quaternion(q).to_axis_angle() for q in quats.tolist()]
         return np.array([(angle, *axis) for axis, angle in turned]).T

@@ -96,10 +96,10 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
     moved = abs(strip.frame_start - strip.action_frame_start) > 1e-3
     if moved or abs(strip.scale - 1.0) > 1e-6 or abs(strip.repeat - 1.0) > 1e-6 or strip.use_reverse:
         raise OptionError(f"the strip {strip.name!r} lies at another time than its keys: put it back first")
-    if data.action_blend_type != "COMBINE" or data.action_influence < 1.0 or strip.influence < 1.0:
+    if data.action_blend_type != "COMBINE" or data.action_influence < 1.0 or strip.use_animated_influence:
         raise OptionError(
             f"the layer of {armature.name!r} is not added as it was made: set its blending to Combine and "
-            "both influences to 1, or bake it (Pose > Animation > Bake Action)"
+            "the whole influence of both, or bake it (Pose > Animation > Bake Action)"
         )
     names = {f'pose.bones["{bone.name}"].': bone.name for bone in armature.pose.bones}
     bones: dict[str, None] = {}

@@ -23,6 +23,7 @@ from .animation import describe
 from .editable import check_unlayered
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import adding_correctives, build_mesh
+from .simplify import forget_all_keys
 from .store import CapturedHand, describe_hand, keep_take
 
 _GAP = 0.01
@@ -143,6 +144,7 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
     old_slot = action_slot(data)
     action = data.action.copy()
     action.name = armature.name
+    forget_all_keys(action)  # they are those of the other side
     armature.animation_data_create().action = action
     if old_slot is not None:
         # Only this hand's part of an action that several objects share.

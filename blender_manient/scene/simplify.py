@@ -37,7 +37,7 @@ from .keys import (
     read_pose_keys,
     replace_keys,
 )
-from .store import CapturedHand, active_hand
+from .store import CapturedHand, active_hand, hand_of
 
 DENSE = "manient_all_keys"
 """Custom property of an action with fewer keys: the action with all of them"""
@@ -92,14 +92,13 @@ class Thinned:
 
 def hands_to_simplify(context: bpy.types.Context) -> list[Hand]:
     """The active captured hand, else the hands of the active character; none where there is neither."""
-    captured = active_hand(context)
-    if captured is not None:
+    armature, captured = active_character(context), active_hand(context)
+    if captured is not None and (armature is None or hand_of(context.active_object) is not None):
         parts = ["wrist"] * NUM_JOINTS
         for finger, joints in FINGER_JOINTS.items():
             for joint in joints:
                 parts[joint] = finger
         return [Hand(captured.rig, tuple(parts), captured)]
-    armature = active_character(context)
     hands = []
     for side in SIDES if armature is not None else ():
         try:
@@ -134,7 +133,7 @@ def thinning(hand: Hand, bounds: Bounds) -> Generator[int, None, Thinned]:
         raise OptionError(f"{armature.name!r} has no keys to simplify")
     keys = read_pose_keys(rig, holder=holder)
     wanted = [part in bounds.parts for part in hand.parts]
-    chosen: list[int | None] = np.flatnonzero(keys.rotation_keyed.any(axis=0) & wanted).tolist()
+    chosen: list[int | None] = [*np.flatnonzero(keys.rotation_keyed.any(axis=0) & np.array(wanted)).tolist()]
     if keys.location_keyed.any() and wanted[0]:
         chosen.append(None)
     if not chosen:
@@ -216,10 +215,10 @@ def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
     return dense if isinstance(dense, bpy.types.Action) else None
 
 
-def restore(armature: bpy.types.Object) -> bool:
+def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
     """Give an armature its action with all keys back, as it was, and the corrections that it holds.
 
-    Returns whether the one with fewer keys was changed since it was made: then it is kept beside. Raises
+    Returns the one with fewer keys where it was changed since it was made: then it is kept beside. Raises
     OptionError where there is nothing to go back to.
     """
     check_keyable(armature)
@@ -236,12 +235,19 @@ def restore(armature: bpy.types.Object) -> bool:
     if changed:
         present.name = f"{note['name']} (fewer keys)"
         present.use_fake_user = True
-        del present[DENSE], present[_NOTE]
+        forget_all_keys(present)
     else:
         bpy.data.actions.remove(present)
     dense.name = note["name"]
     dense.update_tag()
-    return changed
+    return present if changed else None
+
+
+def forget_all_keys(action: bpy.types.Action) -> None:
+    """Have an action be one of its own, behind which there is no other."""
+    for name in (DENSE, _NOTE):
+        if name in action:
+            del action[name]
 
 
 def _source(armature: bpy.types.Object) -> tuple[Any, Any]:

@@ -27,8 +27,8 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_
 
 LOCATION: Final = NUM_JOINTS
 """`Channels.joint` of the wrist's location"""
-_SMOOTH = 1e-4
-"""s above: what decides the slopes where no dense frame lies between two keys"""
+_SMOOTH = 0.03
+"""s above: decides the slopes where no dense frame lies between two keys, and keeps jumps from swinging"""
 _MET = 0.999
 """of a bound: what is left for Blender, which keeps keys in 32 bits"""
 _NEAREST = 1e-3
