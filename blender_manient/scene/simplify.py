@@ -211,8 +211,34 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
 def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
     """The action with all keys behind the present one; None where there is none."""
     data = armature.animation_data
-    dense = data.action.get(DENSE) if data is not None and data.action is not None else None
+    return _behind(data.action) if data is not None else None
+
+
+def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
+    """All actions with more keys behind the present one, each with the armature's slot, for who changes the
+    bones' axes. Those that something else uses too are copied first."""
+    data, found = armature.animation_data, []
+    action = data.action if data is not None else None
+    while (dense := _behind(action)) is not None and dense not in [one for one, _ in found]:
+        assert action is not None
+        if dense.library is not None or dense.users - dense.use_fake_user > 1:
+            dense = dense.copy()
+            action[DENSE] = dense
+        found.append((dense, _same_slot(dense, action_slot(data))))
+        action = dense
+    return found
+
+
+def _behind(action: bpy.types.Action | None) -> bpy.types.Action | None:
+    dense = action.get(DENSE) if action is not None else None
     return dense if isinstance(dense, bpy.types.Action) else None
+
+
+def _same_slot(action: bpy.types.Action, slot: Any) -> Any:
+    """The slot of an action that is called like this one; None where there is none."""
+    if slot is None:
+        return None
+    return next((one for one in action.slots if one.identifier == slot.identifier), None)
 
 
 def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
@@ -260,17 +286,15 @@ def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
     dense = kept_action(armature)
     if dense is None or _digest(action, slot) != _note(action)["digest"]:
         return action, slot
-    same = next((s for s in getattr(dense, "slots", ()) if s.identifier == slot.identifier), None)
-    return dense, same
+    return dense, _same_slot(dense, slot)
 
 
 def _use(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> None:
     """Assign an action, with the slot that is called like this one."""
-    data = armature.animation_data
-    identifier = slot.identifier if slot is not None else None
+    data, same = armature.animation_data, _same_slot(action, slot)
     data.action = action
-    if identifier is not None:
-        data.action_slot = next(s for s in action.slots if s.identifier == identifier)
+    if same is not None:
+        data.action_slot = same
 
 
 def _first_note(armature: bpy.types.Object, action: bpy.types.Action) -> dict[str, Any]:

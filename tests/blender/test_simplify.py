@@ -86,8 +86,9 @@ def evaluated(armature, frames, names) -> np.ndarray:
 
 
 def apart(one, other) -> float:
-    """The largest rotation between quaternions, degrees."""
-    turn = np.swapaxes(quat_to_rotmat(one), -1, -2) @ quat_to_rotmat(other)
+    """The largest rotation between quaternions, or matrices, in degrees."""
+    one, other = (quat_to_rotmat(q) if q.shape[-1] == 4 else q for q in (one, other))
+    turn = np.swapaxes(one, -1, -2) @ other
     return float(np.degrees(np.arccos(np.clip((np.trace(turn, axis1=-2, axis2=-1) - 1) / 2, -1, 1))).max())
 
 
@@ -231,7 +232,9 @@ def test_a_correction_after_simplify_is_taken_out_again(armature):
     correct(armature, frame=33)
     assert apart(pose_at(rig_of(armature), places)[0], before) > 5.0
     corrections.clear_corrections(armature)
-    assert apart(pose_at(rig_of(armature), places)[0], before) < 0.5  # curves there are of length one only nearly
+    assert (
+        apart(pose_at(rig_of(armature), places)[0], before) < 0.5
+    )  # curves there are of length one only nearly
 
 
 def test_all_keys_come_back_with_the_corrections_that_they_hold(armature):
@@ -242,6 +245,18 @@ def test_all_keys_come_back_with_the_corrections_that_they_hold(armature):
     assert restore(armature) is not None
     assert armature.manient.corrections == held
     assert corrections.why_elsewhere(armature) is None
+
+
+def test_all_keys_follow_when_the_hand_gets_another_shape(armature):
+    frames = read_pose_keys(rig_of(armature)).frames
+    bare = pose_at(rig_of(armature), frames)[0]
+    old = rig_of(armature).rest
+    simplify()
+    armature.manient.betas = [2.0, -1.0, 1.5, *[0.0] * 7]
+    restore(armature)
+    new = rig_of(armature).rest
+    assert apart(old.frames, new.frames) > 0.05
+    assert apart(pose_at(rig_of(armature), frames)[0], old.turned_to(new, bare)) < 0.01
 
 
 def test_keys_that_are_left_are_the_captures_own(armature):
