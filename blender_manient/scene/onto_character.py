@@ -37,6 +37,7 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    frames_between,
     own_action,
     pose_at,
     read_pose_keys,
@@ -109,7 +110,7 @@ def reading_motion(
     takes a step per frame, and the scene is back where it was afterwards.
     """
     rig, rest = hand.rig, hand.rig.rest
-    wanted = _gaps_filled(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
+    wanted = frames_between(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
     if len(wanted) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
     if told_by_keys(hand.armature):
@@ -133,20 +134,11 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     wrist = points_to_rest(shaped.joints[0])
     rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
     keys = result_of(computing_keys(take, track, shaped, rest, Timing()))
-    frames = _gaps_filled(keys.frames)
+    frames = frames_between(keys.frames)
     curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
     quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
     return Motion(SourceHand.of(shaped, track.side), frames, quat_to_rotmat(quats), wrist + values[:, -3:])
-
-
-def _gaps_filled(keyed: np.ndarray) -> np.ndarray:
-    """Frames with keys, increasing, and the whole ones in gaps between them (N,)."""
-    if len(keyed) < 2:
-        return keyed
-    between = np.arange(np.ceil(keyed[0]), np.floor(keyed[-1]) + 1.0)
-    gaps = np.diff(keyed)[np.clip(np.searchsorted(keyed, between, side="right") - 1, 0, len(keyed) - 2)]
-    return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
 def told_by_keys(armature: bpy.types.Object) -> bool:
@@ -445,17 +437,18 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
     data = armature.animation_data or armature.animation_data_create()
     old, old_slot = data.action, action_slot(data)
     if into == "STRIP":
-        _add_strip(data, action, slot)
+        add_strip(data, action, slot)
         return
     if old is not None and old is not action:
         data.action = None
-        _add_strip(data, old, old_slot)
+        add_strip(data, old, old_slot)
     data.action = action
     if slot is not None:
         data.action_slot = slot
 
 
-def _add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+def add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+    """Put an action on a new track on top of the NLA, where its keys are."""
     first, last = action.frame_range
     track = data.nla_tracks.new()
     track.name = action.name
