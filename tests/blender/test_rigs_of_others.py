@@ -16,12 +16,15 @@ from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
 from blender_manient.scene.build import build_take
+from blender_manient.scene.onto_character import Onto, putting
+from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.names import RIGS
-from handfit_core.retarget.transfer import target_hand
+from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
+from handfit_core.slices import result_of
 from tests.core.retarget.rigs import Built, add_hand, body, names_of, source
 from tests.drawn import drawn
 
@@ -222,6 +225,34 @@ def test_rigify_generated(generated, side):
         bones = rig.data.bones
         rest = np.array((bones[name].matrix_local.inverted() @ bones[f"DEF-{name}"].matrix_local).to_3x3())
         assert np.degrees(np.arccos((turned.T @ rest)[1, 1].clip(-1.0, 1.0))) < 0.1, name
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize("by_fk", [0.0, 1.0])
+def test_the_hand_of_rigify_moves_as_captured(make_take, generated, by_fk):
+    """By the control that acts. How far it turns and goes does not depend on how spaces are laid over."""
+    rig = opened(generated, "rig")
+    rig.pose.bones["upper_arm_parent.L"]["IK_FK"] = by_fk
+    hand = hand_of(build_take(make_take(sides=("left",)).take).hands[0].armature)
+    assert hand is not None
+    hand_map = found_hand(rig, "left").hand_map
+    onto = Onto(wrist="TURNED" if by_fk else "PLACED", reference=3.0, contacts=False)
+    result_of(putting(rig, [(hand_map, hand)], onto))
+    scale = target_hand(bones_of(rig), hand_map, SourceHand.of(hand.shaped(), "left")).scale
+    first = {}
+    for frame in (3, 5, 8):
+        bpy.context.scene.frame_set(frame)
+        graph = bpy.context.evaluated_depsgraph_get()
+        theirs = rig.evaluated_get(graph).pose.bones["DEF-hand.L"]
+        ours = hand.armature.evaluated_get(graph).pose.bones[0]
+        now = {"theirs": (turn_of(theirs), theirs.head.copy()), "ours": (turn_of(ours), ours.head.copy())}
+        first = first or now
+        turned = {who: np.trace(turn @ first[who][0].T) for who, (turn, _) in now.items()}
+        assert turned["theirs"] == pytest.approx(turned["ours"], abs=1e-3)
+        if not by_fk:
+            gone = {who: (at - first[who][1]).length for who, (_, at) in now.items()}
+            assert gone["theirs"] == pytest.approx(scale * gone["ours"], abs=1e-3)
+    assert turned["ours"] < 2.9  # else it would show nothing
 
 
 @pytest.mark.parametrize("side", SIDES)
