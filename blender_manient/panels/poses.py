@@ -11,7 +11,7 @@ from ..section import Section, sentence, split
 class MANIENT_PT_poses(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_poses"
     bl_label = "Poses"
-    bl_order = 7
+    bl_order = 8
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context):

@@ -33,6 +33,7 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    frames_between,
     own_action,
     pose_at,
     read_pose_keys,
@@ -120,11 +121,7 @@ def _keyed_frames(hand: CapturedHand) -> np.ndarray:
     keyed = read_pose_keys(hand.rig).frames
     if len(keyed) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    between = np.arange(np.ceil(keyed[0]), np.floor(keyed[-1]) + 1.0)
-    if len(keyed) == 1:
-        return keyed
-    gaps = np.diff(keyed)[np.clip(np.searchsorted(keyed, between, side="right") - 1, 0, len(keyed) - 2)]
-    return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
+    return frames_between(keyed)
 
 
 def told_by_keys(armature: bpy.types.Object) -> bool:
@@ -423,17 +420,18 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
     data = armature.animation_data or armature.animation_data_create()
     old, old_slot = data.action, action_slot(data)
     if into == "STRIP":
-        _add_strip(data, action, slot)
+        add_strip(data, action, slot)
         return
     if old is not None and old is not action:
         data.action = None
-        _add_strip(data, old, old_slot)
+        add_strip(data, old, old_slot)
     data.action = action
     if slot is not None:
         data.action_slot = slot
 
 
-def _add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+def add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+    """Put an action on a new track on top of the NLA, where its keys are."""
     first, last = action.frame_range
     track = data.nla_tracks.new()
     track.name = action.name

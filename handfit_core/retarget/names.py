@@ -150,6 +150,7 @@ RIGS = (
     Rig("Auto-Rig Pro", "hand.l", "{}1.l|c_{}2.l|c_{}3.l", palm="c_{}1_base.l"),
     Rig("SMPL-X", "left_wrist", "left_{}{}", thumb_roll=0.0),
     Rig("3ds Max Biped", "L Hand", "L Finger{}{}", "0 1 2 3 4", ("", "1", "2"), prefix="Bip01 "),
+    Rig("Advanced Skeleton", "Wrist_L", "{}Finger{}_L", "Thumb Index Middle Ring Pinky"),
     Rig("Rokoko", "LeftHand", "LeftFinger{}{}", _NUMBERS, ("Proximal", "Medial", "Distal"), _ANATOMY,
         palm="LeftFinger{}Metacarpal"),
     Rig("Captured hand", "wrist.L", "{}_{}.L", "thumb index middle ring little",
