@@ -18,3 +18,9 @@ def test_a_pose_is_chosen_by_its_picture_and_ones_own_is_saved(blender):
     np.testing.assert_allclose(played["own"], played["fist"], atol=1e-4)
     assert all(icon > 0 for icon in played["icons"])
     assert len(set(played["icons"])) == len(played["icons"])
+
+
+def test_a_pose_asset_is_applied_from_the_asset_browser(blender):
+    played = blender.play("poses.from_the_asset_browser", take=TAKE).value
+    assert np.abs(np.subtract(played["before"], played["saved"])).max() > 0.5
+    np.testing.assert_allclose(played["after"], played["saved"], atol=1e-4)

@@ -62,3 +62,35 @@ def library(stage, take):
 def _read() -> list[float]:
     (hand,) = part("scene.poses").posable_hands(bpy.context)
     return hand.read().hand_pose.tolist()
+
+
+def from_the_asset_browser(stage, take):
+    """An own pose in the asset browser: chosen by a click, and put on the hand from its menu."""
+    with stage.override():
+        bpy.ops.manient.import_take(filepath=take)
+    (armature,) = yield from stage.until(hands, 10.0, "the imported hand")
+    bpy.context.view_layer.objects.active = armature
+    with stage.override():
+        bpy.ops.manient.apply_pose(pose="Horns")
+        bpy.ops.manient.save_pose_asset(asset_name="Concert")
+        bpy.ops.manient.apply_pose(pose="Spread")
+    before = _read()
+    area = stage.area("PROPERTIES")
+    area.ui_type = "ASSETS"
+    yield 1.0
+    area.spaces[0].params.asset_library_reference = "LOCAL"
+    area.spaces[0].show_region_toolbar = False  # there is no room for both
+    yield 1.0
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    place = (region.x + 50, region.y + region.height - 50)
+    yield from stage.click(place)
+    yield 0.5
+    yield from stage.key("RIGHTMOUSE")
+    yield 0.5
+    yield from stage.screenshot("poses-asset-menu")
+    yield from stage.key("LEFTMOUSE")  # Blender opens a menu with its first entry under the mouse
+    yield 0.5
+    yield from stage.screenshot("poses-asset-applied")
+    area.ui_type = "PROPERTIES"
+    saved = part("scene.poses").pose_named("Concert").hand_pose.tolist()
+    return {"before": before, "after": _read(), "saved": saved}
