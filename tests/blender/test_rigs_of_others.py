@@ -90,7 +90,10 @@ def worst_angle(armature, hand_map: HandMap, turns) -> float:
     chains = [FINGER_JOINTS[finger] for finger in ("index", "middle", "little")]
     firsts = [next(hand_map.bones[joint] for joint in chain if hand_map.bones[joint]) for chain in chains]
     theirs = palm(rest[hand_map.bones[0]], *(rest[name] for name in firsts))
-    own = palm(ours.joints[0], *(ours.joints[chain[0]] for chain in chains))
+    standing_for = [
+        [joint for joint in range(NUM_JOINTS) if hand_map.bones[joint] == name] for name in firsts
+    ]
+    own = palm(ours.joints[0], *(ours.joints[alike].mean(axis=0) for alike in standing_for))
     worst = 0.0
     for row in range(len(turns)):
         for bone, quat in zip(target.bones, quats[row], strict=True):
