@@ -289,7 +289,7 @@ class _Chains:
             rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes),
             ways[:, self.told],
             touching.weights[:, self.told],
-            np.where(_WITH_THUMB[self.told, None, None], np.eye(3), _onto(touching.towards[:, self.told])),
+            touching.towards[:, self.told],
         )
         x = problem.solve()
         euler = problem.angles.copy()
@@ -307,14 +307,9 @@ class _Chains:
             found[here, k] = (
                 target.aligned @ whole[here, k] @ target.aligned.T @ target.corrected[k] @ target.rest[k]
             )
-        off = np.linalg.norm(problem.residuals(x), axis=-1)
+        off = np.abs((problem.forward(x)[0] * problem.towards).sum(axis=-1))
         apart = np.max(off, axis=1, where=touching.now[:, self.told], initial=0.0)
         return found, apart, np.abs(x).max(axis=1)
-
-
-def _onto(units: np.ndarray) -> np.ndarray:
-    """(..., 3) -> (..., 3, 3) what keeps of a vector what lies along these."""
-    return units[..., :, None] * units[..., None, :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,8 +323,8 @@ class _Problem:
     """(N, P, 3) captured, from the second tip to the first"""
     weights: np.ndarray
     """(N, P)"""
-    along: np.ndarray
-    """(N, P, 3, 3) what of a gap counts: all of it, or that between two skins"""
+    towards: np.ndarray
+    """(N, P, 3) from skin to skin"""
 
     def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
@@ -347,7 +342,7 @@ class _Problem:
                 places[:, k] = places[:, parent] + whole[:, parent] @ chains.starts[k]
         tips = places[:, chains.last] + (whole[:, chains.last] @ chains.ends[..., None])[..., 0]
         first, second = chains.pairs.T
-        off = (self.along @ (tips[:, first] - tips[:, second] - self.ways)[..., None])[..., 0]
+        off = tips[:, first] - tips[:, second] - self.ways
         if not jacobian:
             return off, np.empty(0)
         # Twist is about the joint's own axis at rest, spread about one that the twist has turned, and bend
@@ -360,16 +355,26 @@ class _Problem:
         axis = (carried @ about[:, chains.bones, chains.which, :, None])[..., 0]  # (N, U, 3)
         arms = tips[:, :, None] - places[:, None, chains.bones]  # (N, D, U, 3)
         moves = cross(np.broadcast_to(axis[:, None], arms.shape), arms) * chains.carries[..., None]
-        return off, self.along @ np.swapaxes(moves[:, first] - moves[:, second], -1, -2)
+        return off, np.swapaxes(moves[:, first] - moves[:, second], -1, -2)
 
-    def residuals(self, x: np.ndarray) -> np.ndarray:
-        """(N, P, 3)"""
-        return self.forward(x)[0]
+    def stiffness(self, slopes: np.ndarray) -> np.ndarray:
+        """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
+        pose. Touches of several fingers share what they hold along the skins, which cannot all be met."""
+        gives = (slopes**2 / self.chains.unwelcome).sum(axis=(-1, -2))
+        between = ((self.towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
+        told = self.weights * _WITH_THUMB[self.chains.told]
+        share = self.weights * told / np.maximum(told.sum(axis=1, keepdims=True), 1e-9)
+        rho = [
+            weight / (np.maximum(give, 1e-9) * (1.0 - weight + _LEFT_OPEN))
+            for weight, give in ((self.weights, between), (share, (gives - between) / 2.0))
+        ]
+        normal = self.towards[..., :, None] * self.towards[..., None, :]
+        return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
 
     def some(self, rows: np.ndarray) -> _Problem:
         """Some frames alone."""
         return _Problem(
-            self.chains, self.angles[rows], self.ways[rows], self.weights[rows], self.along[rows]
+            self.chains, self.angles[rows], self.ways[rows], self.weights[rows], self.towards[rows]
         )
 
     def solve(self) -> np.ndarray:
@@ -379,14 +384,12 @@ class _Problem:
         # What is beyond its range already may stay so.
         low, high = np.minimum(chains.lower - captured, 0.0), np.maximum(chains.upper - captured, 0.0)
         x = np.zeros(captured.shape)
-        slopes = self.forward(x, jacobian=True)[1]
-        gives = (slopes**2 / unwelcome).sum(axis=(-1, -2)) / np.trace(self.along, axis1=-2, axis2=-1)
-        rho = self.weights / (np.maximum(gives, 1e-9) * (1.0 - self.weights + _LEFT_OPEN))
+        rho = self.stiffness(self.forward(x, jacobian=True)[1])
         left, damping, cost = np.arange(len(x)), np.full(len(x), 1e-3), np.full(len(x), np.inf)
         for _ in range(_MOST_STEPS):
             problem = self.some(left)
             off, slopes = problem.forward(x[left], jacobian=True)
-            weighted = slopes * rho[left][..., None, None]
+            weighted = rho[left] @ slopes
             flat = slopes.reshape(len(left), -1, len(unwelcome))
             pull = np.swapaxes(weighted.reshape(flat.shape), -1, -2)
             gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + unwelcome * x[left]
@@ -400,7 +403,7 @@ class _Problem:
             hessian[:, index, index] *= 1.0 + damping[left][:, None]
             step = np.linalg.solve(hessian, np.where(held, 0.0, -gradient)[..., None])[..., 0]
             tried = np.clip(x[left] + step, low[left], high[left])
-            better = _cost(problem.residuals(tried), rho[left], tried, unwelcome) < cost[left]
+            better = _cost(problem.forward(tried)[0], rho[left], tried, unwelcome) < cost[left]
             moved = np.abs(tried - x[left]).max(axis=1)
             x[left[better]] = tried[better]
             damping[left] *= np.where(better, 0.1, 10.0)
@@ -411,4 +414,4 @@ class _Problem:
 
 
 def _cost(off: np.ndarray, rho: np.ndarray, x: np.ndarray, unwelcome: np.ndarray) -> np.ndarray:
-    return (rho * (off**2).sum(axis=-1)).sum(axis=-1) + (unwelcome * x**2).sum(axis=-1)
+    return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * x**2).sum(axis=-1)
