@@ -47,6 +47,8 @@ _OF_FINGERS: Final = ((np.inf, 3.0, 1.0), (np.inf, np.inf, 1.0), (np.inf, np.inf
 """The same of the other fingers. Infinite: they do not turn so"""
 _LEFT_OPEN: Final = 0.002
 """e: the share of a gap that stays open where both touch"""
+import os
+_P=float(os.environ.get("P_","1"))
 _MOST_STEPS: Final = 30
 _SMALL: Final = 1e-7
 """radians: steps that are smaller end the search"""
@@ -82,8 +84,14 @@ class Touches:
     """(T, 10) 0..1 by `PAIRS`: how much each touch is to be kept, smooth in time; exactly 0 where none is"""
     now: np.ndarray
     """(T, 10) bool: whether the two touch in this very frame"""
-    towards: np.ndarray
-    """(T, 10, 3) unit vectors from the second one's skin to the first's, in rest space, the wrist at rest"""
+    along: np.ndarray
+    """(T, 10, 2) where on the axes of the two last bones, 0..1, they are nearest to each other"""
+    ways: np.ndarray
+    """(T, 10, 3) metres from that place of the second to the first's, in rest space, the wrist at rest"""
+
+    def some(self, rows: np.ndarray, pairs: np.ndarray) -> Touches:
+        """Some frames and pairs alone."""
+        return Touches(*(getattr(self, name)[rows][:, pairs] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,16 +122,17 @@ def touches(source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.
     parts = [
         array[:, PAIRS[:, k]].reshape(-1, *array.shape[2:]) for k in (0, 1) for array in (ends, radii)
     ]
-    places, gap = gaps_along(*parts, nearest_along(*parts))
-    off = (places[:, 0] - places[:, 1]).reshape(count, len(PAIRS), 3)
-    towards = off / np.maximum(np.linalg.norm(off, axis=-1, keepdims=True), 1e-9)
+    along = nearest_along(*parts)
+    places, gap = gaps_along(*parts, along)
+    ways = (places[:, 0] - places[:, 1]).reshape(count, len(PAIRS), 3)
     first, second = (whole[:, last[PAIRS[:, k]]] for k in (0, 1))
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
     beside = (first + second) @ (across / np.linalg.norm(across))
-    beside = np.abs((towards * beside).sum(axis=-1)) / np.maximum(np.linalg.norm(beside, axis=-1), 1e-9)
+    beside = np.abs((_units(ways) * _units(beside)).sum(axis=-1))
     crossed = np.where(_WITH_THUMB, 1.0, _falling(beside, _CROSSED))
     near = _falling(gap.reshape(count, -1), TOUCHING) * crossed
-    return Touches(_blended(near, np.asarray(times, dtype=np.float64)), near == 1.0, towards)
+    weights = _blended(near, np.asarray(times, dtype=np.float64))
+    return Touches(weights, near == 1.0, along.reshape(count, -1, 2), ways)
 
 
 def keeping_contacts(
@@ -139,19 +148,18 @@ def keeping_contacts(
     yield 0.0
     found = touches(source, skins, turns, times)
     yield 0.0
-    chains = _Chains.of(target, source)
-    rows = np.flatnonzero(found.weights[:, chains.told].any(axis=1)) if len(chains.pairs) else np.empty(0, int)
+    chains = _Chains.of(target, source, skins)
+    rows = np.flatnonzero(found.weights[:, chains.told].any(axis=1))
     for start in range(0, len(rows), _AT_ONCE):
         some = rows[start : start + _AT_ONCE]
-        tips = source.points(turns[some])[1]
-        ways = tips[:, PAIRS[:, 0]] - tips[:, PAIRS[:, 1]]
-        standing[some], apart[some], turned[some] = chains.solved(
-            standing[some],
-            ways,
-            Touches(found.weights[some], found.now[some], found.towards[some]),
-        )
+        solved = chains.solved(standing[some], found.some(some, chains.told))
+        standing[some], apart[some], turned[some] = solved
         yield (start + len(some)) / len(rows)
     return Kept(standing, apart, turned)
+
+
+def _units(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
@@ -197,12 +205,13 @@ class _Chains:
     """(K, 3, 3) columns are each joint's twist, spread and bend axes"""
     starts: np.ndarray
     """(K, 3) from the parent's beginning to each bone's, at rest: as the parent's turn carries it"""
-    ends: np.ndarray
-    """(D, 3) from the beginning of each digit's last bone to its tip, likewise"""
     last: np.ndarray
-    """(D,) the last bone of each digit; fingers with the same one are one digit"""
+    """(5,) the last bone of each finger; -1 for those that are not there"""
+    skins: np.ndarray
+    """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from the
+    character's fingertip as the captured ones are from theirs"""
     carries: np.ndarray
-    """(D, U) bool: whether an angle moves a digit's tip"""
+    """(5, U) bool: whether an angle moves a fingertip"""
     bones: np.ndarray
     """(U,) the bone of each angle"""
     which: np.ndarray
@@ -213,13 +222,11 @@ class _Chains:
     """(U,) radians"""
     upper: np.ndarray
     """(U,)"""
-    pairs: np.ndarray
-    """(P, 2) digits that can touch"""
     told: np.ndarray
-    """(P,) which row of `PAIRS` says so; several may speak of the same two digits"""
+    """(P,) which of `PAIRS` have two last bones"""
 
     @classmethod
-    def of(cls, target: TargetHand, source: SourceHand) -> _Chains:
+    def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips) -> _Chains:
         flat = axes_of(source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL, source.side)
         flat, limits = REST_FROM_MODEL @ flat, joint_limits(source.side)
         laid = target.aligned.T @ target.corrected  # from the character's segments to ours
@@ -247,36 +254,29 @@ class _Chains:
                     angles.append((k, axis, unwelcome, float(low), float(high)))
         bones, which, unwelcome, lower, upper = (np.array(column) for column in zip(*angles, strict=True))
 
-        digits: dict[int, list[int]] = {}
+        last = np.full(len(FINGERS), -1)
+        ends, carries = np.zeros((len(FINGERS), 2, 3)), np.zeros((len(FINGERS), len(bones)), dtype=bool)
         for f, finger in enumerate(FINGERS):
             bone = target.last(finger)
-            if bone is not None:
-                digits.setdefault(bone, []).append(f)
-        digit_of = {f: d for d, fingers in enumerate(digits.values()) for f in fingers}
-        ends, carries = np.empty((len(digits), 3)), np.zeros((len(digits), len(bones)), dtype=bool)
-        for d, (bone, fingers) in enumerate(digits.items()):
-            ends[d] = laid[bone] @ (target.tips[fingers[0]] - target.heads[bone]) / target.scale
-            above = bone
-            while above >= 0:
-                carries[d] |= bones == above
-                above = target.parents[above]
-        told = [
-            row
-            for row, (a, b) in enumerate(PAIRS.tolist())
-            if a in digit_of and b in digit_of and digit_of[a] != digit_of[b]
-        ]
-        pairs = np.array([[digit_of[f] for f in PAIRS[row]] for row in told], dtype=int).reshape(-1, 2)
-        last = np.array(list(digits))
+            if bone is None:
+                continue
+            last[f] = bone
+            ends[f] = laid[bone] @ (target.tips[f] - target.heads[bone]) / target.scale
+            ends[f] += skins.ends[f] - source.tips[f]
+            while bone >= 0:
+                carries[f] |= bones == bone
+                bone = target.parents[bone]
+        first, second = last[PAIRS].T
+        told = np.flatnonzero((first >= 0) & (second >= 0) & (first != second))
         return cls(
-            *(target, axes, starts, ends, last, carries, bones, which, unwelcome, lower, upper, pairs),
-            np.array(told, dtype=int),
+            *(target, axes, starts, last, ends, carries, bones, which, unwelcome, lower, upper, told)
         )
 
     def solved(
-        self, standing: np.ndarray, ways: np.ndarray, touching: Touches
+        self, standing: np.ndarray, touching: Touches
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """N frames' bones (N, K, 3, 3) with the tips where they touch, how far they stay apart (N,), and how
-        far the joint turned that did so most (N,): by `ways` (N, 10, 3) between captured tips."""
+        """N frames' bones (N, K, 3, 3) with fingertips where they touch, how far they stay apart (N,), and by
+        how much the angle that turned most did so (N,)."""
         target = self.target
         laid = target.aligned.T @ standing @ np.swapaxes(target.rest, -1, -2)
         whole = laid @ np.swapaxes(target.corrected, -1, -2) @ target.aligned
@@ -287,9 +287,7 @@ class _Chains:
         problem = _Problem(
             self,
             rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes),
-            ways[:, self.told],
-            touching.weights[:, self.told],
-            touching.towards[:, self.told],
+            touching,
         )
         x = problem.solve()
         euler = problem.angles.copy()
@@ -307,8 +305,8 @@ class _Chains:
             found[here, k] = (
                 target.aligned @ whole[here, k] @ target.aligned.T @ target.corrected[k] @ target.rest[k]
             )
-        off = np.abs((problem.forward(x)[0] * problem.towards).sum(axis=-1))
-        apart = np.max(off, axis=1, where=touching.now[:, self.told], initial=0.0)
+        off = np.abs((problem.forward(x)[0] * _units(touching.ways)).sum(axis=-1))
+        apart = np.max(off, axis=1, where=touching.now, initial=0.0)
         return found, apart, np.abs(x).max(axis=1)
 
 
@@ -319,12 +317,7 @@ class _Problem:
     chains: _Chains
     angles: np.ndarray
     """(N, K, 3) twist, spread and bend of each bone, as captured"""
-    ways: np.ndarray
-    """(N, P, 3) captured, from the second tip to the first"""
-    weights: np.ndarray
-    """(N, P)"""
-    towards: np.ndarray
-    """(N, P, 3) from skin to skin"""
+    touching: Touches
 
     def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
@@ -340,9 +333,12 @@ class _Problem:
             else:
                 whole[:, k] = whole[:, parent] @ local[:, k]
                 places[:, k] = places[:, parent] + whole[:, parent] @ chains.starts[k]
-        tips = places[:, chains.last] + (whole[:, chains.last] @ chains.ends[..., None])[..., 0]
-        first, second = chains.pairs.T
-        off = tips[:, first] - tips[:, second] - self.ways
+        pairs = PAIRS[chains.told]
+        skins, share = chains.skins[pairs], self.touching.along[..., None]
+        skins = skins[:, :, 0] + share * (skins[:, :, 1] - skins[:, :, 0])
+        last = chains.last[pairs]
+        points = places[:, last] + (whole[:, last] @ skins[..., None])[..., 0]  # (N, P, 2, 3)
+        off = points[:, :, 0] - points[:, :, 1] - self.touching.ways
         if not jacobian:
             return off, np.empty(0)
         # Twist is about the joint's own axis at rest, spread about one that the twist has turned, and bend
@@ -353,29 +349,32 @@ class _Problem:
         above = np.array(parents)[chains.bones]
         carried = np.where((above < 0)[:, None, None], np.eye(3), whole[:, above]) @ chains.axes[chains.bones]
         axis = (carried @ about[:, chains.bones, chains.which, :, None])[..., 0]  # (N, U, 3)
-        arms = tips[:, :, None] - places[:, None, chains.bones]  # (N, D, U, 3)
-        moves = cross(np.broadcast_to(axis[:, None], arms.shape), arms) * chains.carries[..., None]
-        return off, np.swapaxes(moves[:, first] - moves[:, second], -1, -2)
+        moves = np.zeros((*off.shape[:2], len(chains.bones), 3))
+        for k, sign in enumerate((1.0, -1.0)):
+            arms = points[:, :, k, None] - places[:, None, chains.bones]  # (N, P, U, 3)
+            turned = cross(np.broadcast_to(axis[:, None], arms.shape), arms)
+            moves += sign * chains.carries[pairs[:, k], :, None] * turned
+        return off, np.swapaxes(moves, -1, -2)
 
     def stiffness(self, slopes: np.ndarray) -> np.ndarray:
         """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
         pose. Touches of several fingers share what they hold along the skins, which cannot all be met."""
         gives = (slopes**2 / self.chains.unwelcome).sum(axis=(-1, -2))
-        between = ((self.towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
-        told = self.weights * _WITH_THUMB[self.chains.told]
-        share = self.weights * told / np.maximum(told.sum(axis=1, keepdims=True), 1e-9)
+        towards, weights = _units(self.touching.ways), self.touching.weights
+        between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
+        told = weights * _WITH_THUMB[self.chains.told]
+        share = weights * (told / np.maximum(told.sum(axis=1, keepdims=True), 1e-9))**_P
         rho = [
             weight / (np.maximum(give, 1e-9) * (1.0 - weight + _LEFT_OPEN))
-            for weight, give in ((self.weights, between), (share, (gives - between) / 2.0))
+            for weight, give in ((weights, between), (share, (gives - between) / 2.0))
         ]
-        normal = self.towards[..., :, None] * self.towards[..., None, :]
+        normal = towards[..., :, None] * towards[..., None, :]
         return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
 
     def some(self, rows: np.ndarray) -> _Problem:
         """Some frames alone."""
-        return _Problem(
-            self.chains, self.angles[rows], self.ways[rows], self.weights[rows], self.towards[rows]
-        )
+        every = np.arange(len(self.chains.told))
+        return _Problem(self.chains, self.angles[rows], self.touching.some(rows, every))
 
     def solve(self) -> np.ndarray:
         """x (N, U) by projected Levenberg-Marquardt."""
