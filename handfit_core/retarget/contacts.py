@@ -45,10 +45,13 @@ _UNWELCOME: Final = {"thumb": ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0)
 """Diagonal of M of a finger's three joints: twist, spread and bend"""
 _OF_FINGERS: Final = ((np.inf, 3.0, 1.0), (np.inf, np.inf, 1.0), (np.inf, np.inf, 1.5))
 """The same of the other fingers. Infinite: they do not turn so"""
-_LEFT_OPEN: Final = 0.002
+_LEFT_OPEN: Final = 0.02
 """e: the share of a gap that stays open where both touch"""
-import os
-_P=float(os.environ.get("P_","1"))
+_ALONG: Final = float(__import__("os").environ.get("A_","0.9"))
+"""The share of what lies along the skins that is closed at most: touches of several fingers with one thumb
+cannot all be met in the very same places, and the search would jump between ways of missing them"""
+_FARTHEST: Final = np.radians(30.0)
+"""radians that an angle turns at most: what needs more is no hand's grip, and stays apart"""
 _MOST_STEPS: Final = 30
 _SMALL: Final = 1e-7
 """radians: steps that are smaller end the search"""
@@ -123,16 +126,24 @@ def touches(source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.
         array[:, PAIRS[:, k]].reshape(-1, *array.shape[2:]) for k in (0, 1) for array in (ends, radii)
     ]
     along = nearest_along(*parts)
-    places, gap = gaps_along(*parts, along)
+    gap = gaps_along(*parts, along)[1].reshape(count, -1)
+    # Of fingers that lie side by side, the nearest places run from end to end.
+    along = _mean(along.reshape(count, -1, 2), times)
+    places, _ = gaps_along(*parts, along.reshape(-1, 2))
     ways = (places[:, 0] - places[:, 1]).reshape(count, len(PAIRS), 3)
     first, second = (whole[:, last[PAIRS[:, k]]] for k in (0, 1))
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
     beside = (first + second) @ (across / np.linalg.norm(across))
     beside = np.abs((_units(ways) * _units(beside)).sum(axis=-1))
     crossed = np.where(_WITH_THUMB, 1.0, _falling(beside, _CROSSED))
-    near = _falling(gap.reshape(count, -1), TOUCHING) * crossed
-    weights = _blended(near, np.asarray(times, dtype=np.float64))
-    return Touches(weights, near == 1.0, along.reshape(count, -1, 2), ways)
+    near = _falling(gap, TOUCHING) * crossed
+    most = near.copy()
+    for first, second, _ in _neighbours(times):
+        most[first] = np.maximum(most[first], near[second])
+        most[second] = np.maximum(most[second], near[first])
+    # However it is rounded, a mean of ones is one.
+    weights = np.maximum(near, np.minimum(_mean(most, times), 1.0))
+    return Touches(weights, near == 1.0, along, ways)
 
 
 def keeping_contacts(
@@ -144,18 +155,32 @@ def keeping_contacts(
     seconds, rising.
     """
     standing = target.standing(turns)
-    apart, turned = np.zeros(len(turns)), np.zeros(len(turns))
+    apart = np.zeros(len(turns))
     yield 0.0
+    times = np.asarray(times, dtype=np.float64)
     found = touches(source, skins, turns, times)
     yield 0.0
     chains = _Chains.of(target, source, skins)
-    rows = np.flatnonzero(found.weights[:, chains.told].any(axis=1))
+    x = np.zeros((len(turns), len(chains.bones)))
+    for some, done in _slices(found.weights[:, chains.told].any(axis=1)):
+        x[some] = chains.problem(standing[some], found.some(some, chains.told)).solve(x[some])
+        yield 0.5 * done
+    # Where several fingers touch, least turns may jump from frame to frame: their mean does not, and what it
+    # misses of a touch is small.
+    x = _mean(x, times)
+    for some, done in _slices(x.any(axis=1)):
+        problem = chains.problem(standing[some], found.some(some, chains.told), float(__import__("os").environ.get("L_","0")))
+        x[some] = problem.solve(x[some])
+        standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
+        yield 0.5 + 0.5 * done
+    return Kept(standing, apart, np.abs(x).max(axis=1, initial=0.0))
+
+
+def _slices(chosen: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
+    """The frames that are chosen (T,), some at a time, and which share of them is done with these."""
+    rows = np.flatnonzero(chosen)
     for start in range(0, len(rows), _AT_ONCE):
-        some = rows[start : start + _AT_ONCE]
-        solved = chains.solved(standing[some], found.some(some, chains.told))
-        standing[some], apart[some], turned[some] = solved
-        yield (start + len(some)) / len(rows)
-    return Kept(standing, apart, turned)
+        yield rows[start : start + _AT_ONCE], min((start + _AT_ONCE) / len(rows), 1.0)
 
 
 def _units(vectors: np.ndarray) -> np.ndarray:
@@ -168,21 +193,16 @@ def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
     return share * share * (3.0 - 2.0 * share)
 
 
-def _blended(near: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The most of (T, P) within `BLEND` of each frame, then the mean of that within `BLEND`: nowhere less than
-    it was."""
-    most = near.copy()
-    for first, second, _ in _neighbours(times):
-        most[first] = np.maximum(most[first], near[second])
-        most[second] = np.maximum(most[second], near[first])
-    total, count = most.copy(), np.ones(len(times))
+def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Of (T, ...) those within `BLEND` of each frame, nearer ones counting more."""
+    total, count = values.copy(), np.ones(len(times))
     for first, second, share in _neighbours(times):
-        total[first] += share[:, None] * most[second]
-        total[second] += share[:, None] * most[first]
+        shares = share.reshape(-1, *[1] * (values.ndim - 1))
+        total[first] += shares * values[second]
+        total[second] += shares * values[first]
         count[first] += share
         count[second] += share
-    # A mean of ones is one, however it is rounded.
-    return np.maximum(near, total / count[:, None])
+    return total / count.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray], None, None]:
@@ -272,42 +292,20 @@ class _Chains:
             *(target, axes, starts, last, ends, carries, bones, which, unwelcome, lower, upper, told)
         )
 
-    def solved(
-        self, standing: np.ndarray, touching: Touches
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """N frames' bones (N, K, 3, 3) with fingertips where they touch, how far they stay apart (N,), and by
-        how much the angle that turned most did so (N,)."""
-        target = self.target
-        laid = target.aligned.T @ standing @ np.swapaxes(target.rest, -1, -2)
-        whole = laid @ np.swapaxes(target.corrected, -1, -2) @ target.aligned
+    def problem(self, standing: np.ndarray, touching: Touches, along: float = _ALONG) -> _Problem:
+        """N frames' bones (N, K, 3, 3), as captured, that are to touch."""
+        whole = self.whole(standing)
         local = whole.copy()
-        for k, parent in enumerate(target.parents):
+        for k, parent in enumerate(self.target.parents):
             if parent >= 0:
                 local[:, k] = np.swapaxes(whole[:, parent], -1, -2) @ whole[:, k]
-        problem = _Problem(
-            self,
-            rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes),
-            touching,
-        )
-        x = problem.solve()
-        euler = problem.angles.copy()
-        euler[:, self.bones, self.which] += x
-        turned = self.axes @ euler_to_rotmat(euler) @ np.swapaxes(self.axes, -1, -2)
-        moved = np.zeros((len(x), len(self.axes)), dtype=bool)
-        np.logical_or.at(moved, (slice(None), self.bones), x != 0.0)
-        found = standing.copy()
-        for k, parent in enumerate(target.parents):
-            moved[:, k] |= moved[:, parent] if parent >= 0 else False
-            local[moved[:, k], k] = turned[moved[:, k], k]
-            above = whole[:, parent] if parent >= 0 else np.eye(3)
-            whole[:, k] = above @ local[:, k]
-            here = moved[:, k]
-            found[here, k] = (
-                target.aligned @ whole[here, k] @ target.aligned.T @ target.corrected[k] @ target.rest[k]
-            )
-        off = np.abs((problem.forward(x)[0] * _units(touching.ways)).sum(axis=-1))
-        apart = np.max(off, axis=1, where=touching.now, initial=0.0)
-        return found, apart, np.abs(x).max(axis=1)
+        angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
+        return _Problem(self, angles, touching, along)
+
+    def whole(self, standing: np.ndarray) -> np.ndarray:
+        """How bones (N, K, 3, 3) are turned from where ours rest, in our rest space."""
+        laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
+        return laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,6 +316,30 @@ class _Problem:
     angles: np.ndarray
     """(N, K, 3) twist, spread and bend of each bone, as captured"""
     touching: Touches
+    along: float
+    """The share of what lies along the skins that is to be closed"""
+
+    def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""
+        chains, target = self.chains, self.chains.target
+        angles = self.angles.copy()
+        angles[:, chains.bones, chains.which] += x
+        local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
+        moved = np.zeros(local.shape[:2], dtype=bool)
+        np.logical_or.at(moved, (slice(None), chains.bones), x != 0.0)
+        whole, found = chains.whole(standing), standing.copy()
+        for k, parent in enumerate(target.parents):
+            moved[:, k] |= moved[:, parent] if parent >= 0 else False
+            here = moved[:, k]
+            whole[here, k] = whole[here, parent] @ local[here, k] if parent >= 0 else local[here, k]
+            turned = target.aligned @ whole[here, k] @ target.aligned.T
+            found[here, k] = turned @ target.corrected[k] @ target.rest[k]
+        return found
+
+    def apart(self, x: np.ndarray) -> np.ndarray:
+        """(N,) metres between where fingertips that touch are and where they touch, at the worst."""
+        off = np.abs((self.forward(x)[0] * _units(self.touching.ways)).sum(axis=-1))
+        return np.max(off, axis=1, where=self.touching.now, initial=0.0)
 
     def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
@@ -358,12 +380,11 @@ class _Problem:
 
     def stiffness(self, slopes: np.ndarray) -> np.ndarray:
         """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
-        pose. Touches of several fingers share what they hold along the skins, which cannot all be met."""
+        pose."""
         gives = (slopes**2 / self.chains.unwelcome).sum(axis=(-1, -2))
         towards, weights = _units(self.touching.ways), self.touching.weights
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
-        told = weights * _WITH_THUMB[self.chains.told]
-        share = weights * (told / np.maximum(told.sum(axis=1, keepdims=True), 1e-9))**_P
+        share = self.along * weights * _WITH_THUMB[self.chains.told]
         rho = [
             weight / (np.maximum(give, 1e-9) * (1.0 - weight + _LEFT_OPEN))
             for weight, give in ((weights, between), (share, (gives - between) / 2.0))
@@ -374,43 +395,39 @@ class _Problem:
     def some(self, rows: np.ndarray) -> _Problem:
         """Some frames alone."""
         every = np.arange(len(self.chains.told))
-        return _Problem(self.chains, self.angles[rows], self.touching.some(rows, every))
+        return _Problem(self.chains, self.angles[rows], self.touching.some(rows, every), self.along)
 
-    def solve(self) -> np.ndarray:
-        """x (N, U) by projected Levenberg-Marquardt."""
+    def solve(self, about: np.ndarray) -> np.ndarray:
+        """x (N, U), the nearest to `about`, by projected Levenberg-Marquardt."""
         chains, unwelcome = self.chains, self.chains.unwelcome
         captured = self.angles[:, chains.bones, chains.which]
         # What is beyond its range already may stay so.
-        low, high = np.minimum(chains.lower - captured, 0.0), np.maximum(chains.upper - captured, 0.0)
-        x = np.zeros(captured.shape)
-        rho = self.stiffness(self.forward(x, jacobian=True)[1])
-        left, damping, cost = np.arange(len(x)), np.full(len(x), 1e-3), np.full(len(x), np.inf)
+        low = np.clip(chains.lower - captured, -_FARTHEST, 0.0)
+        high = np.clip(chains.upper - captured, 0.0, _FARTHEST)
+        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1])
+        x, damping, left = np.clip(about, low, high), np.full(len(about), 1e-3), np.arange(len(about))
+        own = np.arange(len(unwelcome))
+
+        def cost(off: np.ndarray, rho: np.ndarray, away: np.ndarray) -> np.ndarray:
+            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * away**2).sum(axis=-1)
+
         for _ in range(_MOST_STEPS):
-            problem = self.some(left)
-            off, slopes = problem.forward(x[left], jacobian=True)
-            weighted = rho[left] @ slopes
-            flat = slopes.reshape(len(left), -1, len(unwelcome))
-            pull = np.swapaxes(weighted.reshape(flat.shape), -1, -2)
-            gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + unwelcome * x[left]
-            cost[left] = _cost(off, rho[left], x[left], unwelcome)
-            held = (x[left] <= low[left]) & (gradient > 0.0) | (x[left] >= high[left]) & (gradient < 0.0)
-            hessian = pull @ flat
-            free = ~held
-            hessian *= free[:, :, None] & free[:, None, :]
-            index = np.arange(len(unwelcome))
-            hessian[:, index, index] += unwelcome
-            hessian[:, index, index] *= 1.0 + damping[left][:, None]
-            step = np.linalg.solve(hessian, np.where(held, 0.0, -gradient)[..., None])[..., 0]
-            tried = np.clip(x[left] + step, low[left], high[left])
-            better = _cost(problem.forward(tried)[0], rho[left], tried, unwelcome) < cost[left]
-            moved = np.abs(tried - x[left]).max(axis=1)
+            problem, stiff, here, away = self.some(left), rho[left], x[left], x[left] - about[left]
+            off, slopes = problem.forward(here, jacobian=True)
+            flat = slopes.reshape(len(left), -1, len(own))
+            pull = np.swapaxes((stiff @ slopes).reshape(flat.shape), -1, -2)
+            gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + unwelcome * away
+            free = ~((here <= low[left]) & (gradient > 0.0) | (here >= high[left]) & (gradient < 0.0))
+            hessian = (pull @ flat) * (free[:, :, None] & free[:, None, :])
+            hessian[:, own, own] += unwelcome
+            hessian[:, own, own] *= 1.0 + damping[left][:, None]
+            step = np.linalg.solve(hessian, np.where(free, -gradient, 0.0)[..., None])[..., 0]
+            tried = np.clip(here + step, low[left], high[left])
+            costs = cost(off, stiff, away), cost(problem.forward(tried)[0], stiff, tried - about[left])
+            better = costs[1] < costs[0]
             x[left[better]] = tried[better]
             damping[left] *= np.where(better, 0.1, 10.0)
-            left = left[moved > _SMALL]
+            left = left[np.abs(tried - here).max(axis=1) > _SMALL]
             if not len(left):
                 break
         return x
-
-
-def _cost(off: np.ndarray, rho: np.ndarray, x: np.ndarray, unwelcome: np.ndarray) -> np.ndarray:
-    return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * x**2).sum(axis=-1)
