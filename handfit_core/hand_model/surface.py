@@ -188,7 +188,9 @@ def surface_of(model: HandModel) -> Surface:
     return Surface(model)
 
 
-def nearest_along(ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray) -> np.ndarray:
+def nearest_along(
+    ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray
+) -> np.ndarray:
     """(K, 2) how far along their axes, 0..1, capsules are nearest to each other: ends (K, 2, 3) and radii
     (K, 2) of both."""
     a, b = _Axis.of(ends_a, radii_a), _Axis.of(ends_b, radii_b)

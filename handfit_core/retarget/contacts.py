@@ -1,15 +1,20 @@
-"""Where captured fingertips touch, the character's touch: every frame on its own, in slices.
+"""Where captured fingertips touch, the character's touch: thumb and finger both move, in slices of frames.
 
-Fingers that point as captured ones do, but are longer or begin elsewhere, do not meet where those meet. Let v be
-the way from one captured fingertip to another, u the character's in metres of the captured hand, and x what its
-joints turn beyond what was captured. Then x is least for
+Fingers that point as captured ones do, but are longer or begin elsewhere, do not meet where those meet. Let v
+lead from one captured fingertip to another, where their skins are nearest to each other, let u do so on the
+character, in metres of the captured hand, and let x be what its joints turn beyond what was captured. Then x
+is least for
 
-    x^T M x + sum over touches of rho |u(x) - v|^2,    rho = w / (S (1 - w + e))
+    x^T M x + sum over touches of (u(x) - v)^T R (u(x) - v)
 
-within the joints' ranges. M says how unwelcome a turn is, w in 0..1 how much the two touch, and S, the mean of
-the diagonal of J M^-1 J^T, how far u gives way to a turn (J = du/dx). A gap alone is then closed by about the
-share w, touches that begin or end beside others pull softly, and without touch x is exactly zero. As w is smooth
-in time, so is x, though no frame is told of its neighbours.
+within the joints' ranges. M says how unwelcome a turn is. R is rho = w / (S (1 - w + e)) between the two skins
+and less along them: w in 0..1 is how much they touch, and S, of J M^-1 J^T with J = du/dx, how far u gives way
+to a turn. A gap alone is thus closed by about the share w, touches that begin or end beside others pull softly,
+and where nothing touches x is exactly zero.
+
+As w is smooth in time, so is x, mostly. Where several fingers touch at once, the best turns can jump from frame
+to frame. So x is found for every frame on its own, the mean of frames near each other is taken, and from there
+each frame closes again, by small turns, what the mean opened.
 """
 
 from __future__ import annotations
@@ -28,10 +33,10 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.surface import cross, gaps_along, nearest_along, surface_of
 from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
+from handfit_core.slices import retold
 
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) fingers that can touch each other, those with the thumb first"""
-_WITH_THUMB: Final = PAIRS[:, 0] == 0
 
 TOUCHING: Final = (0.004, 0.012)
 """metres between skins: what is nearer than the first touches; what is farther than the second does not"""
@@ -41,22 +46,25 @@ lies across the palm where they are beside each other; up to the first, one lies
 BLEND: Final = 0.1
 """seconds: a touch is kept for as long before and after, and fades in and out for twice as long"""
 
-_UNWELCOME: Final = {"thumb": ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))}
-"""Diagonal of M of a finger's three joints: twist, spread and bend"""
-_OF_FINGERS: Final = ((np.inf, 3.0, 1.0), (np.inf, np.inf, 1.0), (np.inf, np.inf, 1.5))
+_THUMB: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
+"""Diagonal of M of the thumb's three joints: twist, spread and bend"""
+_FINGER: Final = ((np.inf, 3.0, 1.0), (np.inf, np.inf, 1.0), (np.inf, np.inf, 1.5))
 """The same of the other fingers. Infinite: they do not turn so"""
 _LEFT_OPEN: Final = 0.02
 """e: the share of a gap that stays open where both touch"""
-_ALONG: Final = float(__import__("os").environ.get("A_","0.9"))
-"""The share of what lies along the skins that is closed at most: touches of several fingers with one thumb
-cannot all be met in the very same places, and the search would jump between ways of missing them"""
-_FARTHEST: Final = np.radians(30.0)
-"""radians that an angle turns at most: what needs more is no hand's grip, and stays apart"""
-_MOST_STEPS: Final = 30
-_SMALL: Final = 1e-7
+_ALONG: Final = (0.9, 0.5)
+"""The share of what lies along the skins that is closed at most, at first and after the mean: touches of
+several fingers with one thumb cannot all be met in the very same places"""
+_FARTHEST: Final = np.radians((30.0, 4.0))
+"""radians that an angle turns at most, beyond what was captured and beyond the mean: what needs more is no
+hand's grip, or a jump, and stays apart"""
+_MOST_STEPS: Final = 20
+_SMALL: Final = 1e-6
 """radians: steps that are smaller end the search"""
-_AT_ONCE: Final = 64
+_AT_ONCE: Final = 32
 """frames that a slice solves"""
+_FOUND_AT_ONCE: Final = 512
+"""frames in which a slice looks for touches"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +93,8 @@ class Touches:
 
     weights: np.ndarray
     """(T, 10) 0..1 by `PAIRS`: how much each touch is to be kept, smooth in time; exactly 0 where none is"""
+    gap: np.ndarray
+    """(T, 10) metres between the two skins; negative where they overlap"""
     now: np.ndarray
     """(T, 10) bool: whether the two touch in this very frame"""
     along: np.ndarray
@@ -105,45 +115,42 @@ class Kept:
     """(T, K, 3, 3) how the bones stand, as `TargetHand.standing` has them; the very same numbers for fingers
     that touch nothing"""
     apart: np.ndarray
-    """(T,) metres of the captured hand's scale by which fingertips that touch now stay away from where they
-    touch, at the worst; 0 where none do"""
+    """(T,) metres of the captured hand's scale by which the gap between skins that touch now is another than
+    the captured one, at the worst; 0 where none touch"""
     turned: np.ndarray
-    """(T,) radians by which the joint that turned most beyond what was captured did so"""
+    """(T,) radians: the largest of the angles by which joints turn beyond what was captured"""
 
 
-def touches(source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray) -> Touches:
-    """What touches in captured hands: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at times (T,) in
-    seconds, rising."""
-    whole = globally(turns)
+def finding_touches(
+    source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
+) -> Generator[None, None, Touches]:
+    """What touches in captured hands, in steps: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at times
+    (T,) in seconds, rising."""
     last = JOINTS_BY_FINGER[:, 2]
-    joints, _ = source.points(turns)
-    ends = joints[:, last, None] + np.einsum(
-        "tfab,feb->tfea", whole[:, last], skins.ends - source.joints[last, None]
-    )
-    count = len(turns)
-    radii = np.broadcast_to(skins.radii, (count, *skins.radii.shape))
-    parts = [
-        array[:, PAIRS[:, k]].reshape(-1, *array.shape[2:]) for k in (0, 1) for array in (ends, radii)
-    ]
-    along = nearest_along(*parts)
-    gap = gaps_along(*parts, along)[1].reshape(count, -1)
-    # Of fingers that lie side by side, the nearest places run from end to end.
-    along = _mean(along.reshape(count, -1, 2), times)
-    places, _ = gaps_along(*parts, along.reshape(-1, 2))
-    ways = (places[:, 0] - places[:, 1]).reshape(count, len(PAIRS), 3)
-    first, second = (whole[:, last[PAIRS[:, k]]] for k in (0, 1))
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
-    beside = (first + second) @ (across / np.linalg.norm(across))
-    beside = np.abs((_units(ways) * _units(beside)).sum(axis=-1))
-    crossed = np.where(_WITH_THUMB, 1.0, _falling(beside, _CROSSED))
-    near = _falling(gap, TOUCHING) * crossed
+    count = len(turns)
+    ends, beside = np.empty((count, len(FINGERS), 2, 3)), np.empty((count, len(FINGERS), 3))
+    along, gap = np.empty((count, len(PAIRS), 2)), np.empty((count, len(PAIRS)))
+    for start in range(0, count, _FOUND_AT_ONCE):
+        some = slice(start, start + _FOUND_AT_ONCE)
+        whole, joints = globally(turns[some])[:, last], source.points(turns[some])[0][:, last, None]
+        ends[some] = joints + np.einsum("tfab,feb->tfea", whole, skins.ends - source.joints[last, None])
+        beside[some] = whole @ across
+        along[some], gap[some] = _nearest(ends[some], skins.radii, PAIRS)
+        yield
+    # Of fingers that lie side by side, the nearest places run from end to end.
+    along = _mean(along, times)
+    places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
+    ways = places[:, :, 0] - places[:, :, 1]
+    beside = np.abs((_units(ways) * _units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
+    near = _falling(gap, TOUCHING) * np.where(PAIRS[:, 0] == 0, 1.0, _falling(beside, _CROSSED))
     most = near.copy()
     for first, second, _ in _neighbours(times):
         most[first] = np.maximum(most[first], near[second])
         most[second] = np.maximum(most[second], near[first])
     # However it is rounded, a mean of ones is one.
     weights = np.maximum(near, np.minimum(_mean(most, times), 1.0))
-    return Touches(weights, near == 1.0, along, ways)
+    return Touches(weights, gap, near == 1.0, along, ways)
 
 
 def keeping_contacts(
@@ -154,33 +161,38 @@ def keeping_contacts(
     `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
     seconds, rising.
     """
-    standing = target.standing(turns)
-    apart = np.zeros(len(turns))
-    yield 0.0
+    standing, apart = target.standing(turns), np.zeros(len(turns))
     times = np.asarray(times, dtype=np.float64)
-    found = touches(source, skins, turns, times)
-    yield 0.0
+    found = yield from retold(finding_touches(source, skins, turns, times), lambda: 0.0)
     chains = _Chains.of(target, source, skins)
     x = np.zeros((len(turns), len(chains.bones)))
-    for some, done in _slices(found.weights[:, chains.told].any(axis=1)):
-        x[some] = chains.problem(standing[some], found.some(some, chains.told)).solve(x[some])
+    for some, done in _slices(found.weights[:, chains.told].max(axis=1, initial=0.0)):
+        x[some] = chains.problem(standing[some], found, some).solve(x[some], 0)
         yield 0.5 * done
-    # Where several fingers touch, least turns may jump from frame to frame: their mean does not, and what it
-    # misses of a touch is small.
     x = _mean(x, times)
-    for some, done in _slices(x.any(axis=1)):
-        problem = chains.problem(standing[some], found.some(some, chains.told), float(__import__("os").environ.get("L_","0")))
-        x[some] = problem.solve(x[some])
+    for some, done in _slices(np.abs(x).max(axis=1)):
+        problem = chains.problem(standing[some], found, some)
+        x[some] = problem.solve(x[some], 1)
         standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
         yield 0.5 + 0.5 * done
     return Kept(standing, apart, np.abs(x).max(axis=1, initial=0.0))
 
 
-def _slices(chosen: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
-    """The frames that are chosen (T,), some at a time, and which share of them is done with these."""
-    rows = np.flatnonzero(chosen)
+def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
+    """The frames whose value (T,) is not zero, some at a time, and which share of them is done with these."""
+    rows = np.flatnonzero(value)
     for start in range(0, len(rows), _AT_ONCE):
         yield rows[start : start + _AT_ONCE], min((start + _AT_ONCE) / len(rows), 1.0)
+
+
+def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where on the axes, (N, P, 2), and how near, (N, P), pairs (P, 2) of skins are nearest to each other: by
+    ends (N, 5, 2, 3) and radii (5, 2)."""
+    first, second = (ends[:, some].reshape(-1, 2, 3) for some in pairs.T)
+    radii_a, radii_b = (np.tile(radii[some], (len(ends), 1)) for some in pairs.T)
+    along = nearest_along(first, radii_a, second, radii_b)
+    gap = gaps_along(first, radii_a, second, radii_b, along)[1]
+    return along.reshape(len(ends), -1, 2), gap.reshape(len(ends), -1)
 
 
 def _units(vectors: np.ndarray) -> np.ndarray:
@@ -217,8 +229,8 @@ def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray],
 
 @dataclass(frozen=True, eq=False)
 class _Chains:
-    """A character's fingers, laid into the captured hand's rest space, in its metres: K bones, U angles that may
-    turn, P pairs of fingertips."""
+    """A character's fingers, laid into the captured hand's rest space, in its metres: K bones, U angles that
+    may turn, P pairs of fingertips."""
 
     target: TargetHand
     axes: np.ndarray
@@ -227,9 +239,11 @@ class _Chains:
     """(K, 3) from the parent's beginning to each bone's, at rest: as the parent's turn carries it"""
     last: np.ndarray
     """(5,) the last bone of each finger; -1 for those that are not there"""
+    radii: np.ndarray
+    """(5, 2) of the fingertips' skins"""
     skins: np.ndarray
-    """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from the
-    character's fingertip as the captured ones are from theirs"""
+    """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from
+    the character's fingertip as the captured ones are from theirs"""
     carries: np.ndarray
     """(5, U) bool: whether an angle moves a fingertip"""
     bones: np.ndarray
@@ -254,9 +268,9 @@ class _Chains:
         axes, starts = np.broadcast_to(np.eye(3), (count, 3, 3)).copy(), np.empty((count, 3))
         angles: list[tuple[int, int, float, float, float]] = []
         for k, (joints, parent) in enumerate(zip(target.joints, target.parents, strict=True)):
-            from_ = target.wrist if parent < 0 else target.heads[parent]
+            start = target.wrist if parent < 0 else target.heads[parent]
             carried = target.aligned.T if parent < 0 else laid[parent]
-            starts[k] = carried @ (target.heads[k] - from_) / target.scale
+            starts[k] = carried @ (target.heads[k] - start) / target.scale
             if not joints:
                 continue
             joint = joints[0]
@@ -266,7 +280,7 @@ class _Chains:
             lent, above = [joint], target.joints[parent] if parent >= 0 else ()
             while (before := PARENTS[lent[-1]]) and before not in above:
                 lent.append(before)
-            cost = _UNWELCOME.get(finger, _OF_FINGERS)[FINGER_JOINTS[finger].index(lent[-1])]
+            cost = (_THUMB if finger == "thumb" else _FINGER)[FINGER_JOINTS[finger].index(lent[-1])]
             rows = np.array(lent) - 1
             for axis, unwelcome in enumerate(cost):
                 if np.isfinite(unwelcome):
@@ -289,18 +303,20 @@ class _Chains:
         first, second = last[PAIRS].T
         told = np.flatnonzero((first >= 0) & (second >= 0) & (first != second))
         return cls(
-            *(target, axes, starts, last, ends, carries, bones, which, unwelcome, lower, upper, told)
+            *(target, axes, starts, last, skins.radii, ends, carries),
+            *(bones, which, unwelcome, lower, upper, told),
         )
 
-    def problem(self, standing: np.ndarray, touching: Touches, along: float = _ALONG) -> _Problem:
-        """N frames' bones (N, K, 3, 3), as captured, that are to touch."""
+    def problem(self, standing: np.ndarray, found: Touches, rows: np.ndarray) -> _Problem:
+        """What touches in some rows (N,) of all frames, where the bones stand as captured: (N, K, 3, 3)."""
         whole = self.whole(standing)
         local = whole.copy()
         for k, parent in enumerate(self.target.parents):
             if parent >= 0:
                 local[:, k] = np.swapaxes(whole[:, parent], -1, -2) @ whole[:, k]
         angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
-        return _Problem(self, angles, touching, along)
+        pairs = self.told[found.weights[rows][:, self.told].any(axis=0)]
+        return _Problem(self, PAIRS[pairs], angles, found.some(rows, pairs))
 
     def whole(self, standing: np.ndarray) -> np.ndarray:
         """How bones (N, K, 3, 3) are turned from where ours rest, in our rest space."""
@@ -313,11 +329,12 @@ class _Problem:
     """N frames to be solved."""
 
     chains: _Chains
+    pairs: np.ndarray
+    """(P, 2) the fingers that touch in any of them"""
     angles: np.ndarray
     """(N, K, 3) twist, spread and bend of each bone, as captured"""
     touching: Touches
-    along: float
-    """The share of what lies along the skins that is to be closed"""
+    """Theirs, of these pairs"""
 
     def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
         """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""
@@ -326,7 +343,8 @@ class _Problem:
         angles[:, chains.bones, chains.which] += x
         local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
         moved = np.zeros(local.shape[:2], dtype=bool)
-        np.logical_or.at(moved, (slice(None), chains.bones), x != 0.0)
+        for u, k in enumerate(chains.bones):
+            moved[:, k] |= x[:, u] != 0.0
         whole, found = chains.whole(standing), standing.copy()
         for k, parent in enumerate(target.parents):
             moved[:, k] |= moved[:, parent] if parent >= 0 else False
@@ -337,25 +355,33 @@ class _Problem:
         return found
 
     def apart(self, x: np.ndarray) -> np.ndarray:
-        """(N,) metres between where fingertips that touch are and where they touch, at the worst."""
-        off = np.abs((self.forward(x)[0] * _units(self.touching.ways)).sum(axis=-1))
+        """(N,) metres by which the gap of skins that touch is another than the captured one, at the worst."""
+        chains = self.chains
+        whole, places, _ = self.posed(x)
+        ends = places[:, chains.last, None] + np.einsum("nfab,feb->nfea", whole[:, chains.last], chains.skins)
+        off = np.abs(_nearest(ends, chains.radii, self.pairs)[1] - self.touching.gap)
         return np.max(off, axis=1, where=self.touching.now, initial=0.0)
 
-    def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
-        chains, parents = self.chains, self.chains.target.parents
+    def posed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How bones (N, K, 3, 3) are turned and where they begin (N, K, 3), and their angles (N, K, 3)."""
+        chains = self.chains
         angles = self.angles.copy()
         angles[:, chains.bones, chains.which] += x
-        euler = euler_to_rotmat(angles)
-        local = chains.axes @ euler @ np.swapaxes(chains.axes, -1, -2)
+        local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
         whole, places = np.empty_like(local), np.empty(local.shape[:3])
-        for k, parent in enumerate(parents):
+        for k, parent in enumerate(chains.target.parents):
             if parent < 0:
                 whole[:, k], places[:, k] = local[:, k], chains.starts[k]
             else:
                 whole[:, k] = whole[:, parent] @ local[:, k]
                 places[:, k] = places[:, parent] + whole[:, parent] @ chains.starts[k]
-        pairs = PAIRS[chains.told]
+        return whole, places, angles
+
+    def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
+        chains = self.chains
+        whole, places, angles = self.posed(x)
+        pairs = self.pairs
         skins, share = chains.skins[pairs], self.touching.along[..., None]
         skins = skins[:, :, 0] + share * (skins[:, :, 1] - skins[:, :, 0])
         last = chains.last[pairs]
@@ -365,12 +391,14 @@ class _Problem:
             return off, np.empty(0)
         # Twist is about the joint's own axis at rest, spread about one that the twist has turned, and bend
         # about one that both have.
-        sine, cosine = np.sin(angles[..., 0]), np.cos(angles[..., 0])
-        spread = np.stack([np.zeros_like(sine), cosine, sine], axis=-1)
-        about = np.stack([np.broadcast_to([1.0, 0.0, 0.0], spread.shape), spread, euler[..., 2]], axis=-2)
-        above = np.array(parents)[chains.bones]
+        own = angles[:, chains.bones]
+        euler = euler_to_rotmat(own)
+        twist, bend = np.broadcast_to([1.0, 0.0, 0.0], own.shape), euler[..., 2]
+        spread = np.stack([0.0 * own[..., 0], np.cos(own[..., 0]), np.sin(own[..., 0])], axis=-1)
+        axis = np.choose(chains.which[:, None], [twist, spread, bend])
+        above = np.array(chains.target.parents)[chains.bones]
         carried = np.where((above < 0)[:, None, None], np.eye(3), whole[:, above]) @ chains.axes[chains.bones]
-        axis = (carried @ about[:, chains.bones, chains.which, :, None])[..., 0]  # (N, U, 3)
+        axis = (carried @ axis[..., None])[..., 0]  # (N, U, 3)
         moves = np.zeros((*off.shape[:2], len(chains.bones), 3))
         for k, sign in enumerate((1.0, -1.0)):
             arms = points[:, :, k, None] - places[:, None, chains.bones]  # (N, P, U, 3)
@@ -378,13 +406,13 @@ class _Problem:
             moves += sign * chains.carries[pairs[:, k], :, None] * turned
         return off, np.swapaxes(moves, -1, -2)
 
-    def stiffness(self, slopes: np.ndarray) -> np.ndarray:
+    def stiffness(self, slopes: np.ndarray, along: float) -> np.ndarray:
         """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
-        pose."""
+        pose. `along`: the share of what lies along them that is closed at most."""
         gives = (slopes**2 / self.chains.unwelcome).sum(axis=(-1, -2))
         towards, weights = _units(self.touching.ways), self.touching.weights
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
-        share = self.along * weights * _WITH_THUMB[self.chains.told]
+        share = along * weights * (self.pairs == 0).any(axis=1)
         rho = [
             weight / (np.maximum(give, 1e-9) * (1.0 - weight + _LEFT_OPEN))
             for weight, give in ((weights, between), (share, (gives - between) / 2.0))
@@ -394,22 +422,28 @@ class _Problem:
 
     def some(self, rows: np.ndarray) -> _Problem:
         """Some frames alone."""
-        every = np.arange(len(self.chains.told))
-        return _Problem(self.chains, self.angles[rows], self.touching.some(rows, every), self.along)
+        every = np.arange(len(self.pairs))
+        return _Problem(self.chains, self.pairs, self.angles[rows], self.touching.some(rows, every))
 
-    def solve(self, about: np.ndarray) -> np.ndarray:
-        """x (N, U), the nearest to `about`, by projected Levenberg-Marquardt."""
+    def solve(self, about: np.ndarray, again: int) -> np.ndarray:
+        """x (N, U), the least away from `about` (N, U), by projected Levenberg-Marquardt: the first time (0)
+        or `again` (1), from the mean."""
         chains, unwelcome = self.chains, self.chains.unwelcome
         captured = self.angles[:, chains.bones, chains.which]
         # What is beyond its range already may stay so.
-        low = np.clip(chains.lower - captured, -_FARTHEST, 0.0)
-        high = np.clip(chains.upper - captured, 0.0, _FARTHEST)
-        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1])
-        x, damping, left = np.clip(about, low, high), np.full(len(about), 1e-3), np.arange(len(about))
+        low = np.clip(chains.lower - captured, -_FARTHEST[0], 0.0)
+        high = np.clip(chains.upper - captured, 0.0, _FARTHEST[0])
+        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1], _ALONG[again])
+        about = np.clip(about, low, high)
+        if again:
+            low, high = np.maximum(low, about - _FARTHEST[1]), np.minimum(high, about + _FARTHEST[1])
+        x, damping, left = about.copy(), np.full(len(about), 1e-3), np.arange(len(about))
         own = np.arange(len(unwelcome))
 
         def cost(off: np.ndarray, rho: np.ndarray, away: np.ndarray) -> np.ndarray:
-            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * away**2).sum(axis=-1)
+            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * away**2).sum(
+                axis=-1
+            )
 
         for _ in range(_MOST_STEPS):
             problem, stiff, here, away = self.some(left), rho[left], x[left], x[left] - about[left]
