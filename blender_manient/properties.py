@@ -234,9 +234,85 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
 
 
+_OVERRIDABLE: Any = {"LIBRARY_OVERRIDABLE"}
+
+
+class ManientCharacterHand(bpy.types.PropertyGroup):
+    """One hand of Object.manient.character."""
+
+    use: BoolProperty(  # type: ignore
+        name="Use", description="Whether this hand gets motion", default=True, override=_OVERRIDABLE
+    )
+    source: PointerProperty(  # type: ignore
+        name="Source",
+        description="The captured hand whose motion it gets, one of the other side mirrored; empty: the "
+        "scene's only one of its side",
+        type=bpy.types.Object,
+        poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
+        override=_OVERRIDABLE,
+    )
+    hand_map: StringProperty(  # type: ignore
+        description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
+        "that are recognised",
+        override=_OVERRIDABLE,
+    )
+
+
+class ManientCharacter(bpy.types.PropertyGroup):
+    """Object.manient.character of an armature that gets motion from captured hands."""
+
+    left: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)  # type: ignore
+    right: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)  # type: ignore
+    into: EnumProperty(  # type: ignore
+        name="Into",
+        items=(
+            ("NEW", "New Action", "A new action; the present one goes on in the NLA below it"),
+            ("STRIP", "NLA Strip", "A new strip above all others; the present action stays as it is"),
+            (
+                "ACTION",
+                "Present Action",
+                "The present action: keys of the same bones and frames are replaced",
+            ),
+        ),
+        default="NEW",
+        override=_OVERRIDABLE,
+    )
+    wrist: EnumProperty(  # type: ignore
+        name="Hand",
+        description="What of the hand's own motion is applied, beside its fingers",
+        items=(
+            ("FINGERS", "Fingers Only", "The hand stays as it is"),
+            ("TURNED", "Turned", "The hand turns as the captured one does from the marked frame on"),
+            ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
+        ),
+        default="FINGERS",
+        override=_OVERRIDABLE,
+    )
+    reference: IntProperty(  # type: ignore
+        name="Marked Frame",
+        description="The scene frame in which the character's hand is as it is to be in the captured pose",
+        default=1,
+        override=_OVERRIDABLE,
+    )
+    contacts: BoolProperty(  # type: ignore
+        name="Keep Contacts",
+        description="Where captured fingertips touch, the character's touch too: both fingers give way",
+        default=True,
+        override=_OVERRIDABLE,
+    )
+    live: BoolProperty(  # type: ignore
+        name="Live Link",
+        description="Show every change of the captured hands on this character at once, and key it",
+        default=False,
+        update=told("live"),
+        override=_OVERRIDABLE,
+    )
+
+
 class ManientHand(bpy.types.PropertyGroup):
     """Object.manient of a captured hand's armature."""
 
+    character: PointerProperty(type=ManientCharacter, override=_OVERRIDABLE)  # type: ignore
     is_hand: BoolProperty(default=False)  # type: ignore
     side: StringProperty()  # type: ignore
     capture: PointerProperty(  # type: ignore
@@ -318,7 +394,7 @@ _OWNERS: Any = {
 def register() -> None:
     """Add the groups to scenes, objects and collections."""
     for owner, group in _OWNERS.items():
-        owner.manient = PointerProperty(type=group)
+        owner.manient = PointerProperty(type=group, override=_OVERRIDABLE)
 
 
 def unregister() -> None:

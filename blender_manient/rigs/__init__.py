@@ -1,17 +1,57 @@
-"""Which bones of an armature are a hand, and what a pose is to them. One file per kind of rig."""
+"""Which bones of an armature are a hand, and what a pose is to them. One file per kind of rig.
+
+A `Rig` has all of MANO's joints, as the hands that captures build; a `Character` is any other armature, whose
+bones a `HandMap` names.
+"""
 
 from __future__ import annotations
 
 import bpy
 
 from handfit_core.errors import HandModelError
+from handfit_core.retarget.hand_map import HandMap
 from handfit_core.skeleton import SIDES, Side
 
 from ..plugins import failed, found_in, tell_once
+from .character import Character, Found, bones_of
 from .rig import Rig
 
 KINDS: list[type[Rig]] = found_in(__name__, Rig, first=("captured_hand",))
 """Every kind of rig that is known; of those that are equally sure of a hand the first is taken"""
+
+
+CHARACTERS: list[type[Character]] = found_in(__name__, Character, needed=("label",))
+"""Every kind of character rig that is known; of those that are equally sure of a hand the first is taken"""
+
+
+def found_hand(armature: bpy.types.Object, side: Side) -> Found:
+    """A character's hand of one side, of the kind that is surest of it.
+
+    Raises HandModelError where no kind recognises one, or where a kind cannot tell which of several it is.
+    """
+    surest, bones, why = None, bones_of(armature), None
+    for kind in CHARACTERS:
+        try:
+            found = kind.find(armature, bones, side)
+        except HandModelError as error:
+            why = why or error
+        except Exception as error:
+            tell_once(failed(kind, error))
+        else:
+            if found is not None and (surest is None or found.sure > surest.sure):
+                surest = found
+    if surest is not None:
+        return surest
+    raise why or HandModelError(
+        f"no {side} hand was found among the {len(bones.names)} bones of {armature.name!r}: choose its bones "
+        "in the table, or select another armature"
+    )
+
+
+def troubles(armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
+    """What would make keys on a character's hand useless, a sentence each."""
+    kind = next((kind for kind in CHARACTERS if kind.label == hand_map.rig), None)
+    return kind.troubles(armature, hand_map) if kind is not None else []
 
 
 def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -43,23 +43,33 @@ def sample(armature: bpy.types.Object, frames: Iterable[float]) -> Sampled:
     `own_scene.shown_in_pose`.
     """
     scene = bpy.context.scene
-    bones = list(armature.data.bones)  # parents before children
-    names = tuple(bone.name for bone in bones)
-    parents = tuple(names.index(bone.parent.name) if bone.parent else -1 for bone in bones)
     pose, world = [], []
     for frame in frames:
         whole = int(np.floor(frame))
         scene.frame_set(whole, subframe=float(frame - whole))
-        shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-        # Copied now: Blender hands out views of what the next frame overwrites.
-        pose.append(np.array([shown.pose.bones[name].matrix for name in names]))
-        world.append(np.array(shown.matrix_world))
+        now = shown_now(armature)
+        pose.append(now.pose[0])
+        world.append(now.world[0])
+    return replace(
+        shown_now(armature),
+        pose=np.array(pose).reshape(-1, len(armature.data.bones), 4, 4),
+        world=np.array(world).reshape(-1, 4, 4),
+    )
+
+
+def shown_now(armature: bpy.types.Object) -> Sampled:
+    """What the open scene shows at its present frame."""
+    bones = list(armature.data.bones)  # parents before children
+    names = tuple(bone.name for bone in bones)
+    parents = tuple(names.index(bone.parent.name) if bone.parent else -1 for bone in bones)
+    shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    # Copied: Blender hands out views of what the next frame overwrites.
     return Sampled(
         names,
         parents,
         np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4),
-        np.array(pose, dtype=np.float64).reshape(-1, len(names), 4, 4),
-        np.array(world, dtype=np.float64).reshape(-1, 4, 4),
+        np.array([shown.pose.bones[name].matrix for name in names], dtype=np.float64).reshape(1, -1, 4, 4),
+        np.array([shown.matrix_world], dtype=np.float64),
     )
 
 

@@ -1,0 +1,432 @@
+"""A captured hand's motion, or one pose of it, on a character's hand.
+
+Fingers are keyed relative to the hand, whatever arm, switch of IK and FK or object carries it. The hand
+itself is left alone unless it is asked for: pictures do not tell where in the character's world their camera
+stood, so that one frame has to say it (`Onto.reference`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Quaternion
+
+from handfit_core.errors import OptionError
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
+from handfit_core.hand_model.axes import MIRROR_X
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.transfer import SourceHand, TargetHand, mirrored_turns, target_hand
+from handfit_core.slices import retold
+
+from ..blender_versions import action_slot, channels, new_slot
+from ..rigs import troubles
+from ..rigs.character import CharacterBones, bones_of
+from .characters import why_not_reachable
+from .editable import is_tweaked
+from .keys import (
+    SAME_FRAME,
+    PoseKeys,
+    check_unlocked,
+    own_action,
+    pose_at,
+    read_pose_keys,
+    remove_pose_keys,
+    write_pose_keys,
+)
+from .sampling import rotations_of, sample
+from .store import CapturedHand
+
+Into = Literal["NEW", "STRIP", "ACTION"]
+Wrist = Literal["FINGERS", "TURNED", "PLACED"]
+
+_TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_OF", "ACTION", "IK"} | {
+    *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
+}
+"""Constraints that turn a bone away from its keys. Limits only cut them off"""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a captured hand does on N scene frames, in the space of its own armature."""
+
+    source: SourceHand
+    frames: np.ndarray
+    """(N,) scene frames, increasing"""
+    turns: np.ndarray
+    """(N, 16, 3, 3) each joint's rotation relative to its parent, the wrist's to its rest, in rest space"""
+    places: np.ndarray
+    """(N, 3) metres: where the wrist is"""
+
+    def mirrored(self) -> Motion:
+        """The other hand's, as a mirror at x = 0 shows it."""
+        return Motion(self.source.mirrored(), self.frames, mirrored_turns(self.turns), self.places @ MIRROR_X)
+
+
+@dataclass(frozen=True)
+class Onto:
+    """How motion is put on a character."""
+
+    into: Into = "NEW"
+    wrist: Wrist = "FINGERS"
+    reference: float = 1.0
+    """The scene frame in which the character's hand is as it is to be in the captured pose"""
+    contacts: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Applied:
+    """What has been done."""
+
+    frames: int
+    bones: int
+    left_alone: tuple[str, ...]
+    """Why some bones got no keys, a sentence each"""
+    apart: float = 0.0
+    """metres of the captured hand's scale that fingertips which should touch stay apart, at the worst"""
+
+
+def reading_motion(
+    hand: CapturedHand, frames: Sequence[float] | None = None
+) -> Generator[None, None, Motion]:
+    """What a captured hand does on scene frames; None: from its first key to its last, on its keys and on
+    every frame between them. Raises OptionError where it has no keys.
+
+    Its keys are read, or, where anything else moves it (layers, constraints, controls), what it shows: that
+    takes a step per frame, and the scene is back where it was afterwards.
+    """
+    rig, rest = hand.rig, hand.rig.rest
+    wanted = _keyed_frames(hand) if frames is None else np.asarray(frames, dtype=np.float64)
+    if _told_by_keys(hand.armature):
+        quats, locations = pose_at(rig, wanted)
+    else:
+        quats, locations = yield from _shown(hand, wanted)
+    turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
+    return Motion(
+        SourceHand.of(hand.shaped(), hand.side), wanted, turns, rest.wrist + locations @ rest.frames[0].T
+    )
+
+
+def _keyed_frames(hand: CapturedHand) -> np.ndarray:
+    """(N,) the frames on which a hand has keys, and the whole ones in gaps between them."""
+    keyed = read_pose_keys(hand.rig).frames
+    if len(keyed) == 0:
+        raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
+    between = np.arange(np.ceil(keyed[0]), np.floor(keyed[-1]) + 1.0)
+    if len(keyed) == 1:
+        return keyed
+    gaps = np.diff(keyed)[np.clip(np.searchsorted(keyed, between, side="right") - 1, 0, len(keyed) - 2)]
+    return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
+
+
+def _told_by_keys(armature: bpy.types.Object) -> bool:
+    data = armature.animation_data
+    if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
+        return False
+    return not any(c.enabled and c.influence > 0.0 for bone in armature.pose.bones for c in bone.constraints)
+
+
+def _shown(hand: CapturedHand, frames: np.ndarray) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
+    scene = bpy.context.scene
+    now, part = scene.frame_current, scene.frame_subframe
+    quats, locations = [], []
+    try:
+        for frame in frames:
+            sampled = sample(hand.armature, [frame])
+            basis = sampled.basis()[0]
+            chosen = [sampled.names.index(name) for name in hand.rig.bones]
+            quats.append(rotmat_to_quat(rotations_of(basis[chosen])))
+            locations.append(basis[chosen[0], :3, 3])
+            yield
+    finally:
+        scene.frame_set(now, subframe=part)
+    return np.array(quats), np.array(locations)
+
+
+def putting(
+    armature: bpy.types.Object,
+    hands: Sequence[tuple[HandMap, CapturedHand]],
+    onto: Onto,
+    frames: Sequence[float] | None = None,
+) -> Generator[float, None, list[Applied]]:
+    """Key what captured hands do on a character, in steps that tell how much is done, 0..1: on scene frames,
+    or all that they do. Raises HandModelError and OptionError, before anything is changed."""
+    motions = []
+    for number, (hand_map, hand) in enumerate(hands):
+        motion = yield from retold(reading_motion(hand, frames), lambda n=number: 0.5 * n / len(hands))
+        motions.append((hand_map, motion))
+    return (yield from applying(armature, motions, onto))
+
+
+def applying(
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+) -> Generator[float, None, list[Applied]]:
+    """Key motions on a character's hands, in one action, in steps that each tell how much is done, 0..1.
+
+    A motion of the other side is mirrored. Raises HandModelError and OptionError, before anything is changed.
+    """
+    check_own_keys(armature, present=onto.into == "ACTION")
+    computed = yield from computing(armature, hands, onto)
+    if onto.into == "ACTION":
+        yield from _writing_into_present(armature, computed.keys)
+    else:
+        yield from _writing_anew(armature, computed.keys, onto.into)
+    return computed.applied
+
+
+@dataclass(frozen=True, eq=False)
+class BoneKeys:
+    """Keys that are to be written."""
+
+    rig: CharacterBones
+    keys: PoseKeys
+    keyed: np.ndarray
+    """(B,) bool: the bones that get them"""
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """What hands are to do, before any of it is written."""
+
+    keys: list[BoneKeys]
+    applied: list[Applied]
+
+
+def computing(
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+) -> Generator[float, None, Computed]:
+    """What `applying` writes, and raises; nothing is changed."""
+    keys, applied = [], []
+    for hand_map, captured in hands:
+        motion = captured if captured.source.side == hand_map.side else captured.mirrored()
+        target, keyed, left_alone = prepared(armature, hand_map, motion.source)
+        quats = _within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
+        fingers = CharacterBones(armature, target.bones)
+        keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
+        if onto.wrist != "FINGERS":
+            placed = yield from _moving(armature, target, motion, onto)
+            keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
+        applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone)))
+    return Computed(keys, applied)
+
+
+def _writing_into_present(
+    armature: bpy.types.Object, keys: Sequence[BoneKeys]
+) -> Generator[float, None, None]:
+    for one in keys:
+        located = bool(one.keys.location_keyed.any())
+        check_unlocked(one.rig, joints=np.flatnonzero(one.keyed).tolist(), location=located)
+    own_action(armature)
+    for one in keys:
+        first, last = float(one.keys.frames[0]), float(one.keys.frames[-1])
+        located = bool(one.keys.location_keyed.any())
+        remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
+    yield from writing(keys)
+
+
+def _writing_anew(
+    armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
+) -> Generator[float, None, None]:
+    """Write an action that nobody uses until it is whole."""
+    action = bpy.data.actions.new(f"{armature.name} hands")
+    given = False
+    try:
+        slot = new_slot(action, armature.name)
+        yield from writing(keys, channels(action, slot, make=True))
+        _give(armature, action, slot, into)
+        given = True
+    finally:
+        if not given:
+            with contextlib.suppress(ReferenceError):  # an undo has taken it away already
+                bpy.data.actions.remove(action)
+
+
+def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, None, None]:
+    """Write keys, a bone per step; tells how much is done, 0..1."""
+    steps = [(one, bone) for one in keys for bone in np.flatnonzero(one.keyed)]
+    for done, (one, bone) in enumerate(steps, start=1):
+        only = np.zeros_like(one.keys.rotation_keyed)
+        only[:, bone] = one.keys.rotation_keyed[:, bone]
+        located = one.keys.location_keyed & (bone == 0)
+        write_pose_keys(
+            one.rig, replace(one.keys, rotation_keyed=only, location_keyed=located), holder=holder
+        )
+        yield done / len(steps)
+
+
+def _within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
+    """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are."""
+    quats = quats.copy()
+    for k, name in enumerate(names):
+        bone = armature.pose.bones[name]
+        if not any(bone.lock_rotation) or bone.rotation_mode in {"QUATERNION", "AXIS_ANGLE"}:
+            continue
+        euler = bone.rotation_euler.copy()
+        for row, quat in enumerate(quats[:, k].tolist()):
+            euler = Quaternion(quat).to_euler(bone.rotation_mode, euler)
+            for axis in np.flatnonzero(bone.lock_rotation):
+                euler[axis] = bone.rotation_euler[axis]
+            quats[row, k] = euler.to_quaternion()
+    return quats
+
+
+def _moving(
+    armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: Onto
+) -> Generator[float, None, PoseKeys]:
+    """Keys of the bone that moves the whole hand, in steps.
+
+    Let the captured wrist be turned by O and lie at p, and the character's hand bone, in the armature's
+    space, be turned by Q from its rest and lie at x. In the marked frame the two are to look alike, which
+    makes K = Q A O^T the rotation from the capture's space to the armature's. Then Q(t) = K O(t) A^T, and
+    x(t) = x + s K (p(t) - p), with the palms' ratio s.
+    """
+    control = target.hand_map.moved_by
+    why = why_not_turned(armature, control)
+    if why is not None:
+        raise OptionError(
+            f"the hand of {armature.name!r} cannot be moved: {why.removesuffix(': it was left alone')}"
+        )
+    first, last = float(motion.frames[0]), float(motion.frames[-1])
+    if not first - SAME_FRAME <= onto.reference <= last + SAME_FRAME:
+        raise OptionError(
+            f"the marked frame {onto.reference:g} is not among those of the motion, {first:g} to {last:g}: "
+            "go to a frame in which the character's hand is as it is to be, and mark it"
+        )
+    at = int(np.argmin(np.abs(motion.frames - onto.reference)))
+    own, bone = target.hand_map.bones[0], armature.data.bones[control]
+    parent = bone.parent
+    scene = bpy.context.scene
+    now, part = scene.frame_current, scene.frame_subframe
+    parents = np.empty((len(motion.frames), 4, 4))
+    try:
+        marked = _posed(armature, motion.frames[at], [own, *([parent.name] if parent else [])])
+        parents[:] = marked[-1]
+        if parent is not None and not _rests(armature, parent):
+            for row, frame in enumerate(motion.frames):
+                parents[row] = _posed(armature, frame, [parent.name])[0]
+                yield 0.5 * row / len(motion.frames)
+    finally:
+        scene.frame_set(now, subframe=part)
+    rest = np.array(armature.data.bones[own].matrix_local, dtype=np.float64)
+    turned = rotations_of(marked[0]) @ rotations_of(rest).T
+    space = turned @ target.aligned @ motion.turns[at, 0].T
+    turns = space @ motion.turns[:, 0] @ target.aligned.T
+    moved = target.scale * (motion.places - motion.places[at]) @ space.T
+    own_rest = np.array(bone.matrix_local, dtype=np.float64)
+    wanted = np.broadcast_to(np.eye(4), (len(turns), 4, 4)).copy()
+    wanted[:, :3, :3] = turns @ own_rest[:3, :3]
+    wanted[:, :3, 3] = marked[0][:3, 3] + moved + turns @ (own_rest[:3, 3] - rest[:3, 3])
+    quats, places = np.empty((len(turns), 1, 4)), np.empty((len(turns), 3))
+    for row, matrix in enumerate(wanted):
+        above = {}
+        if parent is not None:
+            above = {"parent_matrix": Matrix(parents[row]), "parent_matrix_local": parent.matrix_local}
+        basis = bone.convert_local_to_pose(Matrix(matrix), bone.matrix_local, invert=True, **above)
+        quats[row, 0], places[row] = basis.to_quaternion(), basis.to_translation()
+    located = onto.wrist == "PLACED" and not bone.use_connect
+    return PoseKeys.everywhere(motion.frames, quats, places if located else None)
+
+
+def _posed(armature: bpy.types.Object, frame: float, names: Sequence[str]) -> np.ndarray:
+    """(B, 4, 4) bones in the armature's space, as the open scene shows them in a frame."""
+    whole = int(np.floor(frame))
+    bpy.context.scene.frame_set(whole, subframe=float(frame - whole))
+    shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return np.array([shown.pose.bones[name].matrix for name in names], dtype=np.float64)
+
+
+def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
+    """Whether nothing can move a bone over time: no key, driver, strip or constraint of it or above it."""
+    data = armature.animation_data
+    above = {b.name for b in (bone, *bone.parent_recursive)}
+    if any(len(armature.pose.bones[name].constraints) for name in above):
+        return False
+    if data is None:
+        return True
+    holder = channels(data.action, action_slot(data)) if data.action is not None else None
+    curves = [*data.drivers, *(holder.fcurves if holder is not None else ())]
+    starts = tuple(f'pose.bones["{name}"].' for name in above)
+    return not len(data.nla_tracks) and not any(curve.data_path.startswith(starts) for curve in curves)
+
+
+def prepared(
+    armature: bpy.types.Object, hand_map: HandMap, source: SourceHand
+) -> tuple[TargetHand, np.ndarray, list[str]]:
+    """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
+    bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
+    why = why_not_reachable(armature)
+    if why is not None:
+        raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
+    found = troubles(armature, hand_map)
+    if found:
+        raise OptionError(found[0])
+    target = target_hand(bones_of(armature), hand_map, source)
+    reasons = [why_not_turned(armature, name) for name in target.bones]
+    keyed = np.array([reason is None for reason in reasons])
+    if not keyed.any():
+        raise OptionError(
+            f"none of the fingers of {armature.name!r} can be keyed: {next(filter(None, reasons))}"
+        )
+    return target, keyed, [reason for reason in reasons if reason is not None]
+
+
+def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
+    """Why keys on a bone's rotation would be for nothing, or are not wanted; None where they count."""
+    bone = armature.pose.bones[name]
+    for constraint in bone.constraints:
+        if constraint.type in _TURNING and constraint.enabled and constraint.influence > 0.0:
+            return f"the bone {name} is turned by its constraint {constraint.name}: it was left alone"
+    data = armature.animation_data
+    start = f'pose.bones["{name}"].rotation'
+    if data is not None and any(driver.data_path.startswith(start) for driver in data.drivers):
+        return f"the bone {name} is turned by a driver: it was left alone"
+    if all(bone.lock_rotation) and (bone.lock_rotation_w or bone.rotation_mode != "QUATERNION"):
+        return f"the rotation of the bone {name} is locked: it was left alone"
+    if not armature.data.bones[name].use_inherit_rotation:
+        return f"the bone {name} does not turn with its parent (Inherit Rotation is off): it was left alone"
+    return None
+
+
+def check_own_keys(armature: bpy.types.Object, *, present: bool) -> None:
+    """Raises OptionError where the armature cannot get another action, or its `present` one cannot be
+    changed."""
+    if is_tweaked(armature):
+        raise OptionError(
+            f"{armature.name!r} has an NLA strip in tweak mode: leave it first (Tab in the NLA)"
+        )
+    data = armature.animation_data
+    if present and data is not None and data.action is not None and not data.action.is_editable:
+        raise OptionError(
+            f"the action {data.action.name!r} of {armature.name!r} is linked from another file: choose a new "
+            "action, or make it local"
+        )
+
+
+def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into: Into) -> None:
+    """Have the armature use a finished action."""
+    data = armature.animation_data or armature.animation_data_create()
+    old, old_slot = data.action, action_slot(data)
+    if into == "STRIP":
+        _add_strip(data, action, slot)
+        return
+    if old is not None and old is not action:
+        data.action = None
+        _add_strip(data, old, old_slot)
+    data.action = action
+    if slot is not None:
+        data.action_slot = slot
+
+
+def _add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+    first, last = action.frame_range
+    track = data.nla_tracks.new()
+    track.name = action.name
+    strip = track.strips.new(action.name, int(np.floor(first)), action)
+    if slot is not None:
+        strip.action_slot = slot
+    strip.action_frame_start, strip.action_frame_end = first, max(last, first + 1.0)
+    strip.frame_start, strip.frame_end = first, max(last, first + 1.0)

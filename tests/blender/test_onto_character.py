@@ -1,0 +1,310 @@
+"""A captured hand's motion on a character's hand, judged by evaluated bones."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_manient.rigs.captured_hand import bone_names
+from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import pose_at
+from blender_manient.scene.onto_character import Onto, applying, putting, reading_motion
+from blender_manient.scene.store import hand_of
+from handfit_core.errors import HandfitError
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS, other_side
+from handfit_core.slices import result_of
+
+from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed
+from .conftest import action_curves
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+PLAIN = Onto(contacts=False)
+
+
+def captured(make_take, side="right", **fields):
+    built = build_take(make_take(sides=(side,), **fields).take)
+    hand = hand_of(built.hands[0].armature)
+    assert hand is not None
+    return hand
+
+
+def shown(armature, frame):
+    bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1.0))
+    return armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
+
+
+def palm(points):
+    along = points[4] - points[0]
+    along = along / np.linalg.norm(along)
+    toward = points[1] - points[7]
+    toward = toward - along * (along @ toward)
+    toward /= np.linalg.norm(toward)
+    return np.stack([along, toward, np.cross(along, toward)], axis=-1)
+
+
+def palm_length(armature, wrist, knuckle):
+    bones = armature.data.bones
+    return (bones[knuckle].head_local - bones[wrist].head_local).length
+
+
+def directions(armature, names, frame):
+    """(10, 3) where two segments of each finger point, in the axes of the hand's own palm at that frame."""
+    bones = shown(armature, frame)
+    points = np.array([bones[name].head for name in names])
+    rest = np.array([armature.data.bones[name].head_local for name in names])
+    # The palm as a rigid body, which fingers do not turn.
+    hand = np.array(bones[names[0]].matrix.to_3x3()) @ np.linalg.inv(
+        np.array(armature.data.bones[names[0]].matrix_local.to_3x3())
+    )
+    frame_of = hand @ palm(rest)
+    found = []
+    for finger in FINGERS:
+        first, second, third = FINGER_JOINTS[finger]
+        for a, b in ((first, second), (second, third)):
+            d = frame_of.T @ (points[b] - points[a])
+            found.append(d / np.linalg.norm(d))
+    return np.array(found)
+
+
+def angles(a, b):
+    return np.degrees(np.arccos(np.clip(np.sum(a * b, axis=-1), -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("mode", ["QUATERNION", "XYZ", "ZYX", "AXIS_ANGLE"])
+def test_fingers_point_as_captured(make_take, side, mode):
+    rng = np.random.default_rng(5)
+    hand = captured(make_take, side)
+    target = build_armature(hand_specs(side, rng, bend=0.7, stretch=0.3, scale=40.0))
+    placed(target, rng, 0.02)
+    for bone in target.pose.bones:
+        bone.rotation_mode = mode
+    result_of(putting(target, [(map_of(side), hand)], PLAIN))
+    names = [joint_name(j, side) for j in range(16)]
+    own = bone_names(side)
+    frames = pose_at(hand.rig, np.array([0.0]))  # the rig is asked, not only its name
+    assert frames[0].shape == (1, 16, 4)
+    for frame in np.arange(3, 9):
+        error = angles(directions(target, names, frame), directions(hand.armature, own, frame))
+        assert error.max() < 0.1
+
+
+def test_the_other_side_is_mirrored(make_take):
+    rng = np.random.default_rng(6)
+    hand = captured(make_take, "left")
+    target = build_armature(hand_specs("right", rng, bend=0.4, stretch=0.2))
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    names = [joint_name(j, "right") for j in range(16)]
+    # A left palm's axes are left-handed seen from the right: the third axis turns over.
+    ours = directions(hand.armature, bone_names("left"), 3) * [1.0, 1.0, -1.0]
+    assert angles(directions(target, names, 3), ours).max() < 0.1
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_our_own_second_hand_gets_the_same_pose(make_take, side):
+    hand = captured(make_take, side)
+    second = hand.armature.copy()
+    second.data = hand.armature.data.copy()
+    second.animation_data_clear()
+    second.manient.is_hand = False
+    bpy.context.collection.objects.link(second)
+    result_of(putting(second, [(HandMap(side, tuple(bone_names(side))), hand)], PLAIN))
+    for frame in (3, 8):
+        bones, ours = shown(second, frame), shown(hand.armature, frame)
+        for name in bone_names(side)[1:]:
+            assert np.abs(np.array(bones[name].matrix_basis) - np.array(ours[name].matrix_basis)).max() < 1e-5
+
+
+def test_only_mapped_bones_are_touched_and_the_present_action_goes_on(make_take):
+    rng = np.random.default_rng(7)
+    hand = captured(make_take)
+    specs = hand_specs("right", rng)
+    target = build_armature(specs)
+    wrist = target.pose.bones[joint_name(0, "right")]
+    wrist.rotation_mode = "XYZ"
+    for frame, angle in ((1, 0.0), (5, 1.0)):
+        wrist.rotation_euler.x = angle
+        wrist.keyframe_insert("rotation_euler", frame=frame)
+    body = target.animation_data.action
+    values = [tuple(k.co) for c in action_curves(body) for k in c.keyframe_points]
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    own = target.animation_data.action
+    assert own is not body
+    keyed = {curve.data_path.split('"')[1] for curve in action_curves(own)}
+    assert keyed == {joint_name(j, "right") for j in range(1, 16)}
+    assert [tuple(k.co) for c in action_curves(body) for k in c.keyframe_points] == values
+    bones = shown(target, 5)
+    assert bones[wrist.name].matrix_basis.to_euler().x == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_strip_above_all_others(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(8), bend=0.3))
+    result_of(putting(target, [(map_of("right"), hand)], Onto(into="STRIP", contacts=False)))
+    data = target.animation_data
+    assert data.action is None
+    assert len(data.nla_tracks) == 1
+    names = [joint_name(j, "right") for j in range(16)]
+    for frame in (3, 5, 8):
+        error = angles(
+            directions(target, names, frame), directions(hand.armature, bone_names("right"), frame)
+        )
+        assert error.max() < 0.1
+
+
+def test_the_present_action_loses_the_same_bones_keys_in_the_range_alone(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(9)))
+    bone = target.pose.bones[joint_name(1, "right")]
+    for frame in (-20, 4.5, 90):
+        bone.keyframe_insert("rotation_quaternion", frame=frame)
+    action = target.animation_data.action
+    result_of(putting(target, [(map_of("right"), hand)], Onto(into="ACTION", contacts=False)))
+    assert target.animation_data.action is action
+    keyed = hand.armature.animation_data.action.frame_range
+    curve = next(c for c in action_curves(action) if c.data_path.split('"')[1] == bone.name)
+    frames = [k.co.x for k in curve.keyframe_points]
+    assert frames[0] == -20
+    assert frames[-1] == 90
+    assert 4.5 not in frames
+    assert keyed[0] in frames
+    assert keyed[1] in frames
+
+
+def test_what_turns_a_bone_otherwise_is_left_alone_and_named(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(10)))
+    bones = [target.pose.bones[joint_name(j, "right")] for j in range(16)]
+    bones[1].constraints.new("COPY_ROTATION").target = target
+    bones[2].constraints.new("LIMIT_ROTATION")
+    bones[3].driver_add("rotation_quaternion", 0)
+    bones[4].lock_rotation = (True, True, True)
+    bones[4].rotation_mode = "XYZ"
+    bones[5].constraints.new("COPY_ROTATION").mute = True
+    (applied,) = result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    assert applied.bones == 12
+    assert len(applied.left_alone) == 3
+    told = " ".join(applied.left_alone)
+    assert "constraint" in told
+    assert "driver" in told
+    assert "locked" in told
+    keyed = {c.data_path.split('"')[1] for c in action_curves(target.animation_data.action)}
+    assert not keyed & {bones[1].name, bones[3].name, bones[4].name}
+    assert {bones[2].name, bones[5].name} <= keyed
+
+
+def test_locked_axes_stay_what_they_are(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(11)))
+    bone = target.pose.bones[joint_name(2, "right")]
+    bone.rotation_mode, bone.lock_rotation = "XYZ", (False, True, False)
+    bone.rotation_euler.y = 0.25
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    for curve in action_curves(target.animation_data.action):
+        if bone.name in curve.data_path and curve.array_index == 1:
+            assert np.allclose([k.co.y for k in curve.keyframe_points], 0.25, atol=1e-6)
+
+
+@pytest.mark.parametrize("wrist", ["TURNED", "PLACED"])
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_hand_turns_and_moves_as_captured_from_the_marked_frame(make_take, wrist, moved):
+    """Also where the arm that carries it moves by itself."""
+    rng = np.random.default_rng(12)
+    hand = captured(make_take, seed=4)
+    specs = hand_specs("right", rng, stretch=0.0, parent="arm", scale=3.0)
+    target = build_armature([BoneSpec("arm", "", (0.5, 0, 0), (0.1, 0, 0)), *specs])
+    if moved:
+        arm = target.pose.bones["arm"]
+        arm.rotation_mode = "XYZ"
+        for frame, angle in ((1, 0.0), (5, 0.8)):
+            arm.rotation_euler.z = angle
+            arm.keyframe_insert("rotation_euler", frame=frame)
+    own, names = bone_names("right")[0], joint_name(0, "right")
+    larger = palm_length(target, names, joint_name(4, "right")) / palm_length(
+        hand.armature, own, bone_names("right")[4]
+    )
+    before = shown(target, 3)[names].matrix.copy()
+    result_of(putting(target, [(map_of("right"), hand)], Onto(wrist=wrist, reference=3.0, contacts=False)))
+    assert np.abs(np.array(shown(target, 3)[names].matrix) - np.array(before)).max() < 1e-4
+    for frame in (4, 5, 8):
+        ours, theirs = [], []
+        for at in (3, frame):
+            ours.append(np.array(shown(hand.armature, at)[own].matrix))
+            theirs.append(np.array(shown(target, at)[names].matrix))
+        turned = [m[1][:3, :3] @ m[0][:3, :3].T for m in (ours, theirs)]
+        spun = [np.degrees(np.arccos(np.clip((np.trace(t) - 1.0) / 2.0, -1, 1))) for t in turned]
+        assert spun[0] == pytest.approx(spun[1], abs=0.05)
+        if wrist == "PLACED":
+            gone = [np.linalg.norm(m[1][:3, 3] - m[0][:3, 3]) for m in (ours, theirs)]
+            assert gone[1] == pytest.approx(larger * gone[0], rel=2e-3)
+
+
+def test_a_marked_frame_outside_is_refused(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(13)))
+    with pytest.raises(HandfitError, match="marked frame"):
+        result_of(putting(target, [(map_of("right"), hand)], Onto(wrist="TURNED", reference=500.0)))
+    assert target.animation_data is None
+
+
+def test_what_is_stopped_leaves_nothing(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(14)))
+    count = len(bpy.data.actions)
+    motion = result_of(reading_motion(hand))
+    steps = applying(target, [(map_of("right"), motion)], PLAIN)
+    next(steps)
+    assert len(bpy.data.actions) == count + 1
+    steps.close()
+    assert len(bpy.data.actions) == count
+    assert target.animation_data is None
+
+
+def test_layers_and_constraints_of_the_captured_hand_count(make_take):
+    """Keys do not tell what is shown then."""
+    hand = captured(make_take)
+    name = bone_names("right")[1]
+    limit = hand.armature.pose.bones[name].constraints.new("LIMIT_ROTATION")
+    limit.owner_space, limit.use_limit_x, limit.min_x, limit.max_x = "LOCAL", True, 0.3, 0.3
+    target = build_armature(hand_specs("right", np.random.default_rng(15)))
+    frame = bpy.context.scene.frame_current
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    assert bpy.context.scene.frame_current == frame
+    names = [joint_name(j, "right") for j in range(16)]
+    error = angles(directions(target, names, 4), directions(hand.armature, bone_names("right"), 4))
+    assert error.max() < 0.1
+    assert PARENTS[2] == 1  # so that the limit shows in the second segment
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda o: setattr(o, "scale", (-1.0, 1.0, 1.0)), "negative scale"),
+        (lambda o: setattr(o.data, "pose_position", "REST"), "rest position"),
+        (lambda _o: bpy.ops.object.mode_set(mode="EDIT"), "Edit Mode"),
+    ],
+)
+def test_characters_that_cannot_be_keyed(make_take, spoil, said):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(16)))
+    spoil(target)
+    bpy.context.view_layer.update()
+    with pytest.raises(HandfitError, match=said):
+        result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert target.animation_data is None
+
+
+def test_both_hands_are_in_one_action(make_take):
+    built = build_take(make_take(sides=("left", "right")).take)
+    hands = {h.side: h for h in (hand_of(one.armature) for one in built.hands) if h is not None}
+    rng = np.random.default_rng(17)
+    specs = [*hand_specs("left", rng), *hand_specs("right", rng)]
+    target = build_armature(specs)
+    result_of(putting(target, [(map_of(side), hands[side]) for side in hands], PLAIN))
+    keyed = {c.data_path.split('"')[1] for c in action_curves(target.animation_data.action)}
+    assert len(keyed) == 30
+    assert other_side("left") == "right"
