@@ -19,6 +19,7 @@ from mathutils import Matrix, Quaternion
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import MIRROR_X
+from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, TargetHand, mirrored_turns, target_hand
 from handfit_core.slices import retold
@@ -40,9 +41,13 @@ from .keys import (
 )
 from .sampling import rotations_of, sample
 from .store import CapturedHand
+from .timing import frame_rate
 
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
+
+APART = 0.002
+"""metres of the captured hand's scale: what is less, nobody sees"""
 
 _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_OF", "ACTION", "IK"} | {
     *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
@@ -61,10 +66,13 @@ class Motion:
     """(N, 16, 3, 3) each joint's rotation relative to its parent, the wrist's to its rest, in rest space"""
     places: np.ndarray
     """(N, 3) metres: where the wrist is"""
+    skins: Fingertips | None = None
+    """Its fingertips; None: which of them touch is not known"""
 
     def mirrored(self) -> Motion:
         """The other hand's, as a mirror at x = 0 shows it."""
-        return Motion(self.source.mirrored(), self.frames, mirrored_turns(self.turns), self.places @ MIRROR_X)
+        turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
+        return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins)
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,7 @@ class Onto:
     reference: float = 1.0
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
     contacts: bool = True
+    """Whether fingertips that touch do so on the character, too"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +96,10 @@ class Applied:
     left_alone: tuple[str, ...]
     """Why some bones got no keys, a sentence each"""
     apart: float = 0.0
-    """metres of the captured hand's scale that fingertips which should touch stay apart, at the worst"""
+    """metres of the captured hand's scale by which fingertips that touch do not meet as captured, at the
+    worst"""
+    missed: int = 0
+    """In how many frames that is more than `APART`"""
 
 
 def reading_motion(
@@ -107,7 +119,8 @@ def reading_motion(
         quats, locations = yield from _shown(hand, wanted)
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
     return Motion(
-        SourceHand.of(hand.shaped(), hand.side), wanted, turns, rest.wrist + locations @ rest.frames[0].T
+        *(SourceHand.of(hand.shaped(), hand.side), wanted, turns, rest.wrist + locations @ rest.frames[0].T),
+        Fingertips.of(hand.model(), hand.betas),
     )
 
 
@@ -204,13 +217,21 @@ def computing(
     for hand_map, captured in hands:
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
         target, keyed, left_alone = prepared(armature, hand_map, motion.source)
-        quats = _within_locks(armature, target.bones, rotmat_to_quat(target.local(motion.turns)))
+        standing, apart = target.standing(motion.turns), np.zeros(len(motion.frames))
+        if onto.contacts and motion.skins is not None:
+            times = motion.frames / frame_rate(bpy.context.scene)
+            told = len(applied) / len(hands)
+            steps = keeping_contacts(target, motion.source, motion.skins, motion.turns, times)
+            kept = yield from retold(steps, lambda told=told: told)
+            standing, apart = kept.standing, kept.apart
+        quats = _within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
         if onto.wrist != "FINGERS":
             placed = yield from _moving(armature, target, motion, onto)
             keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
-        applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone)))
+        worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
+        applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
     return Computed(keys, applied)
 
 

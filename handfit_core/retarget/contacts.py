@@ -7,14 +7,14 @@ is least for
 
     x^T M x + sum over touches of (u(x) - v)^T R (u(x) - v)
 
-within the joints' ranges. M says how unwelcome a turn is. R is rho = w / (S (1 - w + e)) between the two skins
-and less along them: w in 0..1 is how much they touch, and S, of J M^-1 J^T with J = du/dx, how far u gives way
-to a turn. A gap alone is thus closed by about the share w, touches that begin or end beside others pull softly,
-and where nothing touches x is exactly zero.
+within the joints' ranges. M says how unwelcome a turn is. R is rho = w / (S (1 - w + e)) between two skins,
+and less along them: w in 0..1 is how much they touch, and S, of J M^-1 J^T with J = du/dx, how far u gives
+way to a turn. A gap alone is thus closed by about the share w, touches that begin or end beside others pull
+softly, and where nothing touches x is exactly zero.
 
-As w is smooth in time, so is x, mostly. Where several fingers touch at once, the best turns can jump from frame
-to frame. So x is found for every frame on its own, the mean of frames near each other is taken, and from there
-each frame closes again, by small turns, what the mean opened.
+As w is smooth in time, so is x, mostly. Where several fingers touch at once, the best turns can jump from one
+frame to the next. So x is found for every frame on its own, the mean of frames near each other is taken, and
+from there each frame closes again, by small turns, what the mean opened.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ class Kept:
 def finding_touches(
     source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
 ) -> Generator[None, None, Touches]:
-    """What touches in captured hands, in steps: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at times
-    (T,) in seconds, rising."""
+    """What touches in captured hands, in steps: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at
+    times (T,) in seconds, rising."""
     last = JOINTS_BY_FINGER[:, 2]
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
     count = len(turns)
