@@ -109,7 +109,9 @@ def tests(session: nox.Session, part: str) -> None:
         run_again_as_another_processor(session, *NUMBERS)
     elif part == "open-hand":
         install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
-        run_pytest(session, "tests/core/hand_model/test_open_hand.py")
+        run_pytest(
+            session, "tests/core/hand_model/test_open_hand.py", "tests/core/retarget/test_thumb_roll.py"
+        )
         run_again_as_another_processor(session, "tests/core/hand_model/test_open_hand.py")
     else:
         run_blender_tests(session, part.removeprefix("bpy-"))

@@ -8,7 +8,18 @@ from types import ModuleType
 
 import bpy
 
-from . import cache, error_graph, jobs, operators, panels, preferences, properties, shared_worker, source_info
+from . import (
+    cache,
+    error_graph,
+    jobs,
+    live_link,
+    operators,
+    panels,
+    preferences,
+    properties,
+    shared_worker,
+    source_info,
+)
 from .panels import preferences as preferences_panel
 from .scene import confidence, render_setup, reshape, see_through
 
@@ -85,6 +96,7 @@ _MODULES = (
     render_setup,
     shared_worker,
     jobs,
+    live_link,
     source_info,
     *_files_of(operators),
     *_files_of(panels),

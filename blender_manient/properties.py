@@ -241,7 +241,11 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
     """One hand of Object.manient.character."""
 
     use: BoolProperty(  # type: ignore
-        name="Use", description="Whether this hand gets motion", default=True, override=_OVERRIDABLE
+        name="Use",
+        description="Whether this hand gets motion",
+        default=True,
+        update=told("character"),
+        override=_OVERRIDABLE,
     )
     source: PointerProperty(  # type: ignore
         name="Source",
@@ -249,11 +253,13 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         "scene's only one of its side",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     hand_map: StringProperty(  # type: ignore
         description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
         "that are recognised",
+        update=told("character"),
         override=_OVERRIDABLE,
     )
 
@@ -286,26 +292,37 @@ class ManientCharacter(bpy.types.PropertyGroup):
             ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
         ),
         default="FINGERS",
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     reference: IntProperty(  # type: ignore
         name="Marked Frame",
         description="The scene frame in which the character's hand is as it is to be in the captured pose",
         default=1,
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     contacts: BoolProperty(  # type: ignore
         name="Keep Contacts",
         description="Where captured fingertips touch, the character's touch too: both fingers give way",
         default=True,
+        update=told("character"),
         override=_OVERRIDABLE,
     )
     live: BoolProperty(  # type: ignore
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
         default=False,
-        update=told("live"),
+        update=told("character"),
         override=_OVERRIDABLE,
+    )
+    action: PointerProperty(  # type: ignore
+        type=bpy.types.Action,
+        description="The action that the live link keys (live_link.py)",
+        override=_OVERRIDABLE,
+    )
+    linked: StringProperty(  # type: ignore
+        description="Changes with what the live link has keyed", override=_OVERRIDABLE
     )
 
 

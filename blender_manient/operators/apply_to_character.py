@@ -7,12 +7,11 @@ from collections.abc import Generator
 import bpy
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.skeleton import SIDES
 from handfit_core.slices import result_of, slice_clock
 
 from ..remembered import Remembered
 from ..scene.build import Watch
-from ..scene.characters import active_character, hand_map_of, sources_of, why_not_reachable
+from ..scene.characters import active_character, hands_to_move, sources_of, why_not_reachable
 from ..scene.onto_character import Applied, Onto, putting
 from ..wording import counted
 from .needs_hand import Refuses, Waits, errors_reported
@@ -110,7 +109,6 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     def _work(self, context) -> Generator[float, None, list[Applied]]:
         armature = active_character(context)
         assert armature is not None
-        sources = sources_of(armature, context)
         settings = armature.manient.character
         posing = self.mode == "POSE"
         onto = Onto(
@@ -119,7 +117,7 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
             reference=settings.reference,
             contacts=settings.contacts,
         )
-        hands = [(hand_map_of(armature, side), sources[side]) for side in SIDES if side in sources]
+        hands = hands_to_move(armature, context)
         return (
             yield from putting(armature, hands, onto, [context.scene.frame_current_final] if posing else None)
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import bpy
 
 from handfit_core.errors import HandModelError
-from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.hand_map import HandMap, SeveralHands
 from handfit_core.skeleton import SIDES, Side
 
 from ..plugins import failed, found_in, tell_once
@@ -29,20 +29,21 @@ def found_hand(armature: bpy.types.Object, side: Side) -> Found:
 
     Raises HandModelError where no kind recognises one, or where a kind cannot tell which of several it is.
     """
-    surest, bones, why = None, bones_of(armature), None
+    bones = bones_of(armature)
+    contenders: list[Found | SeveralHands] = []
     for kind in CHARACTERS:
         try:
             found = kind.find(armature, bones, side)
-        except HandModelError as error:
-            why = why or error
+        except SeveralHands as several:
+            found = several
         except Exception as error:
             tell_once(failed(kind, error))
-        else:
-            if found is not None and (surest is None or found.sure > surest.sure):
-                surest = found
-    if surest is not None:
+            continue
+        contenders += [found] if found is not None else []
+    surest = max(contenders, key=lambda one: one.sure, default=None)
+    if isinstance(surest, Found):
         return surest
-    raise why or HandModelError(
+    raise surest or HandModelError(
         f"no {side} hand was found among the {len(bones.names)} bones of {armature.name!r}: choose its bones "
         "in the table, or select another armature"
     )

@@ -4,26 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
 import bpy
 import numpy as np
 
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.hand_map import Found, HandMap
 from handfit_core.skeleton import Side
 
 from .rig import PosedBones
-
-
-@dataclass(frozen=True)
-class Found:
-    """A hand that was recognised."""
-
-    hand_map: HandMap
-    sure: float
-    """0 (not at all) to 1"""
 
 
 class Character(ABC):
@@ -40,7 +30,7 @@ class Character(ABC):
     @classmethod
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:  # noqa: ARG003
         """What would make keys on the mapped bones useless, such as a switch that is set to IK; one sentence
-        each. None of them by default."""
+        each. None of them by default. The map has no `control` where only fingers get keys."""
         return []
 
 
@@ -78,3 +68,15 @@ def bones_of(armature: bpy.types.Object) -> Bones:
         matrices[:, :3, :3].copy(),
         inherits,
     )
+
+
+def driven_bones(armature: bpy.types.Object) -> set[str]:
+    """The bones that a constraint turns or moves, so that keys of their own do nothing."""
+    return {
+        bone.name
+        for bone in armature.pose.bones
+        if any(
+            not one.mute and one.influence > 0.0 and not one.type.startswith("LIMIT")
+            for one in bone.constraints
+        )
+    }

@@ -102,6 +102,26 @@ def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[S
     return found
 
 
+def hands_to_move(
+    armature: bpy.types.Object, context: bpy.types.Context
+) -> list[tuple[HandMap, CapturedHand]]:
+    """A character's hands, and the captured hand that each of them follows. A hand that it lacks is
+    left out, unless its source was chosen. Raises OptionError and HandModelError where none is left."""
+    found, lacking = [], None
+    for side, hand in sources_of(armature, context).items():
+        try:
+            found.append((hand_map_of(armature, side), hand))
+        except HandModelError as error:
+            if getattr(armature.manient.character, side).source is not None:
+                raise
+            lacking = lacking or error
+    if not found:
+        raise lacking or OptionError(
+            "there is no captured hand in this scene that this character could follow"
+        )
+    return found
+
+
 @functools.lru_cache(maxsize=64)
 def _read(text: str) -> HandMap | None:
     try:

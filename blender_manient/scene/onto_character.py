@@ -113,7 +113,7 @@ def reading_motion(
     """
     rig, rest = hand.rig, hand.rig.rest
     wanted = _keyed_frames(hand) if frames is None else np.asarray(frames, dtype=np.float64)
-    if _told_by_keys(hand.armature):
+    if told_by_keys(hand.armature):
         quats, locations = pose_at(rig, wanted)
     else:
         quats, locations = yield from _shown(hand, wanted)
@@ -136,7 +136,8 @@ def _keyed_frames(hand: CapturedHand) -> np.ndarray:
     return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
-def _told_by_keys(armature: bpy.types.Object) -> bool:
+def told_by_keys(armature: bpy.types.Object) -> bool:
+    """Whether nothing but the present action's keys moves the bones of an armature."""
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
@@ -187,7 +188,7 @@ def applying(
     if onto.into == "ACTION":
         yield from _writing_into_present(armature, computed.keys)
     else:
-        yield from _writing_anew(armature, computed.keys, onto.into)
+        yield from writing_anew(armature, computed.keys, onto.into)
     return computed.applied
 
 
@@ -216,18 +217,17 @@ def computing(
     keys, applied = [], []
     for hand_map, captured in hands:
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
-        target, keyed, left_alone = prepared(armature, hand_map, motion.source)
+        fingers_only = onto.wrist == "FINGERS"
+        target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
         standing, apart = target.standing(motion.turns), np.zeros(len(motion.frames))
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)
-            told = len(applied) / len(hands)
-            steps = keeping_contacts(target, motion.source, motion.skins, motion.turns, times)
-            kept = yield from retold(steps, lambda told=told: told)
+            kept = yield from keeping_contacts(target, motion.source, motion.skins, motion.turns, times)
             standing, apart = kept.standing, kept.apart
         quats = _within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
-        if onto.wrist != "FINGERS":
+        if not fingers_only:
             placed = yield from _moving(armature, target, motion, onto)
             keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
         worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
@@ -249,7 +249,7 @@ def _writing_into_present(
     yield from writing(keys)
 
 
-def _writing_anew(
+def writing_anew(
     armature: bpy.types.Object, keys: Sequence[BoneKeys], into: Into
 ) -> Generator[float, None, None]:
     """Write an action that nobody uses until it is whole."""
@@ -375,14 +375,14 @@ def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
 
 
 def prepared(
-    armature: bpy.types.Object, hand_map: HandMap, source: SourceHand
+    armature: bpy.types.Object, hand_map: HandMap, source: SourceHand, *, fingers_only: bool
 ) -> tuple[TargetHand, np.ndarray, list[str]]:
     """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
     bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
     why = why_not_reachable(armature)
     if why is not None:
         raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
-    found = troubles(armature, hand_map)
+    found = troubles(armature, replace(hand_map, control="") if fingers_only else hand_map)
     if found:
         raise OptionError(found[0])
     target = target_hand(bones_of(armature), hand_map, source)

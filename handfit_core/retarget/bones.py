@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,3 +43,10 @@ class Bones:
         """The bone's parent, that one's parent, and so on."""
         while (bone := int(self.parents[bone])) >= 0:
             yield bone
+
+    def holding(self, those: Sequence[int], wanted: int | None = None) -> int | None:
+        """The bone that all those hang from: `wanted` if they do, else their nearest common ancestor; None
+        where they have none."""
+        first, *others = ([*self.ancestors(bone)] for bone in those)
+        shared = [bone for bone in first if all(bone in line for line in others)]
+        return wanted if wanted in shared else shared[0] if shared else None

@@ -48,7 +48,7 @@ BLEND: Final = 0.1
 
 _THUMB: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
 """Diagonal of M of the thumb's three joints: twist, spread and bend"""
-_FINGER: Final = ((np.inf, 3.0, 1.0), (np.inf, np.inf, 1.0), (np.inf, np.inf, 1.5))
+_FINGER: Final = ((np.inf, 4.0, 2.0), (np.inf, np.inf, 2.0), (np.inf, np.inf, 3.0))
 """The same of the other fingers. Infinite: they do not turn so"""
 _LEFT_OPEN: Final = 0.02
 """e: the share of a gap that stays open where both touch"""

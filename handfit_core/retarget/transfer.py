@@ -263,8 +263,24 @@ def palm_frame(wrist: np.ndarray, knuckles: Mapping[str, np.ndarray], side: Side
             "palm faces: look whether the table names the right bones"
         )
     along, toward = along / size, toward / across
-    back = np.cross(along, toward) * (1.0 if side == "left" else -1.0)
+    back = np.cross(along, toward) * (1.0 if side == "right" else -1.0)
     return np.stack([along, toward, back], axis=-1), size
+
+
+def leaning(bones: Bones, hand_map: HandMap) -> float:
+    """How much a hand at rest looks like a left one, by where its fingers bend to and its thumb stands: below
+    zero like a right one, near zero (0.02) where it is as flat as a glove."""
+    heads = {j: bones.heads[bones.index[name]] for j, name in enumerate(hand_map.bones) if name}
+    lines = {f: [heads[j] for j in FINGER_JOINTS[f] if j in heads] for f in hand_map.fingers}
+    frame, size = palm_frame(heads[0], {finger: line[0] for finger, line in lines.items()}, "left")
+    outwards = np.zeros(3)
+    for finger, line in lines.items():
+        if finger == "thumb":
+            others = [own[0] for other, own in lines.items() if other != finger]
+            outwards += (np.mean(others, axis=0) - line[-1]) / size
+        elif len(line) == 3:
+            outwards += 0.5 * (_unit(line[1] - line[0]) - _unit(line[2] - line[1]))
+    return float(frame[:, 2] @ outwards)
 
 
 def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:

@@ -1,0 +1,258 @@
+"""The live link: what changes on captured hands shows on the characters that follow them, and is keyed there.
+
+Blender tells when a hand's armature has changed. At once the character takes the pose that the hand shows in
+this frame; when nothing has changed for a moment, what differs from the keys that the link has written before
+is written into the same action, in slices. Keys of the artist on other frames of the character stay.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.geometry.rotations import rotmat_to_quat
+from handfit_core.retarget.transfer import SourceHand, mirrored_turns
+from handfit_core.slices import result_of, slice_clock
+
+from .remembered import Remembered
+from .rigs.character import CharacterBones
+from .scene.characters import hands_to_move
+from .scene.keys import nearest, remove_pose_keys, set_pose
+from .scene.onto_character import (
+    BoneKeys,
+    Onto,
+    computing,
+    prepared,
+    reading_motion,
+    told_by_keys,
+    writing,
+    writing_anew,
+)
+from .scene.sampling import rotations_of, shown_now
+
+_TICK = 1 / 60
+"""seconds between two looks while something is to be done"""
+_CALM = 0.2
+"""seconds without a change after which keys are written"""
+_SAME = 1e-6
+"""Parts of quaternions, and locations, that differ by less are the same key"""
+
+
+class _Link:
+    """A character that follows captured hands."""
+
+    def __init__(self, armature: bpy.types.Object) -> None:
+        self.armature = Remembered.of("objects", armature)
+        self.changed: float | None = time.monotonic()
+        """When a change was last seen that is not keyed yet"""
+        self.shows = False
+        """Whether the pose is to be shown at once"""
+        self.written: list[BoneKeys] | None = None
+        """What the link has keyed last; None where it does not know any more"""
+        self.steps: Iterator[float] | None = None
+
+
+_links: dict[int, _Link] = {}
+"""By the armatures' session_uid"""
+_settling = False
+"""Whether a property is being set by this module itself"""
+_troubles: dict[int, str] = {}
+"""Why a character follows no more, a sentence each"""
+
+
+def trouble(armature: bpy.types.Object) -> str | None:
+    """Why a linked character does not follow, or not with keys; None where it does."""
+    return _troubles.get(armature.session_uid)
+
+
+def step() -> float | None:
+    """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
+    None where nothing is to be done."""
+    if bpy.app.is_job_running("RENDER"):
+        return _CALM
+    is_over = slice_clock()
+    for uid, link in list(_links.items()):
+        armature = link.armature.find()
+        if armature is None or not armature.manient.character.live:
+            del _links[uid]
+            continue
+        try:
+            _step(link, armature, is_over)
+            if link.changed is None:
+                _troubles.pop(uid, None)
+        except (HandfitError, ReferenceError) as error:
+            link.steps, link.changed = None, None
+            _troubles[uid] = str(error)
+    return _TICK if any(link.changed is not None or link.shows for link in _links.values()) else None
+
+
+def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) -> None:
+    if link.shows:
+        link.shows = False
+        _show(armature)
+    if link.changed is None or time.monotonic() - link.changed < _CALM:
+        return
+    if link.steps is None:
+        link.steps = _keying(link, armature)
+    for _ in link.steps:
+        if is_over():
+            return
+    link.steps, link.changed = None, None
+
+
+def _show(armature: bpy.types.Object) -> None:
+    """Put the fingers where the captured hands show them now."""
+    for hand_map, hand in hands_to_move(armature, bpy.context):
+        source, rest = SourceHand.of(hand.shaped(), hand.side), hand.rig.rest
+        shown = shown_now(hand.armature)
+        basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
+        turns = rest.frames @ basis @ np.swapaxes(rest.frames, -1, -2)
+        if hand.side != hand_map.side:
+            source, turns = source.mirrored(), mirrored_turns(turns)
+        target, keyed, _ = prepared(armature, hand_map, source)
+        quats = rotmat_to_quat(target.local(turns[None]))[0]
+        quats[~keyed] = np.nan
+        set_pose(CharacterBones(armature, target.bones), quats)
+
+
+def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, None]:
+    """Write what is not what the link has written before."""
+    character, hands = armature.manient.character, hands_to_move(armature, bpy.context)
+    for _, hand in hands:
+        if not told_by_keys(hand.armature):
+            raise OptionError(
+                f"{hand.armature.name} is moved by more than its keys (layers, constraints or controls), so "
+                "that the link only shows its pose: press Apply to Character to key the motion"
+            )
+    onto = Onto("NEW", character.wrist, character.reference, character.contacts)
+    motions = [(hand_map, result_of(reading_motion(hand))) for hand_map, hand in hands]
+    computed = yield from computing(armature, motions, onto)
+    if character.action is None:
+        yield from writing_anew(armature, computed.keys, "NEW")
+        character.action = armature.animation_data.action
+    elif armature.animation_data is None or armature.animation_data.action is not character.action:
+        raise OptionError(
+            "this character has another action now: switch the link off and on to key a new one"
+        )
+    elif link.written is not None or _digest(computed.keys) != character.linked:
+        for one in computed.keys:
+            before = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
+            yield from writing([one if before is None else _changed(before, one)])
+    link.written, character.linked = computed.keys, _digest(computed.keys)
+
+
+def _changed(old: BoneKeys, new: BoneKeys) -> BoneKeys:
+    """Those of the new keys that are not the old ones. Takes the keys of a range away in which there are
+    fewer now, and has all of that range be written."""
+    _, stays = nearest(new.keys.frames, old.keys.frames)
+    gone = old.keys.frames[~stays]
+    at, same = nearest(old.keys.frames, new.keys.frames)
+    if len(gone):
+        located = bool(old.keys.location_keyed.any())
+        joints = np.flatnonzero(new.keyed).tolist()
+        remove_pose_keys(new.rig, float(gone[0]), float(gone[-1]), joints=joints, location=located)
+        same &= (new.keys.frames < gone[0]) | (new.keys.frames > gone[-1])
+    alike = np.abs(np.sum(old.keys.quats[at] * new.keys.quats, axis=-1)) > 1.0 - _SAME
+    there = np.abs(old.keys.locations[at] - new.keys.locations).max(axis=-1) < _SAME
+    keys = replace(
+        new.keys,
+        rotation_keyed=new.keys.rotation_keyed & ~(alike & same[:, None]),
+        location_keyed=new.keys.location_keyed & ~(there & same),
+    )
+    return replace(new, keys=keys)
+
+
+def _digest(keys: Sequence[BoneKeys]) -> str:
+    """Changes with what is to be keyed, beyond rounding."""
+    sha = hashlib.sha256()
+    for one in keys:
+        sha.update("/".join(one.rig.bones).encode())
+        for array in (one.keys.frames, one.keys.quats, one.keys.locations):
+            sha.update(np.round(array, 5).tobytes())
+    return sha.hexdigest()[:16]
+
+
+@bpy.app.handlers.persistent
+def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    """Something in the scene has changed; changes of the frame alone do not come here."""
+    changed = {update.id.original.session_uid for update in depsgraph.updates}
+    for link in _links.values():
+        armature = link.armature.find()
+        if armature is None:
+            continue
+        character = armature.manient.character
+        sources = [s for s in (character.left.source, character.right.source) if s is not None]
+        if any({s.session_uid, s.data.session_uid} & changed for s in sources):
+            link.shows, link.changed, link.steps = True, time.monotonic(), None
+            _wake()
+
+
+def followed(group: bpy.types.PropertyGroup) -> None:
+    """A character's settings have changed: whether it follows, whom, or how."""
+    global _settling
+    armature = group.id_data
+    character, uid = armature.manient.character, armature.session_uid
+    if _settling:
+        return
+    _links.pop(uid, None)
+    _troubles.pop(uid, None)
+    if character.live:
+        _settling = True
+        try:
+            # From now on the same hands, whatever is captured or selected later.
+            for hand_map, hand in hands_to_move(armature, bpy.context):
+                getattr(character, hand_map.side).source = hand.armature
+            data = armature.animation_data
+            if data is None or data.action is not character.action:
+                character.action = None
+            _links[uid] = _Link(armature)
+        except HandfitError as error:
+            _troubles[uid] = str(error)
+        finally:
+            _settling = False
+    _follow()
+
+
+@bpy.app.handlers.persistent
+def _on_time_travel(*_args) -> None:
+    """Another file, an undo or a redo: nobody knows what is keyed now."""
+    _links.clear()
+    for armature in bpy.data.objects:
+        if armature.type == "ARMATURE" and armature.manient.character.live:
+            _links[armature.session_uid] = _Link(armature)
+    _follow()
+
+
+def _follow() -> None:
+    """Listen to changes as long as some character follows, and no longer."""
+    handlers = bpy.app.handlers.depsgraph_update_post
+    if _links and _on_update not in handlers:
+        handlers.append(_on_update)
+    elif not _links and _on_update in handlers:
+        handlers.remove(_on_update)
+    if _links:
+        _wake()
+
+
+def _wake() -> None:
+    if not bpy.app.timers.is_registered(step):
+        bpy.app.timers.register(step, first_interval=0.0)
+
+
+HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel)
+FOLLOWS = {"character": followed}
+
+
+def unregister() -> None:
+    """Follow nobody any more."""
+    _links.clear()
+    _troubles.clear()
+    _follow()
+    if bpy.app.timers.is_registered(step):
+        bpy.app.timers.unregister(step)

