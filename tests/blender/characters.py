@@ -22,8 +22,8 @@ class BoneSpec:
 
     name: str
     parent: str
-    head: Sequence[float]
-    tail: Sequence[float]
+    head: Sequence[float] | np.ndarray
+    tail: Sequence[float] | np.ndarray
     roll: float = 0.0
 
 

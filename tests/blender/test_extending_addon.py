@@ -35,7 +35,13 @@ class Half(Exporter):
     def write(self, path, hands, preset): pass
 """,
     "rigs": """
+from .character import Character
 from .rig import Rig
+
+class Wrong(Character):
+    label = "Wrong"
+    @classmethod
+    def find(cls, armature, bones, side): return armature["what is not there"]
 
 class Raising(Rig):
     @classmethod
@@ -115,6 +121,49 @@ except RuntimeError as error:
 blender_manient.unregister()
 """
 
+CHARACTER = """
+import bpy, sys
+import blender_manient
+from handfit_core.errors import OptionError
+from handfit_core.slices import result_of
+from handfit_core.take import Take
+blender_manient.register()
+from blender_manient.rigs import found_hand
+from blender_manient.scene.build import build_take
+from blender_manient.scene.onto_character import Onto, putting
+from blender_manient.scene.store import hand_of
+bpy.ops.wm.read_factory_settings(use_empty=True)
+hand = build_take(Take.load(sys.argv[1]), picture=False).hands[0]
+puppet = hand.armature.copy()
+puppet.data = hand.armature.data.copy()
+puppet.animation_data_clear()
+puppet.manient.is_hand = False
+bpy.context.collection.objects.link(puppet)
+seen = {}
+for bone in puppet.data.bones:
+    finger = bone.name.partition("_")[0].removesuffix(".R")
+    seen[finger] = seen.get(finger, -1) + 1
+    bone.name = "palm_r_ctl" if finger == "wrist" else f"{finger}_{'abc'[seen[finger]]}_r_ctl"
+found = found_hand(puppet, "right").hand_map
+assert found.rig == "Studio puppet", found
+puppet["finger_ik"] = 1.0
+def put():
+    result_of(putting(puppet, [(found, hand_of(hand.armature))], Onto(contacts=False)))
+try:
+    put()
+    raise SystemExit("applied with IK")
+except OptionError as error:
+    assert "follow IK: set its property finger_ik to 0" in str(error), error
+assert puppet.animation_data is None or puppet.animation_data.action is None
+puppet["finger_ik"] = 0.0
+put()
+bpy.context.scene.frame_set(4)
+for ours, theirs in zip(hand.armature.pose.bones[1:], puppet.pose.bones[1:], strict=True):
+    turned = ours.matrix_basis.to_quaternion().rotation_difference(theirs.matrix_basis.to_quaternion())
+    assert turned.angle < 1e-3, ours.name
+blender_manient.unregister()
+"""
+
 
 def make(heading: str, folder: Path) -> None:
     """Write a section's file into its folder, and one beside it that cannot be loaded."""
@@ -129,7 +178,8 @@ def make(heading: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "folder", "script"), [("An exporter", "exporters", EXPORT), ("A rig", "rigs", RIG)]
+    ("heading", "folder", "script"),
+    [("An exporter", "exporters", EXPORT), ("A rig", "rigs", RIG), ("A character", "rigs", CHARACTER)],
 )
 def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     shutil.copytree(ROOT / "blender_manient", tmp_path / "blender_manient")
@@ -148,12 +198,13 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     assert done.returncode == 0, done.stderr[-3000:]
     assert "broken.py is left out" in done.stderr
     for said in {
-        "exporters": (
+        "An exporter": (
             "aaa.py is left out: Nameless has no name, label, description",
             "aaa.py is left out: Half has no is_whole",
             "Usurper of aaa.py is left out: there is a format 'fbx' already",
         ),
-        "rigs": ("the plug-in aaa.py failed in Raising (KeyError: ",),
-    }[folder]:
+        "A rig": ("the plug-in aaa.py failed in Raising (KeyError: ",),
+        "A character": ("the plug-in aaa.py failed in Wrong (KeyError: ",),
+    }[heading]:
         assert done.stderr.count(said) == 1, done.stderr[-3000:]
     assert "Traceback" not in done.stderr
