@@ -69,6 +69,12 @@ class Motion:
     skins: Fingertips | None = None
     """Its fingertips; None: which of them touch is not known"""
 
+    @classmethod
+    def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
+        """What a hand in the scene does. Raises HandModelError."""
+        source = SourceHand.of(hand.shaped(), hand.side)
+        return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
+
     def mirrored(self) -> Motion:
         """The other hand's, as a mirror at x = 0 shows it."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
@@ -118,10 +124,7 @@ def reading_motion(
     else:
         quats, locations = yield from _shown(hand, wanted)
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
-    return Motion(
-        *(SourceHand.of(hand.shaped(), hand.side), wanted, turns, rest.wrist + locations @ rest.frames[0].T),
-        Fingertips.of(hand.model(), hand.betas),
-    )
+    return Motion.of(hand, wanted, turns, rest.wrist + locations @ rest.frames[0].T)
 
 
 def _keyed_frames(hand: CapturedHand) -> np.ndarray:
