@@ -61,6 +61,20 @@ def assign_action(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
     return channels(action, data.action_slot, make=True)
 
 
+def used_actions(owner: bpy.types.Object) -> list[tuple[Any, Any]]:
+    """Every (action, slot) that moves an object: the present one and those in its NLA."""
+    data = owner.animation_data
+    if data is None:
+        return []
+    used = [(data.action, action_slot(data))]
+    used += [(strip.action, action_slot(strip)) for track in data.nla_tracks for strip in track.strips]
+    found: dict[Any, tuple[Any, Any]] = {}
+    for action, slot in used:
+        if action is not None and action.is_editable:
+            found[action, slot.handle if slot is not None else 0] = (action, slot)
+    return list(found.values())
+
+
 def use_nodes(block: bpy.types.Material | bpy.types.World) -> Any:
     """Have a material or world made of nodes. Returns its node tree.
 

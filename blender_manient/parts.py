@@ -21,7 +21,7 @@ from . import (
     source_info,
 )
 from .panels import preferences as preferences_panel
-from .scene import confidence, render_setup, reshape, see_through
+from .scene import confidence, controls, render_setup, reshape, see_through
 
 _KINDS = (
     bpy.types.AddonPreferences,
@@ -90,6 +90,7 @@ _MODULES = (
     properties,
     cache,
     reshape,
+    controls,
     confidence,
     error_graph,
     see_through,

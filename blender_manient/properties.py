@@ -370,6 +370,18 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
     )
+    use_controls: BoolProperty(  # type: ignore
+        name="Controls",
+        description="Have the controls move the hand; without them it does what its keys say",
+        default=True,
+        update=told("controls"),
+    )
+    limits: BoolProperty(  # type: ignore
+        name="Joint Limits",
+        description="Stop fingers where joints do, but no sooner than the captured motion goes",
+        default=True,
+        update=told("controls"),
+    )
     show_confidence: BoolProperty(  # type: ignore
         name="Confidence Colors",
         description="Color bones by how well they meet the picture in this frame",

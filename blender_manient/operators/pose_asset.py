@@ -6,8 +6,9 @@ import bpy
 import numpy as np
 
 from ..blender_versions import channels, new_slot
+from ..scene.controls import rotations_now
 from ..scene.editable import why_not_readable
-from ..scene.keys import PoseKeys, displayed_pose, write_pose_keys
+from ..scene.keys import PoseKeys, write_pose_keys
 from .needs_hand import OnHand, hand_in
 
 
@@ -42,7 +43,7 @@ class MANIENT_OT_save_pose_asset(OnHand, bpy.types.Operator):
         chosen = np.ones((1, 16), dtype=bool)
         chosen[0, 0] = self.wrist
         keys = PoseKeys(
-            np.array([1.0]), displayed_pose(rig)[None], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool)
+            np.array([1.0]), rotations_now(rig)[None], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool)
         )
         write_pose_keys(rig, keys, holder=channels(action, slot, make=True))
         action.asset_mark()

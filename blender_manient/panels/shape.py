@@ -26,6 +26,15 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
         column.operator("manient.mirror_hand", icon="MOD_MIRROR")
         column.operator("manient.apply_take", icon="IMPORT")
         column.operator("manient.save_pose_asset", icon="ASSET_MANAGER")
+        column = layout.column(align=True)
+        if hand.rig.controls:
+            row = column.row(align=True)
+            row.prop(hand.armature.manient, "use_controls", toggle=True)
+            row.prop(hand.armature.manient, "limits", toggle=True)
+            column.operator("manient.bake_controls", icon="ACTION")
+            column.operator("manient.remove_controls", icon="X")
+        else:
+            column.operator("manient.add_controls", icon="POSE_HLT")
         if hand.armature.manient.wrist != "open":
             layout.prop(hand.armature.manient, "forearm")
 

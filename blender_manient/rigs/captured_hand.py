@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
 import numpy as np
@@ -12,6 +13,7 @@ from mathutils import Vector
 from handfit_core.hand_model import ShapedHand, axes
 from handfit_core.skeleton import JOINT_NAMES, PARENTS, Side
 
+from . import controls
 from .rig import Rig
 
 _SUFFIX: dict[Side, str] = {"right": ".R", "left": ".L"}
@@ -42,18 +44,51 @@ class CapturedHandRig(Rig):
         return bone_names(self.side)
 
     def follow(self, shaped: ShapedHand) -> None:
-        """Move the 16 rest bones. Other bones that the artist added stay where they are."""
-        # The artist's object may be in Pose mode, hidden or in a collection that is switched off.
-        editor = bpy.data.objects.new("reshape", self.armature.data)
-        with _edit_mode(editor):
-            own = [self.armature.data.edit_bones[name] for name in self.bones]
+        """Move the 16 rest bones, and the controls. Other bones that the artist added stay where they are."""
+        names = self.controls
+        with self._edited() as edit_bones:
+            own = [edit_bones[name] for name in self.bones]
             connected = [bone.use_connect for bone in own]
             for bone in own:
                 bone.use_connect = False  # else moving one end would move its neighbour's
             _place(own, shaped, self.side)
             for bone, was in zip(own, connected, strict=True):
                 bone.use_connect = was
-        bpy.data.objects.remove(editor)
+            controls.place_controls(edit_bones, self.bones, names)
+
+    @property
+    def controls(self) -> dict[str, str]:
+        """The bones to animate it with by hand, by what they control; none until they are added."""
+        return controls.control_bones(self.armature)
+
+    def add_controls(self) -> None:
+        """Give a hand that has none its controls."""
+        with self._edited() as edit_bones:
+            names = controls.make_bones(edit_bones, self.bones)
+        controls.set_up(self.armature, self.bones, names, self.side)
+
+    def remove_controls(self) -> None:
+        """Take the controls away, with all that they do."""
+        names = self.controls
+        controls.take_down(self.armature)
+        with self._edited() as edit_bones:
+            for name in names.values():
+                edit_bones.remove(edit_bones[name])
+
+    def allow(self, quats: np.ndarray) -> None:
+        """Widen the joints' limits where poses go beyond them."""
+        controls.widen(self.armature, self.bones, quats)
+
+    @contextlib.contextmanager
+    def _edited(self) -> Iterator[Any]:
+        """The bones in edit mode."""
+        # The artist's object may be in Pose mode, hidden or in a collection that is switched off.
+        editor = bpy.data.objects.new("edit", self.armature.data)
+        try:
+            with _edit_mode(editor):
+                yield self.armature.data.edit_bones
+        finally:
+            bpy.data.objects.remove(editor)
 
 
 def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:

@@ -48,6 +48,10 @@ class PosedBones(ABC):
         if why is not None:
             raise HandModelError(f"{self.armature.name!r}: {why[:1].lower()}{why[1:]}")
 
+    def allow(self, quats: np.ndarray) -> None:  # noqa: B027
+        """Called with poses (N, B, 4) that the bones get, NaN for bones that do not: limits that the rig has
+        are to let them through."""
+
 
 class Rig(PosedBones):
     """One hand on one armature. Nothing outside of this folder knows a bone's name, axes or order.
@@ -102,6 +106,18 @@ class Rig(PosedBones):
         raise OptionError(
             f"{self.armature.name!r} keeps its own proportions: its shape cannot be changed here"
         )
+
+    @property
+    def controls(self) -> dict[str, str]:
+        """The bones to animate it with by hand on top of its keys, by what they control; empty for none."""
+        return {}
+
+    def add_controls(self) -> None:
+        """Give it controls. Raises OptionError for rigs that have none of ours."""
+        raise OptionError(f"{self.armature.name!r} has bones of its own: animate it with these")
+
+    def remove_controls(self) -> None:
+        """Take its controls away again."""
 
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:

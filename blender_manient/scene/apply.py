@@ -19,14 +19,13 @@ from handfit_core.hand_model.kept import kept_model
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
+from .controls import shown_keys, shown_pose
 from .corrections import end_corrections
 from .editable import check_editable, check_keyable
 from .keys import (
     PoseKeys,
     align_signs,
     check_unlocked,
-    pose_at,
-    read_pose_keys,
     remove_pose_keys,
     write_pose_keys,
 )
@@ -83,10 +82,10 @@ def apply_hand(
         )
     if mode == "POSE":
         frames = np.array([frame])
-        keys = PoseKeys.everywhere(frames, *pose_at(other.rig, frames))
+        keys = PoseKeys.everywhere(frames, *shown_pose(other.rig, frames))
     else:
         # Each bone gets its own keys, not one on every frame on which any other bone has one.
-        keys = read_pose_keys(other.rig)
+        keys = shown_keys(other.rig)
         if len(keys.frames) == 0:
             raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
     return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)

@@ -20,6 +20,8 @@ from handfit_core.skeleton import Side
 
 from ..blender_versions import assign_action
 from ..exporters.exporter import HandObjects
+from ..rigs import rig_of
+from ..rigs.controls import control_bones
 from .animation import new_curve
 from .sampling import Sampled, rotations_of, sample
 
@@ -59,7 +61,7 @@ def clean_rig(
     turned = np.eye(4)
     if turn is not None:
         turned[:3, :3] = turn
-    sampled = sample(hand.armature, frames)
+    sampled = sample(hand.armature, frames).without(control_bones(hand.armature).values())
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
 
@@ -83,6 +85,8 @@ def clean_rig(
             copies[1].matrix_parent_inverse = Matrix.Identity(4)
             copies[1].matrix_basis = Matrix.Identity(4)
             _retarget(copies[1], hand.armature, armature)
+        if control_bones(armature):
+            rig_of(armature, hand.side).remove_controls()
         _plain_bones(armature)
         metres = np.diag([units * metres_per_unit] * 3 + [1.0]) @ sampled.world
         action = _bake(armature, sampled, turned @ metres, size, frames)

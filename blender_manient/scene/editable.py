@@ -7,6 +7,7 @@ import bpy
 from handfit_core.errors import OptionError
 
 from ..rigs import rig_of
+from ..rigs.controls import in_use
 
 
 def why_not_readable(armature: bpy.types.Object) -> str | None:
@@ -25,7 +26,15 @@ def why_not_editable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_keyable(armature: bpy.types.Object) -> str | None:
-    """The same for single keys of its motion: these are changed in the active action."""
+    """The same for single keys of its motion: what is shown has to be what they say."""
+    why = why_not_bakeable(armature)
+    if why is None and in_use(armature):
+        return "Controls move this hand on top of its keys: bake them or switch Controls off first"
+    return why
+
+
+def why_not_bakeable(armature: bpy.types.Object) -> str | None:
+    """The same for its action, whatever else moves the hand: keys are changed in the active one."""
     why = why_not_editable(armature)
     data = armature.animation_data
     if why is not None or data is None:

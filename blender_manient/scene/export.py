@@ -34,6 +34,7 @@ from handfit_core.take import Take
 from ..exporters import EXPORTERS, PRESETS, find_exporter
 from ..exporters.exporter import Exporter, HandObjects, Preset
 from ..plugins import failed
+from ..rigs.controls import control_bones
 from .build import BuiltTake
 from .camera import frame_scene
 from .clean_rig import clean_rig
@@ -132,8 +133,9 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres are as they should be in the file without more ado.
-    wanted = chosen.presets.get(preset, Preset(clean=not np.isclose(stage.metres_per_unit, 1.0)))
+    # Only hands of scenes in metres, without controls, are as they should be in the file without more ado.
+    plain = np.isclose(stage.metres_per_unit, 1.0) and not any(control_bones(h.armature) for h in hands)
+    wanted = chosen.presets.get(preset, Preset(clean=not plain))
     objects = [o for hand in hands for o in (hand.armature, hand.mesh)]
     with contextlib.ExitStack() as stack:
         if whole is None and chosen.writes == "hands":  # a .blend keeps what is hidden

@@ -109,6 +109,7 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
     """
     names = _bones(rig)
     if holder is None:
+        rig.allow(keys.quats)
         own_action(rig.armature)
         chosen = np.flatnonzero(keys.rotation_keyed.any(axis=0)).tolist()
         check_unlocked(rig, joints=chosen, location=bool(keys.location_keyed.any()))
@@ -185,6 +186,7 @@ def set_pose(rig: PosedBones, quats: np.ndarray, location: np.ndarray | None = N
 
     Bones whose quaternion is NaN stay as they are.
     """
+    rig.allow(np.asarray(quats)[None])
     for name, quat in zip(_bones(rig), quats, strict=True):
         if np.isnan(quat).any():
             continue

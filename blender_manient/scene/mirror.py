@@ -54,8 +54,14 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     armature.matrix_parent_inverse = source.matrix_parent_inverse
     armature.rotation_mode = source.rotation_mode
     armature.matrix_basis = source.matrix_basis
-    for from_bone, to_bone in zip(own.bones, rig.bones, strict=True):
-        armature.pose.bones[to_bone].rotation_mode = source.pose.bones[from_bone].rotation_mode
+    if own.controls:
+        rig.add_controls()
+        armature.manient.use_controls, armature.manient.limits = (
+            source.manient.use_controls,
+            source.manient.limits,
+        )
+    for from_bone, to_bone in _pairs(own, rig):
+        _mirror(source.pose.bones[from_bone], armature.pose.bones[to_bone])
     if hand.mesh is not None:
         _add_mesh(hand.mesh, rig, with_wrist(model, source.manient.wrist), betas)
 
@@ -64,9 +70,28 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     set_pose(rig, old.turned_to(new, present), old.moved_to(new, present_place, plane))
     holder = _mirrored_action(own, rig)
     if holder is not None and len(keys.frames):
-        write_pose_keys(rig, keys.turned(old, new, plane), holder=holder)
+        turned = keys.turned(old, new, plane)
+        write_pose_keys(rig, turned, holder=holder)
+        rig.allow(turned.quats)
     _keep(hand, armature, model, betas, plane)
     return armature
+
+
+def _pairs(source: Rig, rig: Rig) -> list[tuple[str, str]]:
+    """Each bone, and each control, with the other side's."""
+    controls = rig.controls
+    return [
+        *zip(source.bones, rig.bones, strict=True),
+        *((name, controls[role]) for role, name in source.controls.items()),
+    ]
+
+
+def _mirror(source: bpy.types.PoseBone, bone: bpy.types.PoseBone) -> None:
+    """Pose a bone as the other side's, as Blender mirrors bones."""
+    bone.rotation_mode = source.rotation_mode
+    for attribute in ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle"):
+        for index, value in enumerate(getattr(source, attribute)):
+            getattr(bone, attribute)[index] = -value if _turns_over(attribute, index) else value
 
 
 def _plane(
@@ -125,7 +150,7 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
     holder = channels(action, action_slot(armature.animation_data))
     if holder is None:
         return assign_action(armature, action)
-    groups = dict(zip(source.bones, rig.bones, strict=True))
+    groups = dict(_pairs(source, rig))
     names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in groups.items()}
     for curve in holder.fcurves:
         start, dot, attribute = curve.data_path.partition("].")

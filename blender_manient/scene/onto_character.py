@@ -27,6 +27,7 @@ from handfit_core.slices import retold
 from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
+from ..rigs.controls import in_use, is_own
 from .characters import why_not_reachable
 from .editable import is_tweaked
 from .keys import (
@@ -53,6 +54,9 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
     *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
 }
 """Constraints that turn a bone away from its keys. Limits only cut them off"""
+
+_CHUNK = 250
+"""frames that are computed at once, in some milliseconds"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +148,8 @@ def told_by_keys(armature: bpy.types.Object) -> bool:
     data = armature.animation_data
     if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
         return False
-    return not any(c.enabled and c.influence > 0.0 for bone in armature.pose.bones for c in bone.constraints)
+    others = (c for bone in armature.pose.bones for c in bone.constraints if not is_own(c))
+    return not in_use(armature) and not any(c.enabled and c.influence > 0.0 for c in others)
 
 
 def _shown(hand: CapturedHand, frames: np.ndarray) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
@@ -222,17 +227,22 @@ def computing(
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
         fingers_only = onto.wrist == "FINGERS"
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
-        standing, apart = target.standing(motion.turns), np.zeros(len(motion.frames))
+        kept = None
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)
             kept = yield from keeping_contacts(target, motion.source, motion.skins, motion.turns, times)
-            standing, apart = kept.standing, kept.apart
-        quats = _within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
+        quats = np.empty((len(motion.frames), len(target.bones), 4))
+        for start in range(0, len(quats), _CHUNK):
+            some = slice(start, start + _CHUNK)
+            standing = target.standing(motion.turns[some]) if kept is None else kept.standing[some]
+            quats[some] = _within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
+            yield 0.0
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
         if not fingers_only:
             placed = yield from _moving(armature, target, motion, onto)
             keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
+        apart = np.zeros(1) if kept is None else kept.apart
         worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
     return Computed(keys, applied)

@@ -34,7 +34,7 @@ from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.shape_names import shape_names
 from handfit_core.skeleton import NUM_BETAS
 
-from ..blender_versions import action_slot, channels
+from ..blender_versions import channels, used_actions
 from ..rigs.rig import Rig
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
@@ -196,33 +196,21 @@ def _after_time_travel(*_: Any) -> None:
 
 def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     """New rest bones, and every key and the present pose about the new axes."""
-    holders = filter(None, [channels(action, slot) for action, slot in _used(rig.armature)])
+    holders = filter(None, [channels(action, slot) for action, slot in used_actions(rig.armature)])
     kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in holders]
     quats, locations = pose_at(rig, np.zeros(1), holder=_NOTHING)
     old = rig.rest
     rig.follow(shaped)
     new = rig.rest
     for holder, keys in kept:
-        write_pose_keys(rig, keys.turned(old, new), holder=holder)
+        turned = keys.turned(old, new)
+        write_pose_keys(rig, turned, holder=holder)
+        rig.allow(turned.quats)
     set_pose(rig, old.turned_to(new, quats)[0], old.moved_to(new, locations)[0])
 
 
 _NOTHING = SimpleNamespace(fcurves=())
 """An action's channels without any: what the bones say beside their keys"""
-
-
-def _used(armature: bpy.types.Object) -> list[tuple[Any, Any]]:
-    """Every (action, slot) that moves this armature: the present one and those in its NLA."""
-    data = armature.animation_data
-    if data is None:
-        return []
-    used = [(data.action, action_slot(data))]
-    used += [(strip.action, action_slot(strip)) for track in data.nla_tracks for strip in track.strips]
-    found: dict[Any, tuple[Any, Any]] = {}
-    for action, slot in used:
-        if action is not None and action.is_editable:
-            found[action, slot.handle if slot is not None else 0] = (action, slot)
-    return list(found.values())
 
 
 def _turn_corrections(
@@ -242,7 +230,7 @@ def _turn_corrections(
         )
         for frame, c in field.corrections.items()
     }
-    keep_turned(armature, CorrectionField(turned), _used(armature))
+    keep_turned(armature, CorrectionField(turned), used_actions(armature))
 
 
 def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
 import bpy
@@ -34,6 +34,18 @@ class Sampled:
             offset = np.linalg.inv(self.rest[parent]) @ self.rest[bone]
             found[:, bone] = np.linalg.inv(self.pose[:, parent] @ offset) @ self.pose[:, bone]
         return found
+
+    def without(self, names: Collection[str]) -> Sampled:
+        """The same without some bones, whose children count as having no parent."""
+        kept = [index for index, name in enumerate(self.names) if name not in names]
+        parents = tuple(kept.index(self.parents[i]) if self.parents[i] in kept else -1 for i in kept)
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in kept),
+            parents=parents,
+            rest=self.rest[kept],
+            pose=self.pose[:, kept],
+        )
 
 
 def sample(armature: bpy.types.Object, frames: Iterable[float]) -> Sampled:

@@ -38,6 +38,9 @@ _UP_OF_THUMB: Final = np.array([1.0, 1.0, 1.0])
 _MIRROR: Final = np.array([-1.0, 1.0, 1.0])
 """What turns a direction of the right hand's model frame into the left hand's"""
 
+ANATOMICAL_IN_BONE: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""A finger joint's (twist, spread, bend) axes of `anatomy`, in columns, in its bone's frame: -Y, -Z and X"""
+
 
 def points_to_world(points: np.ndarray) -> np.ndarray:
     """(..., 3) metres in the camera frame -> (..., 3) metres in Blender's world."""

@@ -63,7 +63,7 @@ _SMALL: Final = 1e-6
 """radians: steps that are smaller end the search"""
 _AT_ONCE: Final = 32
 """frames that a slice solves"""
-_FOUND_AT_ONCE: Final = 512
+_FOUND_AT_ONCE: Final = 256
 """frames in which a slice looks for touches"""
 
 
@@ -161,7 +161,10 @@ def keeping_contacts(
     `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
     seconds, rising.
     """
-    standing, apart = target.standing(turns), np.zeros(len(turns))
+    standing, apart = np.empty((len(turns), len(target.bones), 3, 3)), np.zeros(len(turns))
+    for start in range(0, len(turns), _FOUND_AT_ONCE):
+        standing[start : start + _FOUND_AT_ONCE] = target.standing(turns[start : start + _FOUND_AT_ONCE])
+        yield 0.0
     times = np.asarray(times, dtype=np.float64)
     found = yield from retold(finding_touches(source, skins, turns, times), lambda: 0.0)
     chains = _Chains.of(target, source, skins)

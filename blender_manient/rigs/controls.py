@@ -1,0 +1,373 @@
+"""Controls of a captured hand: bones to animate it with by hand, on top of its keys.
+
+A finger's control turns about its X to curl the finger, each joint about its own X in the proportion in which
+fingers close, and about its Z to spread it; the fingers' control does both to all of them. The hand's control
+stands where the keys have the wrist and moves the hand from there; constraints that are put on it, such as
+Child Of, move the hand too. All of it happens in constraints after the keys, so controls at rest change
+nothing, and the keys stay what they are. Limits of the joints come last in each finger bone's constraints.
+They are those of anatomy, and reach as far as the keys do.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from math import pi
+from typing import Any, Final
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from handfit_core.geometry.rotations import quat_to_rotmat
+from handfit_core.hand_model.anatomy import anatomical_angles, joint_limits
+from handfit_core.hand_model.axes import ANATOMICAL_IN_BONE
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
+
+from ..blender_versions import channels, used_actions
+
+MARK: Final = "hand_control"
+"""A bone's custom property: what it controls. The artist may give it another name"""
+CAPTURED: Final = "wrist_captured"
+"""Follows the wrist's keys, and nothing else: where the hand's control stands while it rests"""
+ROLES: Final = (CAPTURED, "hand", "fingers", *FINGERS)
+"""Every bone that belongs to the controls, in the order in which they are made"""
+LIMIT: Final = "Joint Limits"
+_CONTROL: Final = "Hand Control"
+"""What the constraints' names begin with"""
+_COLLECTIONS: Final = ("Captured Bones", "Hand Controls", "Mechanism")
+_BEFORE: Final = "before_controls"
+"""A bone's custom property: what is given back when the controls are removed, as JSON"""
+_COLORS: Final = {"hand": (1.0, 0.7, 0.15), "fingers": (1.0, 0.7, 0.15)}
+_FINGER_COLOR: Final = (0.25, 0.8, 1.0)
+_SHAPE: Final = "hand_control_shape"
+_QUARTER: Final = pi / 2
+_FAN: Final = {"thumb": -1.0, "index": -1.0, "middle": -0.2, "ring": 0.5, "little": 1.2}
+"""How far each finger spreads for what the fingers' control is turned"""
+_PLAY: Final = np.radians(1.0)
+"""How much farther than the keys limits reach, for what lies between keys"""
+_KNUCKLES: Final = 0.75
+"""Where along the wrist's bone the fingers' control is turned about"""
+
+
+def control_bones(armature: bpy.types.Object) -> dict[str, str]:
+    """The controls of an armature by what they control, in the order of `ROLES`; empty where it has none."""
+    marked = {bone.get(MARK): bone.name for bone in armature.data.bones}
+    return {role: marked[role] for role in ROLES if role in marked}
+
+
+def place_controls(edit_bones: Any, bones: list[str], controls: dict[str, str]) -> None:
+    """Lay the controls where the 16 `bones` lie, both in edit mode."""
+    for role, name in controls.items():
+        model = edit_bones[bones[FINGER_JOINTS[role][0] if role in FINGERS else 0]]
+        bone = edit_bones[name]
+        offset = (model.tail - model.head) * (_KNUCKLES if role == "fingers" else 0.0)
+        bone.head, bone.tail = model.head + offset, model.tail + offset
+        bone.roll = model.roll
+
+
+def make_bones(edit_bones: Any, bones: list[str]) -> dict[str, str]:
+    """The controls' bones, without anything that they do. Their names, by what they control."""
+    suffix = bones[0][-2:]
+    made = {role: edit_bones.new(role + suffix) for role in ROLES}
+    for role, bone in made.items():
+        bone.use_deform = False
+        bone.parent = {CAPTURED: None, "hand": made[CAPTURED]}.get(role, edit_bones[bones[0]])
+    names = {role: bone.name for role, bone in made.items()}
+    place_controls(edit_bones, bones, names)
+    return names
+
+
+def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], side: Side) -> None:
+    """Have bones that `make_bones` made control the hand, and give them their looks."""
+    pose = armature.pose.bones
+    for role, name in names.items():
+        armature.data.bones[name][MARK] = role
+    free = [name for name in bones[1:] if not any(pose[name].lock_location)]
+    before = {"unlocked": free, "display": armature.data.display_type}
+    armature.data.bones[names[CAPTURED]][_BEFORE] = json.dumps(before)
+    armature.data.display_type = "STICK"  # the controls are to be seen behind the bones
+    for name in free:
+        pose[name].lock_location = (True,) * 3
+    _collect(armature, bones, names)
+    _follow_keys(armature, bones[0], names[CAPTURED])
+    for role in ROLES[1:]:
+        _dress(pose[names[role]], role, pose[bones[FINGER_JOINTS[role][0] if role in FINGERS else 0]])
+    wrist = _constraint(armature, bones[0], "COPY_TRANSFORMS", names["hand"], _CONTROL)
+    wrist.mix_mode = "AFTER_FULL"
+    bends = joint_limits(side).upper[:, 2]
+    for finger, joints in FINGER_JOINTS.items():
+        control = names[finger]
+        all_of_them = _turning(armature, control, names["fingers"], _CONTROL, "ADD")
+        _maps(all_of_them, x=_QUARTER, z=_QUARTER * _FAN[finger])
+        spread = _turning(armature, bones[joints[0]], control, f"{_CONTROL} Spread", "BEFORE")
+        _maps(spread, z=_QUARTER)
+        for joint in joints:
+            _maps(_turning(armature, bones[joint], control, _CONTROL, "AFTER"), x=float(bends[joint - 1]))
+    limits = joint_limits(side)
+    for joint in range(1, NUM_JOINTS):
+        limit: Any = pose[bones[joint]].constraints.new("LIMIT_ROTATION")
+        limit.name, limit.owner_space, limit.euler_order = LIMIT, "LOCAL", "XZY"
+        limit.use_limit_x = limit.use_limit_y = limit.use_limit_z = limit.use_transform_limit = True
+        _limit(limit, limits.lower[joint - 1], limits.upper[joint - 1])
+
+
+def take_down(armature: bpy.types.Object) -> None:
+    """Undo `set_up`. The controls' bones stay, and do nothing any more."""
+    pose, names = armature.pose.bones, control_bones(armature)
+    for bone, constraint in list(_constraints(armature)):
+        bone.constraints.remove(constraint)
+    drivers: Any = armature.animation_data.drivers if armature.animation_data is not None else []
+    for curve in list(drivers):
+        if curve.data_path.startswith(f'pose.bones["{names.get(CAPTURED)}"]'):
+            drivers.remove(curve)
+    if CAPTURED in names:
+        _give_back(armature, armature.data.bones[names[CAPTURED]].get(_BEFORE, ""))
+    shapes = {pose[name].custom_shape for name in names.values()} - {None}
+    for name in names.values():
+        pose[name].custom_shape = None
+    for shape in shapes:
+        if shape.get(_SHAPE) and shape.users == 0:
+            bpy.data.meshes.remove(shape.data)  # and with it the object
+    for name in _COLLECTIONS:
+        collection = armature.data.collections_all.get(name)
+        if collection is not None:
+            armature.data.collections.remove(collection)
+
+
+def _give_back(armature: bpy.types.Object, text: str) -> None:
+    # What was not written here gives nothing back: the .blend may come from anybody.
+    with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        before = json.loads(text)
+        for name in before["unlocked"]:
+            if name in armature.pose.bones:
+                armature.pose.bones[name].lock_location = (False,) * 3
+        if armature.data.display_type == "STICK":
+            armature.data.display_type = before["display"]
+
+
+def switch(armature: bpy.types.Object) -> None:
+    """Switch the controls and the limits on or off, as `Object.manient` has it."""
+    for _, constraint in _constraints(armature):
+        on = armature.manient.limits if constraint.name == LIMIT else armature.manient.use_controls
+        constraint.enabled = on
+
+
+def rest(armature: bpy.types.Object) -> None:
+    """Put the controls at rest, and switch constraints of others on them off. Keys stay."""
+    for bone in _handles(armature):
+        bone.matrix_basis = Matrix.Identity(4)
+        for constraint in _foreign(bone):
+            constraint.enabled = False
+
+
+def in_use(armature: bpy.types.Object) -> bool:
+    """Whether the controls move the hand in some frame, or may do so."""
+    handles = _handles(armature)
+    if not handles or not armature.manient.use_controls:
+        return False
+    return are_moving(armature) or any(
+        not np.allclose(bone.matrix_basis, np.eye(4), atol=1e-6) for bone in handles
+    )
+
+
+def are_moving(armature: bpy.types.Object) -> bool:
+    """Whether the controls may do something else in every frame: they have keys or others' constraints."""
+    if any(_foreign(bone) for bone in _handles(armature)):
+        return True
+    for _, curve in keyed_curves(armature):
+        is_one = curve.data_path.endswith("scale") or (
+            curve.array_index == 0 and curve.data_path.endswith("quaternion")
+        )
+        if any(abs(point.co.y - is_one) > 1e-6 for point in curve.keyframe_points):
+            return True
+    return False
+
+
+def keyed_curves(armature: bpy.types.Object) -> Iterator[tuple[Any, bpy.types.FCurve]]:
+    """The curves of the controls with what holds them, in every action that moves the armature."""
+    paths = tuple(f'pose.bones["{name}"]' for name in control_bones(armature).values())
+    for action, slot in used_actions(armature) if paths else ():
+        holder = channels(action, slot)
+        for curve in list(holder.fcurves) if holder is not None else ():
+            if curve.data_path.startswith(paths):
+                yield holder, curve
+
+
+def is_own(constraint: bpy.types.Constraint) -> bool:
+    """Whether a constraint is one of the controls'. They do nothing unless the controls are `in_use`."""
+    return constraint.name.startswith((_CONTROL, LIMIT))
+
+
+def _handles(armature: bpy.types.Object) -> list[bpy.types.PoseBone]:
+    """The bones that the artist moves."""
+    names = control_bones(armature)
+    return [armature.pose.bones[name] for role, name in names.items() if role != CAPTURED]
+
+
+def _foreign(bone: bpy.types.PoseBone) -> list[bpy.types.Constraint]:
+    """The constraints of a control that are not its own and do something."""
+    return [
+        c for c in bone.constraints if not c.name.startswith(_CONTROL) and not c.mute and c.influence > 0.0
+    ]
+
+
+def widen(armature: bpy.types.Object, bones: list[str], quats: np.ndarray) -> None:
+    """Have the limits let poses (N, 16, 4) through; NaN for those that do not matter."""
+    limits = [armature.pose.bones[name].constraints.get(LIMIT) for name in bones[1:]]
+    if len(quats) == 0 or not any(limits):
+        return
+    angles = anatomical_angles(quat_to_rotmat(quats[:, 1:]), ANATOMICAL_IN_BONE)
+    lower, upper = np.fmin.reduce(angles) - _PLAY, np.fmax.reduce(angles) + _PLAY
+    for limit, low, high in zip(limits, lower, upper, strict=True):
+        if limit is not None:
+            present = np.array(
+                [[limit.min_x, limit.max_x], [limit.min_y, limit.max_y], [limit.min_z, limit.max_z]]
+            )
+            least, most = present.T
+            _limit(
+                limit,
+                np.fmin([-most[1], -most[2], least[0]], low),
+                np.fmax([-least[1], -least[2], most[0]], high),
+            )
+
+
+def _limit(limit: Any, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Set a joint's limits: (3,) twist, spread, bend in radians; bones have them about -Y, -Z and X."""
+    limit.min_y, limit.min_z, limit.min_x = -upper[0], -upper[1], lower[2]
+    limit.max_y, limit.max_z, limit.max_x = -lower[0], -lower[1], upper[2]
+
+
+def _constraints(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.PoseBone, bpy.types.Constraint]]:
+    for bone in armature.pose.bones:
+        for constraint in bone.constraints:
+            if is_own(constraint):
+                yield bone, constraint
+
+
+def _constraint(armature: bpy.types.Object, bone: str, kind: Any, target: str, name: str) -> Any:
+    constraint: Any = armature.pose.bones[bone].constraints.new(kind)
+    constraint.name, constraint.target, constraint.subtarget = name, armature, target
+    constraint.owner_space = constraint.target_space = "LOCAL"
+    return constraint
+
+
+def _turning(armature: bpy.types.Object, bone: str, target: str, name: str, mix: str) -> Any:
+    """A constraint that turns a bone by how much another one is turned."""
+    constraint = _constraint(armature, bone, "TRANSFORM", target, name)
+    constraint.map_from = constraint.map_to = "ROTATION"
+    constraint.from_rotation_mode = constraint.to_euler_order = "XYZ"
+    constraint.mix_mode_rot, constraint.use_motion_extrapolate = mix, True
+    return constraint
+
+
+def _maps(constraint: Any, **quarter: float) -> None:
+    """By how many radians a quarter turn of the target about an axis turns the bone about its own."""
+    for axis in "xyz":
+        setattr(constraint, f"map_to_{axis}_from", axis.upper())
+        setattr(constraint, f"from_min_{axis}_rot", -_QUARTER)
+        setattr(constraint, f"from_max_{axis}_rot", _QUARTER)
+        setattr(constraint, f"to_min_{axis}_rot", -quarter.get(axis, 0.0))
+        setattr(constraint, f"to_max_{axis}_rot", quarter.get(axis, 0.0))
+
+
+def _follow_keys(armature: bpy.types.Object, wrist: str, bone: str) -> None:
+    """Give a bone all channels of the wrist, before its constraints, whichever rotation mode it has.
+
+    Drivers read the channels themselves: what the hand's control does to the wrist must not come back to it.
+    """
+    channels = {"rotation_mode": 1, "location": 3, "rotation_quaternion": 4, "rotation_euler": 3}
+    for path, count in (channels | {"rotation_axis_angle": 4}).items():
+        for index in range(count):
+            part = -1 if count == 1 else index
+            driver = armature.pose.bones[bone].driver_add(path, part).driver
+            driver.type = "AVERAGE"
+            target = driver.variables.new().targets[0]
+            target.id = armature
+            target.data_path = f'pose.bones["{wrist}"].{path}' + (f"[{index}]" if count > 1 else "")
+
+
+def _collect(armature: bpy.types.Object, bones: list[str], names: dict[str, str]) -> None:
+    handles = [name for role, name in names.items() if role != CAPTURED]
+    for title, members in zip(_COLLECTIONS, (bones, handles, [names[CAPTURED]]), strict=True):
+        collection = armature.data.collections.new(title)
+        for name in names.values():  # new bones are in the collection that the artist has as the active one
+            for other in list(armature.data.bones[name].collections) if name in members else ():
+                other.unassign(armature.data.bones[name])
+        for name in members:
+            collection.assign(armature.data.bones[name])
+        collection.is_visible = title != _COLLECTIONS[2]
+
+
+def _dress(bone: bpy.types.PoseBone, role: str, at: bpy.types.PoseBone) -> None:
+    """Give a control its shape, drawn about the bone `at`, and leave it only what it does."""
+    bone.rotation_mode = "XYZ"
+    bone.lock_scale = (True,) * 3
+    if role != "hand":
+        bone.lock_location = (True,) * 3
+        bone.lock_rotation = (False, True, False)
+    bone.custom_shape = _shape(role if role in ("hand", "fingers") else "finger")
+    bone.custom_shape_transform = at
+    bone.color.palette = "CUSTOM"
+    color = np.array(_COLORS.get(role, _FINGER_COLOR))
+    bone.color.custom.normal = color
+    bone.color.custom.select, bone.color.custom.active = 0.5 + 0.5 * color, 0.7 + 0.3 * color
+
+
+def _shape(kind: str) -> bpy.types.Object:
+    """An object without faces that all hands of the file share, in no scene: it is only drawn for bones."""
+    for there in bpy.data.objects:
+        if there.get(_SHAPE) == kind and there.library is None:
+            return there
+    points, edges = _SHAPES[kind]
+    mesh = bpy.data.meshes.new(f"Hand control, {kind}")
+    mesh.from_pydata(points.tolist(), edges.tolist(), [])
+    shape = bpy.data.objects.new(mesh.name, mesh)
+    shape[_SHAPE] = kind
+    return shape
+
+
+def _line(points: np.ndarray, *, closed: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    count = len(points)
+    edges = np.stack([np.arange(count), np.arange(1, count + 1) % count], axis=-1)
+    return points, edges if closed else edges[:-1]
+
+
+def _ring(
+    center: tuple[float, float, float], *radii: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """An ellipse with the two half axes `radii`."""
+    t = np.linspace(0.0, 2.0 * pi, 32, endpoint=False)[:, None]
+    a, b = np.array(radii)
+    return _line(np.array(center) + np.cos(t) * a + np.sin(t) * b, closed=True)
+
+
+def _together(*lines: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    starts = np.cumsum([0, *(len(points) for points, _ in lines)])
+    return (
+        np.concatenate([points for points, _ in lines]),
+        np.concatenate([edges + start for (_, edges), start in zip(lines, starts[:-1], strict=True)]),
+    )
+
+
+def _finger_shape() -> tuple[np.ndarray, np.ndarray]:
+    """A ball on a stem that stands on the back of the finger's first bone."""
+    r, center = 0.13, (0.0, 0.5, -0.95)
+    x, y, z = np.eye(3) * r
+    stem = _line(np.array([[0.0, 0.5, -0.3], [0.0, 0.5, -0.95 + r]]))
+    return _together(stem, _ring(center, x, y), _ring(center, y, z), _ring(center, x, z))
+
+
+_SHAPES: Final = {
+    "finger": _finger_shape(),
+    "fingers": _together(
+        _ring((0.0, 0.7, -0.42), (0.36, 0.0, 0.0), (0.0, 0.12, 0.0)),
+        _ring((0.0, 0.7, -0.42), (0.31, 0.0, 0.0), (0.0, 0.07, 0.0)),
+    ),
+    "hand": _together(
+        _ring((0.0, -0.05, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.42)),
+        _ring((0.0, -0.09, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.42)),
+    ),
+}
+"""Points (V, 3) and edges (E, 2) in lengths of a bone, along its axes: +Y to its tip, -Z out of the back"""

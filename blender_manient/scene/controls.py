@@ -1,0 +1,147 @@
+"""Controls of a captured hand: added, written into the keys, and removed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
+
+from ..blender_versions import channels, used_actions
+from ..rigs import controls
+from ..rigs.rig import Rig
+from .corrections import end_corrections
+from .keys import (
+    SAME_FRAME,
+    PoseKeys,
+    align_signs,
+    check_unlocked,
+    displayed_pose,
+    own_action,
+    pose_at,
+    read_pose_keys,
+    set_pose,
+    write_pose_keys,
+)
+from .own_scene import object_mode, own_scene, shown_in_pose
+from .sampling import Sampled, rotations_of, sample, shown_now
+from .store import CapturedHand, timing_of
+
+_SAME = 1e-5
+"""parts of a quaternion, and metres. What controls change by less they do not change"""
+
+
+def add_controls(hand: CapturedHand) -> None:
+    """Give a hand that has none its controls; its limits reach as far as its keys. Raises OptionError."""
+    armature = hand.armature
+    with object_mode():
+        if armature.data.users - armature.data.use_fake_user > 1:
+            armature.data = armature.data.copy()
+        hand.rig.add_controls()
+    for action, slot in used_actions(armature):
+        hand.rig.allow(read_pose_keys(hand.rig, holder=channels(action, slot)).quats)
+    controls.switch(armature)
+
+
+def remove_controls(hand: CapturedHand) -> None:
+    """Take the controls and their keys away: the hand does what its own keys say."""
+    own_action(hand.armature, nla=True)
+    _remove_curves(hand.armature)
+    with object_mode():
+        hand.rig.remove_controls()
+
+
+def bake_controls(hand: CapturedHand) -> None:
+    """Write what the controls do into the keys of the bones that they move, and put the controls at rest.
+
+    Corrections end where keys change. Raises OptionError where channels are locked, and then changes nothing.
+    """
+    armature, rig = hand.armature, hand.rig
+    keys, turned, moved = _shown_keys(rig)
+    keys = replace(
+        keys, rotation_keyed=keys.rotation_keyed & turned, location_keyed=keys.location_keyed & moved
+    )
+    quats, locations = _shown(rig, [bpy.context.scene.frame_current_final])
+    joints = np.flatnonzero(turned).tolist()
+    check_unlocked(rig, joints=joints, location=moved)
+    own_action(armature, nla=True)
+    _remove_curves(armature)
+    controls.rest(armature)
+    if len(keys.frames):
+        span = timing_of(hand.collection).source_frames(keys.frames[[0, -1]])
+        end_corrections(armature, span.tolist(), whole=True, joints=joints, location=moved)
+        write_pose_keys(rig, keys)
+        align_signs(rig)
+    set_pose(rig, quats[0], locations[0])
+
+
+def shown_keys(rig: Rig) -> PoseKeys:
+    """A rig's keys with what its controls do: those of the bones that animated or constrained controls move
+    on every frame, all others where they are."""
+    return _shown_keys(rig)[0] if controls.in_use(rig.armature) else read_pose_keys(rig)
+
+
+def shown_pose(rig: Rig, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`pose_at` with what the controls do."""
+    return _shown(rig, frames) if controls.in_use(rig.armature) else pose_at(rig, frames)
+
+
+def rotations_now(rig: Rig) -> np.ndarray:
+    """`displayed_pose` with what the controls do."""
+    if not controls.in_use(rig.armature):
+        return displayed_pose(rig)
+    return _of_bones(rig, shown_now(rig.armature))[0][0]
+
+
+def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
+    """These keys, (16,) which bones the controls turn, and whether they move the wrist."""
+    keys = read_pose_keys(rig)
+    frames, moving = keys.frames, controls.are_moving(rig.armature)
+    if moving:
+        scene = bpy.context.scene
+        ends = [scene.frame_start, scene.frame_end, *frames[[0, -1] if len(frames) else []]]
+        ends += [frame for _, curve in controls.keyed_curves(rig.armature) for frame in curve.range()]
+        whole = np.arange(np.floor(min(ends)), np.ceil(max(ends)) + 1.0)
+        near = np.abs(whole[:, None] - frames).min(axis=1, initial=1.0) <= SAME_FRAME
+        frames = np.union1d(frames, whole[~near])
+    quats, locations = _shown(rig, frames)
+    plain, places = pose_at(rig, frames)
+    apart = np.minimum(np.abs(quats - plain), np.abs(quats + plain)).max(axis=-1)
+    turned = (apart > _SAME).any(axis=0)
+    moved = bool((np.abs(locations - places) > _SAME).any())
+    rows = np.searchsorted(frames, keys.frames)
+    rotated, located = np.tile(turned & moving, (len(frames), 1)), np.full(len(frames), moved and moving)
+    rotated[rows] |= keys.rotation_keyed
+    located[rows] |= keys.location_keyed
+    return PoseKeys(frames, quats, locations, rotated, located), turned, moved
+
+
+def _shown(rig: Rig, frames: Any) -> tuple[np.ndarray, np.ndarray]:
+    """What the bones show on N frames, whatever moves them."""
+    with object_mode(), own_scene("controls") as scene, shown_in_pose([rig.armature]):
+        scene.collection.objects.link(rig.armature)
+        return _of_bones(rig, sample(rig.armature, frames))
+
+
+def _of_bones(rig: Rig, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
+    """The 16 bones relative to their rest and parents: quaternions (N, 16, 4), the wrist's place (N, 3)."""
+    basis = sampled.basis()[:, [sampled.names.index(name) for name in rig.bones]]
+    return unflip_quats(rotmat_to_quat(rotations_of(basis))), basis[:, 0, :3, 3]
+
+
+def _remove_curves(armature: bpy.types.Object) -> None:
+    emptied = {}
+    for holder, curve in list(controls.keyed_curves(armature)):
+        if curve.group is not None:
+            emptied[curve.group.name] = holder
+        holder.fcurves.remove(curve)
+    for name, holder in emptied.items():
+        group = holder.groups.get(name)  # from Blender 4.4 on, they go with their last curve
+        if group is not None and len(group.channels) == 0:
+            holder.groups.remove(group)
+
+
+FOLLOWS = {"controls": lambda group: controls.switch(group.id_data)}
