@@ -11,7 +11,9 @@ import bpy
 from . import (
     cache,
     error_graph,
+    hand_table,
     jobs,
+    key_preview,
     live_link,
     operators,
     panels,
@@ -87,6 +89,7 @@ def _files_of(package: ModuleType) -> list[ModuleType]:
 _MODULES = (
     preferences_panel,  # what follows asks for what the user has chosen
     preferences,
+    hand_table,
     properties,
     cache,
     reshape,
@@ -95,6 +98,7 @@ _MODULES = (
     error_graph,
     see_through,
     render_setup,
+    key_preview,
     shared_worker,
     jobs,
     live_link,

@@ -24,7 +24,10 @@ from handfit_core.solvers import SOLVERS
 
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
+from .hand_table import ManientHandTable
 from .scene.matching import CHOICES
+from .scene.poses import pose_items
+from .scene.simplify import PARTS
 
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
@@ -215,6 +218,19 @@ class ManientSettings(bpy.types.PropertyGroup):
         options={"HIDDEN"},
     )
 
+    # Poses
+    pose: EnumProperty(  # type: ignore
+        name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
+    )
+    pose_blend: FloatProperty(  # type: ignore
+        name="Blend",
+        description="How far from the present pose to the chosen one",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
     # Refine
     spread: IntProperty(  # type: ignore
         name="Spread",
@@ -223,6 +239,50 @@ class ManientSettings(bpy.types.PropertyGroup):
         min=0,
         soft_max=50,
         max=1000,
+    )
+
+    # Character
+    hand_table: PointerProperty(type=ManientHandTable)  # type: ignore
+
+    # Keys
+    keys_degrees: FloatProperty(  # type: ignore
+        name="Degrees",
+        description="No bone turns farther than this from where all keys have it, in any frame",
+        default=2.0,
+        min=0.05,
+        soft_max=10.0,
+        max=90.0,
+        precision=1,
+        step=10,
+    )
+    keys_pixels: FloatProperty(  # type: ignore
+        name="Pixels",
+        description="No joint or fingertip of a captured hand moves farther than this in the picture",
+        default=2.0,
+        min=0.05,
+        soft_max=20.0,
+        max=1000.0,
+        precision=1,
+        step=10,
+    )
+    keys_together: EnumProperty(  # type: ignore
+        name="Common Frames",
+        description="Which bones have their keys on the same frames",
+        items=(
+            ("ALL", "Whole Hand", "All bones have keys on the same frames: whole poses, and the most keys"),
+            ("FINGER", "Each Finger", "The bones of a finger have keys on the same frames"),
+            ("BONE", "Each Bone", "Every bone has keys of its own: the fewest"),
+        ),
+        default="FINGER",
+    )
+    keys_parts: EnumProperty(  # type: ignore
+        name="Simplify",
+        description="What gets fewer keys; the rest keeps them",
+        items=tuple(
+            (part.upper(), part.capitalize(), f"Simplify the {part}", 1 << i) for i, part in enumerate(PARTS)
+        ),
+        default={part.upper() for part in PARTS},
+        options={"ENUM_FLAG"},
     )
 
     # Export
@@ -369,6 +429,9 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",
         size=NUM_JOINTS,
+    )
+    origin: FloatVectorProperty(  # type: ignore
+        size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
     )
     use_controls: BoolProperty(  # type: ignore
         name="Controls",

@@ -33,6 +33,10 @@ class Page:
         getattr(data, name)
         self._shown.append((name if text is None else text, self))
 
+    def prop_search(self, data: Any, name: str, among: Any, _field: str, *, text: str | None = None) -> None:
+        assert among is not None
+        self.prop(data, name, text=text)
+
     def prop_enum(self, _data: Any, _name: str, value: str) -> None:
         self._shown.append((value, self))
 

@@ -11,9 +11,9 @@ from handfit_core.slices import result_of, slice_clock
 
 from ..remembered import Remembered
 from ..scene.build import Watch
-from ..scene.characters import active_character, hands_to_move, sources_of, why_not_reachable
+from ..scene.characters import active_character, hands_to_move, why_not_reachable
 from ..scene.onto_character import Applied, Onto, putting
-from ..wording import counted
+from ..wording import capitalised, counted
 from .needs_hand import Refuses, Waits, errors_reported
 
 _TICK = 1 / 60
@@ -54,10 +54,9 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
         if why is not None:
             return why
         try:
-            if not sources_of(armature, context):
-                return "There is no captured hand in this scene: capture one, or import a hand take"
-        except OptionError as error:
-            return str(error)
+            hands_to_move(armature, context)
+        except HandfitError as error:
+            return capitalised(str(error))
         return None
 
     @errors_reported

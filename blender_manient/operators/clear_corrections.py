@@ -17,7 +17,7 @@ from .needs_hand import OnHand, errors_reported, hand_in
 class MANIENT_OT_clear_corrections(OnHand, bpy.types.Operator):
     bl_idname = "manient.clear_corrections"
     bl_label = "Clear Corrections"
-    bl_description = "Remove pins and relaxed poses, and what they did to the animation"
+    bl_description = "Remove pins and applied poses, and what they did to the animation"
     anywhere = True
 
     scope: bpy.props.EnumProperty(  # type: ignore

@@ -318,7 +318,7 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
     keys, frames = int(own.sum()), int(own.any(axis=1).sum())
     poses, points = sum(c.posed for c in corrected), sum(bool(c.pins or c.touches) for c in corrected)
     lost = [f"{counted(keys, 'key')} set by hand, on {counted(frames, 'frame')}"] if keys else []
-    lost += [counted(poses, "relaxed pose")] if poses else []
+    lost += [counted(poses, "applied pose")] if poses else []
     said = f"Fits {counted(len(rows), 'frame')} again. "
     said += f"Replaces {' and '.join(lost)}" if lost else "Replaces no key set by hand"
     said += f". The points of {counted(points, 'corrected frame')} stay" if points else ""

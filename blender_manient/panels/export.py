@@ -13,7 +13,7 @@ from ..section import Section, sentence, split
 class MANIENT_PT_export(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_export"
     bl_label = "Export"
-    bl_order = 7
+    bl_order = 9
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context):

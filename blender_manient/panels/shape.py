@@ -1,4 +1,4 @@
-"""Shape and pose of the active hand."""
+"""Shape of the active hand, and its motion as a whole."""
 
 from __future__ import annotations
 
@@ -16,16 +16,14 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context):
-        """Poses."""
+        """What is done with the whole hand."""
         layout, hand = self.layout, active_hand(context)
         if hand is None:
-            sentence(layout, context, "Select a captured hand to shape or pose it", "INFO")
+            sentence(layout, context, "Select a captured hand to shape it", "INFO")
             return
         column = layout.column(align=True)
-        column.operator("manient.relax_pose", icon="LIGHT_HEMI")
         column.operator("manient.mirror_hand", icon="MOD_MIRROR")
         column.operator("manient.apply_take", icon="IMPORT")
-        column.operator("manient.save_pose_asset", icon="ASSET_MANAGER")
         column = layout.column(align=True)
         if hand.rig.controls:
             row = column.row(align=True)
@@ -35,6 +33,7 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
             column.operator("manient.remove_controls", icon="X")
         else:
             column.operator("manient.add_controls", icon="POSE_HLT")
+        layout.operator("manient.origin_to_wrist", icon="OBJECT_ORIGIN")
         if hand.armature.manient.wrist != "open":
             layout.prop(hand.armature.manient, "forearm")
 

@@ -86,7 +86,9 @@ class Rig(PosedBones):
         """How the bones lie at rest, as Blender has them now."""
         bones = [self.armature.data.bones[name] for name in self.bones]
         frames = np.array([bone.matrix_local.to_3x3() for bone in bones], dtype=np.float64)
-        return RestPose(self.side, frames, np.array(bones[0].head_local, dtype=np.float64))
+        noted = getattr(self.armature, "manient", None)  # not there where the add-on is not registered
+        origin = np.zeros(3) if noted is None else np.array(noted.origin, dtype=np.float64)
+        return RestPose(self.side, frames, np.array(bones[0].head_local, dtype=np.float64), origin)
 
     def to_bones(
         self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray

@@ -21,11 +21,13 @@ from handfit_core.take import HandTrack, Take
 
 from .controls import shown_keys, shown_pose
 from .corrections import end_corrections
-from .editable import check_editable, check_keyable
+from .editable import check_editable, check_keyable, check_unlayered
 from .keys import (
     PoseKeys,
     align_signs,
     check_unlocked,
+    frames_between,
+    is_smooth,
     remove_pose_keys,
     write_pose_keys,
 )
@@ -76,6 +78,7 @@ def apply_hand(
     """The same from another captured hand of the scene, as the artist left it: its keys, on its frames
     (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as `apply_track`."""
     hand, other = _checked(obj, mode), _captured(source)
+    check_unlayered(other.armature)
     if hand.armature == other.armature:
         raise OptionError(
             f"{hand.armature.name!r} is the hand that gets the motion; choose another one to take it from"
@@ -88,6 +91,11 @@ def apply_hand(
         keys = shown_keys(other.rig)
         if len(keys.frames) == 0:
             raise OptionError(f"{other.armature.name!r} has no keys to copy; apply its pose instead")
+        if is_smooth(other.rig):  # what lies between keys would be lost
+            moved, frames = keys, frames_between(keys.frames)
+            keys = PoseKeys.everywhere(frames, *shown_pose(other.rig, frames))
+            keys.rotation_keyed[:] = moved.rotation_keyed.any(axis=0)
+            keys.location_keyed[:] = moved.location_keyed.any()
     return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)
 
 

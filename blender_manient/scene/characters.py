@@ -3,26 +3,52 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
-from ..rigs import found_hand
-from ..rigs.character import Found
+from ..rigs import found_hand, troubles
 from .store import CapturedHand, captured_hands, hand_of
+
+_REMEMBERED = 32
+"""hands"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Recognised:
+    """What was recognised, and of what."""
+
+    heads: np.ndarray
+    names: tuple[str, ...]
+    found: Found | HandModelError
+    told: tuple[str, ...]
+
+    def holds(self, bones: bpy.types.ArmatureBones, heads: np.ndarray) -> bool:
+        if not np.array_equal(self.heads, heads):
+            return False
+        if isinstance(self.found, HandModelError):
+            return self.names == tuple(bones.keys())
+        found = self.found.hand_map
+        return all(name in bones for name in (*found.bones, *found.palm, found.control) if name)
+
+
+_recognised: dict[tuple[int, Side], _Recognised] = {}
+"""By the armature's session_uid"""
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The character's armature that an object is, or that deforms or carries it; None for captured hands and
-    all others."""
+    """The character's armature that an object is, or that deforms or carries it, or that it shows an instance
+    of, as objects do that link a character; None for captured hands and all others."""
     if obj is None:
         return None
     deforming = [m.object for m in obj.modifiers if m.type == "ARMATURE"]
-    for one in (obj, *deforming, obj.parent):
+    instanced = obj.instance_collection.all_objects if obj.instance_collection is not None else ()
+    for one in (obj, *deforming, obj.parent, *instanced):
         if one is not None and one.type == "ARMATURE" and not one.manient.is_hand:
             return one
     return None
@@ -56,7 +82,13 @@ def why_not_reachable(armature: bpy.types.Object) -> str | None:
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
     """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
-    return _read(getattr(armature.manient.character, side).hand_map)
+    kept = _read(getattr(armature.manient.character, side).hand_map)
+    return kept if kept is not None and kept.side == side else None
+
+
+def is_damaged(armature: bpy.types.Object, side: Side) -> bool:
+    """Whether a table is kept for a hand that cannot be read."""
+    return bool(getattr(armature.manient.character, side).hand_map) and kept_map(armature, side) is None
 
 
 def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
@@ -65,40 +97,77 @@ def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
 
 
 def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The kept table of a hand, else the one that is recognised now. Raises HandModelError."""
-    return kept_map(armature, side) or found_hand(armature, side).hand_map
+    """The kept table of a hand, else the one that is recognised. Raises HandModelError."""
+    kept = kept_map(armature, side)
+    if kept is not None:
+        return kept
+    found = recognised(armature, side).hand_map
+    return recognised(armature, side, tuple(troubles(armature, found))).hand_map
 
 
-def recognised(armature: bpy.types.Object, side: Side) -> Found:
-    """The hand that is recognised by its bones, looked for once: for panels. Raises HandModelError."""
-    found = _recognised(armature.name, side, _fingerprint(armature))
-    if isinstance(found, HandModelError):
-        raise HandModelError(str(found))
+def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
+    """The same for showing it: an empty table where nothing is kept or recognised."""
+    try:
+        return kept_map(armature, side) or recognised(armature, side).hand_map
+    except HandModelError:
+        return empty_map(side)
+
+
+def recognised(armature: bpy.types.Object, side: Side, told: tuple[str, ...] = ()) -> Found:
+    """The hand that is recognised by its bones, looked for once, as panels ask at every redraw; anew where
+    bones were moved or renamed, and where the rig's troubles were not `told` before, as after a switch from
+    IK to FK. Raises HandModelError."""
+    bones = armature.data.bones
+    key: tuple[int, Side] = (armature.session_uid, side)
+    heads = np.empty((len(bones), 3), dtype=np.float32)
+    bones.foreach_get("head_local", heads.ravel())
+    known = _recognised.get(key)
+    if known is None or not known.holds(bones, heads) or (told and told != known.told):
+        if len(_recognised) >= _REMEMBERED:
+            _recognised.clear()
+        try:
+            found = found_hand(armature, side)
+        except HandModelError as error:
+            found = error
+        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, told)
+    if isinstance(known.found, HandModelError):
+        raise HandModelError(str(known.found))
+    return known.found
+
+
+def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
+    """Look anew, and let go of the kept table, unless nothing is recognised. Raises HandModelError then."""
+    _recognised.clear()
+    found = recognised(armature, side)
+    getattr(armature.manient.character, side).hand_map = ""
     return found
 
 
-def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[Side, CapturedHand]:
-    """Which captured hand each of a character's hands follows: the chosen one, else a selected one of that
-    side, else the scene's only one of it. Raises OptionError where there are several."""
-    found: dict[Side, CapturedHand] = {}
+def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context) -> CapturedHand | None:
+    """Which captured hand a character's hand follows: the chosen one, else a selected one of that side, else
+    the scene's only one of it; None for none. Raises OptionError where there are several."""
+    chosen = getattr(armature.manient.character, side).source
+    hand = hand_of(chosen) if chosen is not None else None
+    if hand is not None:
+        return hand
     hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
+    own = [hand for hand in hands if hand.side == side]
+    own = [hand for hand in own if hand.armature.select_get()] or own
+    if len(own) > 1:
+        names = ", ".join(hand.armature.name for hand in own[:4])
+        raise OptionError(
+            f"several captured {side} hands could move {armature.name!r} ({names}): choose one in the panel"
+        )
+    return own[0] if own else None
+
+
+def sources_of(armature: bpy.types.Object, context: bpy.types.Context) -> dict[Side, CapturedHand]:
+    """The captured hand of each of a character's hands that gets motion. Raises OptionError."""
+    found: dict[Side, CapturedHand] = {}
     for side in SIDES:
-        settings = getattr(armature.manient.character, side)
-        if not settings.use:
-            continue
-        chosen = hand_of(settings.source) if settings.source is not None else None
-        if chosen is None:
-            own = [hand for hand in hands if hand.side == side]
-            selected = [hand for hand in own if hand.armature.select_get()]
-            own = selected or own
-            if len(own) > 1:
-                names = ", ".join(hand.armature.name for hand in own[:4])
-                raise OptionError(
-                    f"several captured {side} hands could move {armature.name!r} ({names}): choose one"
-                )
-            chosen = own[0] if own else None
-        if chosen is not None:
-            found[side] = chosen
+        hand = source_of(armature, side, context) if getattr(armature.manient.character, side).use else None
+        if hand is not None:
+            found[side] = hand
     return found
 
 
@@ -117,7 +186,8 @@ def hands_to_move(
             lacking = lacking or error
     if not found:
         raise lacking or OptionError(
-            "there is no captured hand in this scene that this character could follow"
+            "there is no captured hand in this scene that this character could follow: capture one, import a "
+            "hand take, or choose one of the other side to have it mirrored"
         )
     return found
 
@@ -128,16 +198,3 @@ def _read(text: str) -> HandMap | None:
         return HandMap.from_json(text) if text else None
     except HandModelError:
         return None
-
-
-@functools.lru_cache(maxsize=16)
-def _recognised(name: str, side: Side, _bones: int) -> Found | HandModelError:
-    try:
-        return found_hand(bpy.data.objects[name], side)
-    except HandModelError as error:
-        return error
-
-
-def _fingerprint(armature: bpy.types.Object) -> int:
-    """Changes with the bones' names and number; panels ask at every redraw."""
-    return hash((armature.session_uid, tuple(armature.data.bones.keys())))

@@ -12,7 +12,7 @@ from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 
 from ..blender_versions import channels, used_actions
 from ..rigs import controls
-from ..rigs.rig import Rig
+from ..rigs.rig import PosedBones, Rig
 from .corrections import end_corrections
 from .keys import (
     SAME_FRAME,
@@ -89,7 +89,7 @@ def shown_pose(rig: Rig, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _shown(rig, frames) if controls.in_use(rig.armature) else pose_at(rig, frames)
 
 
-def rotations_now(rig: Rig) -> np.ndarray:
+def rotations_now(rig: PosedBones) -> np.ndarray:
     """`displayed_pose` with what the controls do."""
     if not controls.in_use(rig.armature):
         return displayed_pose(rig)
@@ -126,8 +126,8 @@ def _shown(rig: Rig, frames: Any) -> tuple[np.ndarray, np.ndarray]:
         return _of_bones(rig, sample(rig.armature, frames))
 
 
-def _of_bones(rig: Rig, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """The 16 bones relative to their rest and parents: quaternions (N, 16, 4), the wrist's place (N, 3)."""
+def _of_bones(rig: PosedBones, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
+    """The B bones relative to their rest and parents: quaternions (N, B, 4), the first one's place (N, 3)."""
     basis = sampled.basis()[:, [sampled.names.index(name) for name in rig.bones]]
     return unflip_quats(rotmat_to_quat(rotations_of(basis))), basis[:, 0, :3, 3]
 

@@ -9,6 +9,7 @@ action than that, corrections are neither changed nor cleared; they can only be 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -40,6 +41,7 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    is_smooth,
     own_action,
     pose_at,
     read_pose_keys,
@@ -63,13 +65,18 @@ def timing_of(armature: bpy.types.Object) -> Timing:
     return store.timing_of(capture) if capture is not None else Timing()
 
 
-def corrected_frames(armature: bpy.types.Object) -> list[int]:
-    """The scene frames with a correction, increasing; none where corrections cannot be read. For drawing."""
-    try:
+def corrected_places(armature: bpy.types.Object) -> np.ndarray:
+    """(N,) the scene frames with a correction, which may lie between whole ones; none where corrections
+    cannot be read."""
+    frames: list[float] = []
+    with contextlib.suppress(TakeError):
         frames = corrections_of(armature).corrected
-    except TakeError:
-        return []
-    return [round(f) for f in timing_of(armature).scene_frames(np.array(frames, dtype=float)).tolist()]
+    return timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
+
+
+def corrected_frames(armature: bpy.types.Object) -> list[int]:
+    """The same, increasing and rounded, for drawing."""
+    return [round(f) for f in corrected_places(armature).tolist()]
 
 
 def corrections_of(armature: bpy.types.Object) -> CorrectionField:
@@ -363,8 +370,11 @@ def _snapped(places: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 
 def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:
-    """Take the keys of a scene frame away if the pose there stays the same without them."""
+    """Take the keys of a scene frame away if the pose there stays the same without them. On Bezier curves
+    they stay: the handles of their neighbours were shortened for them."""
     rig = rig_of(armature)
+    if is_smooth(rig):
+        return
     place = np.array([frame])
     quats, locations = pose_at(rig, place)
     remove_pose_keys(rig, frame, frame)

@@ -1,6 +1,8 @@
-"""Whether a captured hand may be changed here, and its keys, and why not."""
+"""Whether a hand may be changed here, and its keys, and why not."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import bpy
 
@@ -9,9 +11,15 @@ from handfit_core.errors import OptionError
 from ..rigs import rig_of
 from ..rigs.controls import in_use
 
+BELOW = "manient_below"
+"""Custom property of an action that lies as a layer on another one, which it names (scene/layer.py)"""
+
 
 def why_not_readable(armature: bpy.types.Object) -> str | None:
-    """Why a captured hand's pose cannot be read: a sentence for a tooltip; None where it can."""
+    """Why a captured hand's pose cannot be read: a sentence for a tooltip; None where it can, and for
+    characters, whose bones are asked for by name."""
+    if _is_character(armature):
+        return None
     return rig_of(armature, armature.manient.side).lacking
 
 
@@ -19,7 +27,7 @@ def why_not_editable(armature: bpy.types.Object) -> str | None:
     """Why nothing of a captured hand can be changed: a sentence for a tooltip; None where it can."""
     if armature.library is not None or not armature.is_editable:
         return "This hand is linked from another file: make it local to change it"
-    if armature.override_library is not None:
+    if armature.override_library is not None and not _is_character(armature):
         # What the add-on writes would be gone as soon as the file is loaded again.
         return "This hand is a library override: make it local to change it"
     return why_not_readable(armature)
@@ -42,6 +50,11 @@ def why_not_bakeable(armature: bpy.types.Object) -> str | None:
     if is_tweaked(armature):
         return "The motion is in the NLA: leave tweak mode, and make its action the active one to change it"
     action = data.action
+    if is_layered(armature):
+        return (
+            "The active action is a layer on top of the motion: merge or remove it (Shape and Pose > Keys), "
+            "or set the action's blending to Replace, to change it here"
+        )
     if action is None:
         # A new action with a few keys would hide all strips under it, on all frames.
         if any(len(track.strips) for track in data.nla_tracks):
@@ -52,10 +65,41 @@ def why_not_bakeable(armature: bpy.types.Object) -> str | None:
     return None
 
 
+def _is_character(armature: bpy.types.Object) -> bool:
+    noted = getattr(armature, "manient", None)  # not there where the add-on is not registered
+    return noted is not None and not noted.is_hand
+
+
 def is_tweaked(armature: bpy.types.Object) -> bool:
     """Whether an NLA strip of it is being edited, whose action has a time of its own."""
     data = armature.animation_data
     return data is not None and data.use_tweak_mode
+
+
+def is_layered(armature: bpy.types.Object) -> bool:
+    """Whether the active action is only added to what lies below it in the NLA, so that its keys are no
+    poses."""
+    data = armature.animation_data
+    return data is not None and data.action is not None and data.action_blend_type != "REPLACE"
+
+
+def strip_below(armature: bpy.types.Object) -> Any:
+    """The NLA strip with the motion on which the active action lies as a layer; None where it does not."""
+    if not is_layered(armature):
+        return None
+    data = armature.animation_data
+    motion = data.action.get(BELOW)
+    strips = [strip for track in data.nla_tracks for strip in track.strips]
+    return next((strip for strip in strips if motion is not None and strip.action == motion), None)
+
+
+def check_unlayered(armature: bpy.types.Object) -> None:
+    """Raises OptionError where the keys are not all of the motion, since a layer lies on top."""
+    if is_layered(armature):
+        raise OptionError(
+            f"{armature.name!r} has a layer on top of its motion: merge or remove it first (Shape and Pose > "
+            "Keys)"
+        )
 
 
 def check_editable(armature: bpy.types.Object) -> None:

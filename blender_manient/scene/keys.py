@@ -4,6 +4,7 @@ Each bone keeps its own frames. Rotations are quaternions (w, x, y, z) relative 
 lie along the first bone's own axes, just as `Rig.to_bones` makes them. Frames are scene frames. Bones that
 the artist switched to Euler angles or axis-angle are read and written in their own mode. Only the action
 (and slot) that the armature uses now is touched, or another one's channels where they are named as `holder`.
+Below a layer of changes (scene/layer.py) the motion is read.
 
 An action that another object uses too is copied before anything is written to it. Where a bone is missing
 all of these raise HandModelError, and writers raise OptionError where a channel is locked; nothing has
@@ -12,7 +13,9 @@ been changed then.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import bpy
@@ -20,12 +23,12 @@ import numpy as np
 from mathutils import Euler, Quaternion
 
 from handfit_core.errors import OptionError
-from handfit_core.geometry.rotations import unflip_quats
+from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
 from handfit_core.hand_model.axes import RestPose
 
 from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.rig import PosedBones
-from .editable import is_tweaked
+from .editable import is_tweaked, strip_below
 
 SAME_FRAME = 0.01
 """Keys nearer than this are one key, as for Blender itself"""
@@ -88,16 +91,24 @@ def pose_at(rig: PosedBones, frames: np.ndarray, *, holder: Any = None) -> tuple
 
     Where something has no curve its present value counts. Constraints, drivers and the NLA are not asked.
     """
+    values, locations = channel_values(rig, frames, holder=holder)
+    modes = [rig.armature.pose.bones[name].rotation_mode for name in _bones(rig)]
+    quats = [channels_to_quat(*one) for one in zip(values, modes, strict=True)]
+    return unflip_quats(np.stack(quats, axis=1)), locations
+
+
+def channel_values(
+    rig: PosedBones, frames: np.ndarray, *, holder: Any = None
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """What the bones' own channels say on any frames: (N, 3 or 4) per bone in its rotation mode, and the
+    first bone's locations (N, 3). Where something has no curve its present value counts."""
     curves = _Curves(rig.armature, holder)
     frames = np.asarray(frames, dtype=np.float64)
-    names = _bones(rig)
-    quats = np.empty((len(frames), len(names), 4))
-    for joint, name in enumerate(names):
-        bone = rig.armature.pose.bones[name]
-        values = _values_at(curves.rotation(name), getattr(bone, _rotation_path(bone)), frames)
-        quats[:, joint] = _to_quats(values, bone.rotation_mode)
-    locations = _values_at(curves.location(names[0]), rig.armature.pose.bones[names[0]].location, frames)
-    return unflip_quats(quats), locations
+    bones = [rig.armature.pose.bones[name] for name in _bones(rig)]
+    values = [
+        _values_at(curves.rotation(bone.name), getattr(bone, _rotation_path(bone)), frames) for bone in bones
+    ]
+    return values, _values_at(curves.location(bones[0].name), bones[0].location, frames)
 
 
 def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> None:
@@ -150,6 +161,37 @@ def remove_pose_keys(
         if not keep.all():
             _rebuild(curve, {name: values[keep] for name, values in data.items()})
     curves.tag()
+
+
+def replace_keys(
+    rig: PosedBones,
+    joint: int | None,
+    frames: np.ndarray,
+    values: np.ndarray,
+    before: np.ndarray,
+    behind: np.ndarray,
+) -> None:
+    """Give the rotation of one bone (None: the first bone's location) these Bezier keys and no others.
+
+    `frames` (K,); `values` (K, C) in the bone's own rotation mode; where the handles before and behind each
+    key lie, (K, C, 2) frame and value. The two handles of a key are aligned.
+    """
+    curves, names = _Curves(rig.armature, make=True), _bones(rig)
+    kind, name = (curves.location, names[0]) if joint is None else (curves.rotation, names[joint])
+    kinds = {"interpolation": "BEZIER", "handle_left_type": "ALIGNED", "handle_right_type": "ALIGNED"}
+    for i, curve in enumerate(kind(name, make=True)):
+        data = _plain(frames, values[:, i], kinds)
+        _rebuild(curve, data | {"handle_left": before[:, i], "handle_right": behind[:, i]})
+    curves.tag()
+
+
+def frames_between(keyed: np.ndarray) -> np.ndarray:
+    """(N,) frames of keys, increasing -> the same, and the whole frames in gaps between them."""
+    if len(keyed) < 2:
+        return keyed
+    between = np.arange(np.ceil(keyed[0]), np.floor(keyed[-1]) + 1.0)
+    gaps = np.diff(keyed)[np.clip(np.searchsorted(keyed, between, side="right") - 1, 0, len(keyed) - 2)]
+    return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
 
 
 def align_signs(rig: PosedBones) -> None:
@@ -208,6 +250,14 @@ def keyed_bones(rig: PosedBones) -> np.ndarray:
     return np.array(
         [any(c is not None and len(c.keyframe_points) for c in curves.rotation(name)) for name in _bones(rig)]
     )
+
+
+def is_smooth(rig: PosedBones) -> bool:
+    """Whether any of the bones' keys lead to the next one by a Bezier curve."""
+    curves, names = _Curves(rig.armature), _bones(rig)
+    parts = [part for name in names for part in (*curves.rotation(name), *curves.location(name))]
+    kinds = [_read(part, ("interpolation",))["interpolation"] for part in parts if part is not None]
+    return bool(np.any(np.concatenate([[], *kinds]) == _kind("interpolation", "BEZIER")))
 
 
 def displayed_pose(rig: PosedBones) -> np.ndarray:
@@ -290,7 +340,8 @@ class _Curves:
         if holder is None and make:
             holder = assign_action(armature, action or bpy.data.actions.new(armature.name))
         elif holder is None and action is not None:
-            holder = channels(action, action_slot(data))
+            user = strip_below(armature) or data
+            holder = channels(user.action, action_slot(user))
         self._holder = holder
         self._found = (
             {} if self._holder is None else {(c.data_path, c.array_index): c for c in self._holder.fcurves}
@@ -375,17 +426,6 @@ def _rotation_path(bone: bpy.types.PoseBone) -> str:
     return other.get(bone.rotation_mode, "rotation_euler")
 
 
-def _to_quats(values: np.ndarray, mode: str) -> np.ndarray:
-    """(N, 3 or 4) values of a rotation mode -> (N, 4) unit quaternions."""
-    if mode == "QUATERNION":
-        length = np.linalg.norm(values, axis=-1, keepdims=True)
-        # A quaternion of length zero is no rotation, for Blender as here.
-        return np.where(length > 1e-9, values / np.maximum(length, 1e-9), [1.0, 0.0, 0.0, 0.0])
-    if mode == "AXIS_ANGLE":
-        return np.array([Quaternion(v[1:], v[0]) for v in values.tolist()]).reshape(-1, 4)
-    return np.array([Euler(v, mode).to_quaternion() for v in values.tolist()]).reshape(-1, 4)
-
-
 def _from_quats(
     quats: np.ndarray, bone: bpy.types.PoseBone, parts: list[Any], frames: np.ndarray
 ) -> np.ndarray:
@@ -397,7 +437,16 @@ def _from_quats(
         earlier = float(before[-1])
     start = _values_at(parts, getattr(bone, _rotation_path(bone)), np.array([earlier]))
     if bone.rotation_mode == "QUATERNION":
-        return unflip_quats(np.concatenate([start, quats]))[1:].T
+        turned = unflip_quats(np.concatenate([start, quats]))[1:]
+        # Keys that lie far apart may be more than half a turn away from each other: there the sign is that of
+        # what is there already, if it is much the same rotation.
+        there = _values_at(parts, getattr(bone, _rotation_path(bone)), frames)
+        alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
+        same = _contains(co[:, 0].astype(np.float64), frames)
+        told = np.abs(alike) > np.where(same, 0.7, 0.99)
+        last = np.maximum.accumulate(np.where(told, np.arange(len(frames)), -1))
+        sign = np.where((last >= 0) & (alike[last] < 0.0), -1.0, 1.0)
+        return (turned * sign[:, None]).T
     if bone.rotation_mode == "AXIS_ANGLE":
         turned = [Quaternion(q).to_axis_angle() for q in quats.tolist()]
         return np.array([(angle, *axis) for axis, angle in turned]).T
@@ -437,7 +486,8 @@ def _rebuild(curve: Any, data: dict[str, np.ndarray]) -> None:
     if count > len(points):
         points.add(count - len(points))
     for name, values in data.items():
-        points.foreach_set(name, np.ascontiguousarray(values).ravel())
+        kind = np.float32 if name in _PLACES else values.dtype
+        points.foreach_set(name, np.ascontiguousarray(values, dtype=kind).ravel())
     curve.update()
 
 
@@ -464,27 +514,105 @@ def _write(curve: Any, frames: np.ndarray, values: np.ndarray) -> None:
 
 def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarray) -> dict[str, np.ndarray]:
     """Key points with new ones between the old, each like the one before it in how it leads to the next."""
-    before = np.maximum(np.searchsorted(data["co"][:, 0], frames) - 1, 0)
-    new: dict[str, np.ndarray] = {
-        "co": np.stack([frames, values], axis=-1),
-        # Blender puts automatic handles where they belong.
-        "handle_left": np.stack([frames - 1 / 3, values], axis=-1),
-        "handle_right": np.stack([frames + 1 / 3, values], axis=-1),
-    }
-    plain = {
+    old = data["co"][:, 0].astype(np.float64)
+    before = np.maximum(np.searchsorted(old, frames) - 1, 0)
+    new = _plain(frames, values)
+    for name in ("interpolation", "easing", *_AMOUNTS):
+        if len(old):
+            new[name] = data[name][before]
+    order = np.argsort(np.concatenate([old, frames]), kind="stable")
+    whole = {name: np.concatenate([data[name], new[name].astype(data[name].dtype)])[order] for name in data}
+    _split(data, whole, order >= len(old))
+    return whole
+
+
+def _split(data: dict[str, np.ndarray], whole: dict[str, np.ndarray], new: np.ndarray) -> None:
+    """Have Bezier curves with handles of their own run through new keys as they did before: the part of a
+    curve between two of its parameters has the handles b(s, s, t) and b(s, t, t) of its blossom b.
+
+    `data`: the key points before; `whole`: those with new ones, bool `new` (K,), whose values are kept, so
+    that handles go with them.
+    """
+    free = [_kind("handle_left_type", kind) for kind in ("FREE", "ALIGNED")]
+    bezier = data["interpolation"] == _kind("interpolation", "BEZIER")
+    leads = bezier[:-1] & np.isin(data["handle_right_type"][:-1], free)
+    leads &= np.isin(data["handle_left_type"][1:], free)
+    at = np.cumsum(~new) - 1  # the old key that each one is, or comes after
+    first = at[:-1]
+    inside = (new[:-1] | new[1:]) & (first >= 0) & (first < len(leads))
+    inside[inside] = leads[first[inside]]
+    rows = np.flatnonzero(inside)  # each stands for the curve from a key to the next
+    if len(rows) == 0:
+        return
+    start = first[rows]
+    corners = np.stack(
+        [
+            data["co"][start],
+            data["handle_right"][start],
+            data["handle_left"][start + 1],
+            data["co"][start + 1],
+        ]
+    ).astype(np.float64)
+    width = corners[3, :, 0] - corners[0, :, 0]
+    # As Blender does, handles are shortened where they would have the curve turn back in time.
+    reach = (corners[1, :, 0] - corners[0, :, 0]) + (corners[3, :, 0] - corners[2, :, 0])
+    shorter = np.where(reach > width, width / np.maximum(reach, 1e-9), 1.0)[:, None]
+    corners[1] = corners[0] + (corners[1] - corners[0]) * shorter
+    corners[2] = corners[3] + (corners[2] - corners[3]) * shorter
+    ends = [_parameter(corners[..., 0], whole["co"][rows + step, 0].astype(np.float64)) for step in (0, 1)]
+    blossom = lambda *at: _blossom(corners, [ends[i][:, None] for i in at])  # noqa: E731
+    for name, row, handle, end in (
+        ("handle_right", rows, blossom(0, 0, 1), blossom(0, 0, 0)),
+        ("handle_left", rows + 1, blossom(0, 1, 1), blossom(1, 1, 1)),
+    ):
+        whole[name][row] = whole["co"][row] + (handle - end)
+    on = np.flatnonzero(new)
+    on = on[np.isin(on, rows) & np.isin(on - 1, rows)]
+    for name in ("handle_left_type", "handle_right_type"):
+        whole[name][on] = _kind(name, "ALIGNED")
+
+
+def _parameter(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(S,) where cubics with corners (4, S), which rise all along, reach these places: by halving."""
+    low, high = np.zeros(len(places)), np.ones(len(places))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        under = _blossom(corners, [middle] * 3) < places
+        low, high = np.where(under, middle, low), np.where(under, high, middle)
+    return np.where(places <= corners[0], 0.0, np.where(places >= corners[3], 1.0, 0.5 * (low + high)))
+
+
+def _blossom(corners: np.ndarray, at: list[np.ndarray]) -> np.ndarray:
+    """De Casteljau's scheme over four corners, with another parameter in each of its three steps."""
+    for t in at:
+        corners = corners[:-1] * (1.0 - t) + corners[1:] * t
+    return corners[0]
+
+
+def _plain(
+    frames: np.ndarray, values: np.ndarray, kinds: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, np.ndarray]:
+    """Key points as Blender makes them, but with straight lines between; or of these `kinds`."""
+    chosen = {
         "interpolation": "LINEAR",
         "handle_left_type": "AUTO_CLAMPED",
         "handle_right_type": "AUTO_CLAMPED",
         "easing": "AUTO",
         "type": "KEYFRAME",
+        **kinds,
     }
-    for name in (*_KINDS, *_AMOUNTS, *_SELECTED):
-        if len(data[name]) and name in ("interpolation", "easing", *_AMOUNTS):
-            new[name] = data[name][before]
-        elif name in plain:
-            kinds = bpy.types.Keyframe.bl_rna.properties[name].enum_items
-            new[name] = np.full(len(frames), kinds[plain[name]].value)
-        else:
-            new[name] = np.zeros(len(frames))
-    order = np.argsort(np.concatenate([data["co"][:, 0], frames]), kind="stable")
-    return {name: np.concatenate([data[name], new[name].astype(data[name].dtype)])[order] for name in data}
+    count = len(frames)
+    return {
+        "co": np.stack([frames, values], axis=-1),
+        # Blender puts automatic handles where they belong.
+        "handle_left": np.stack([frames - 1 / 3, values], axis=-1),
+        "handle_right": np.stack([frames + 1 / 3, values], axis=-1),
+        **{name: np.full(count, _kind(name, kind), dtype=np.int32) for name, kind in chosen.items()},
+        **{name: np.zeros(count, dtype=np.float32) for name in _AMOUNTS},
+        **{name: np.zeros(count, dtype=bool) for name in _SELECTED},
+    }
+
+
+def _kind(name: str, kind: str) -> int:
+    """The number of a key point's enumerated value."""
+    return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value

@@ -20,8 +20,10 @@ from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig
 from ..wording import named_after
 from .animation import describe
+from .editable import check_unlayered
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import adding_correctives, build_mesh
+from .simplify import forget_all_keys
 from .store import CapturedHand, describe_hand, keep_take
 
 _GAP = 0.01
@@ -34,13 +36,15 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     It has the same betas, the mirrored pose, and a copy of the present action with every key mirrored. The
     mirror is the vertical plane through the camera (x = 0 of the armature's space); where the hand
     reaches across it, a plane beside the hand, so that the two never overlap. The kept take gets the mirrored
-    track, whose frames count as filled: nothing of that hand was detected. Raises HandModelError.
+    track, whose frames count as filled: nothing of that hand was detected. Raises HandModelError, and
+    OptionError where a layer lies on its motion.
     """
     side = other_side(hand.side)
     model, source_model = (kept_model(hand.take.model, s) for s in (side, hand.side))
     source, own = hand.armature, hand.rig
     betas = hand.betas
     shaped = model.shaped(betas)
+    check_unlayered(source)
     keys = read_pose_keys(own)
     present = displayed_pose(own)
     present_place = np.array(source.pose.bones[own.bones[0]].location)
@@ -48,6 +52,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
 
     rig = build_rig(named_after(hand.collection.name, f"{side} hand"), shaped, side)
     armature = rig.armature
+    armature.manient.origin = source.manient.origin
     for collection in source.users_collection:
         collection.objects.link(armature)
     armature.parent, armature.parent_type = source.parent, source.parent_type
@@ -139,6 +144,7 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
     old_slot = action_slot(data)
     action = data.action.copy()
     action.name = armature.name
+    forget_all_keys(action)  # they are those of the other side
     armature.animation_data_create().action = action
     if old_slot is not None:
         # Only this hand's part of an action that several objects share.

@@ -34,6 +34,7 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    frames_between,
     own_action,
     pose_at,
     read_pose_keys,
@@ -136,11 +137,7 @@ def _keyed_frames(hand: CapturedHand) -> np.ndarray:
     keyed = read_pose_keys(hand.rig).frames
     if len(keyed) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    between = np.arange(np.ceil(keyed[0]), np.floor(keyed[-1]) + 1.0)
-    if len(keyed) == 1:
-        return keyed
-    gaps = np.diff(keyed)[np.clip(np.searchsorted(keyed, between, side="right") - 1, 0, len(keyed) - 2)]
-    return np.union1d(keyed, between[gaps > 1.0 + SAME_FRAME])
+    return frames_between(keyed)
 
 
 def told_by_keys(armature: bpy.types.Object) -> bool:
@@ -235,7 +232,7 @@ def computing(
         for start in range(0, len(quats), _CHUNK):
             some = slice(start, start + _CHUNK)
             standing = target.standing(motion.turns[some]) if kept is None else kept.standing[some]
-            quats[some] = _within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
+            quats[some] = within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
             yield 0.0
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
@@ -292,7 +289,7 @@ def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, No
         yield done / len(steps)
 
 
-def _within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
+def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
     """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are."""
     quats = quats.copy()
     for k, name in enumerate(names):
@@ -445,17 +442,18 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
     data = armature.animation_data or armature.animation_data_create()
     old, old_slot = data.action, action_slot(data)
     if into == "STRIP":
-        _add_strip(data, action, slot)
+        add_strip(data, action, slot)
         return
     if old is not None and old is not action:
         data.action = None
-        _add_strip(data, old, old_slot)
+        add_strip(data, old, old_slot)
     data.action = action
     if slot is not None:
         data.action_slot = slot
 
 
-def _add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+def add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
+    """Put an action on a new track on top of the NLA, where its keys are."""
     first, last = action.frame_range
     track = data.nla_tracks.new()
     track.name = action.name

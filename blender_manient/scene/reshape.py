@@ -41,6 +41,7 @@ from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
 from .mesh import corrective_names
 from .own_scene import object_mode
+from .simplify import own_kept_actions
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
@@ -196,7 +197,8 @@ def _after_time_travel(*_: Any) -> None:
 
 def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     """New rest bones, and every key and the present pose about the new axes."""
-    holders = filter(None, [channels(action, slot) for action, slot in used_actions(rig.armature)])
+    used = [*used_actions(rig.armature), *own_kept_actions(rig.armature)]
+    holders = filter(None, [channels(action, slot) for action, slot in used])
     kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in holders]
     quats, locations = pose_at(rig, np.zeros(1), holder=_NOTHING)
     old = rig.rest

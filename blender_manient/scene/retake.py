@@ -135,7 +135,9 @@ def _bones(hand: CapturedHand, frames: np.ndarray, metres: float) -> tuple[np.nd
     for joint in range(1, NUM_JOINTS):
         local[:, joint] = np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint]
     place = metres * (space @ sampled.pose[:, chosen[0], :, 3:])[:, :3, 0]
-    return rotmat_to_quat(np.swapaxes(bones, -1, -2) @ local @ bones), (place - rest.wrist) @ bones[0]
+    return rotmat_to_quat(np.swapaxes(bones, -1, -2) @ local @ bones), (
+        place - rest.wrist - rest.origin
+    ) @ bones[0]
 
 
 def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray) -> np.ndarray:

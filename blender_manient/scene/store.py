@@ -135,13 +135,13 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
 
     None for all other objects, and for hands whose take is not there: ones that an older version built,
     or that were copied to another file without their collection. `kept_take` says what is wrong. None also
-    for one whose shape is not finite, which only a damaged or hostile file holds.
+    for one whose shape or place is not finite, which only a damaged or hostile file holds.
     """
     armature = _armature_of(obj)
     if armature is None:
         return None
     collection = armature.manient.capture
-    if collection is None or not np.all(np.isfinite(armature.manient.betas)):
+    if collection is None or not np.all(np.isfinite([*armature.manient.betas, *armature.manient.origin])):
         return None
     try:
         take = kept_take(collection)

@@ -117,6 +117,25 @@ def rotvec_to_quat(rotvec: np.ndarray) -> np.ndarray:
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotvec], axis=-1)
 
 
+def channels_to_quat(values: np.ndarray, mode: str) -> np.ndarray:
+    """(N, 3 or 4) rotations as Blender's channels have them -> (N, 4) unit quaternions (w, x, y, z).
+
+    `mode` is Blender's: QUATERNION of any length (zero: no rotation), AXIS_ANGLE as (angle, x, y, z), or the
+    order of Euler angles in radians, such as XYZ, whose first turn is about X.
+    """
+    if mode in ("QUATERNION", "AXIS_ANGLE"):
+        vector = values if mode == "QUATERNION" else values[:, 1:]
+        length = np.linalg.norm(vector, axis=-1, keepdims=True)
+        nothing = np.eye(1, vector.shape[1])
+        unit = np.where(length > 1e-9, vector / np.maximum(length, 1e-9), nothing)
+        return unit if mode == "QUATERNION" else rotvec_to_quat(unit * values[:, :1])
+    whole = np.eye(1, 4)
+    for axis in mode:
+        i = "XYZ".index(axis)
+        whole = quat_multiply(rotvec_to_quat(values[:, i, None] * np.eye(3)[i]), whole)
+    return whole
+
+
 def quat_to_rotvec(quat: np.ndarray) -> np.ndarray:
     """(..., 4) unit quaternions (w, x, y, z) -> (..., 3) axis-angle in radians, of at most pi."""
     quat = np.where(quat[..., :1] < 0.0, -quat, quat)

@@ -13,7 +13,7 @@ A **bone** frame has Y along the bone. A positive turn about X bends the bone to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -93,6 +93,9 @@ class RestPose:
     """(16, 3, 3) each bone's axes in rest space, X, Y and Z in columns"""
     wrist: np.ndarray
     """(3,) metres in rest space: where the wrist bone begins"""
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) metres: where the origin of rest space lies, seen from that of the world that the capture camera
+    stands in"""
 
     def to_bones(
         self, shaped: ShapedHand, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
@@ -109,9 +112,8 @@ class RestPose:
         turned[:, 0] = WORLD_FROM_CAMERA @ rotvec_to_rotmat(global_orient) @ REST_FROM_MODEL.T
         local = np.swapaxes(self.frames, -1, -2) @ turned @ self.frames
         wrist = shaped.joints[0]
-        return rotmat_to_quat(local), (points_to_world(wrist + transl) - points_to_rest(wrist)) @ self.frames[
-            0
-        ]
+        moved = points_to_world(wrist + transl) - self.origin - points_to_rest(wrist)
+        return rotmat_to_quat(local), moved @ self.frames[0]
 
     def from_bones(
         self, shaped: ShapedHand, quats: np.ndarray, locations: np.ndarray
@@ -121,7 +123,7 @@ class RestPose:
         global_orient = rotmat_to_rotvec(WORLD_FROM_CAMERA.T @ turned[:, 0] @ REST_FROM_MODEL)
         hand_pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ turned[:, 1:] @ REST_FROM_MODEL)
         wrist = shaped.joints[0]
-        moved = locations @ self.frames[0].T + points_to_rest(wrist)
+        moved = locations @ self.frames[0].T + points_to_rest(wrist) + self.origin
         return global_orient, hand_pose.reshape(-1, 3 * (NUM_JOINTS - 1)), moved @ WORLD_FROM_CAMERA - wrist
 
     def turned_to(self, other: RestPose, quats: np.ndarray) -> np.ndarray:
@@ -139,10 +141,10 @@ class RestPose:
     def moved_to(self, other: RestPose, locations: np.ndarray, plane: float = 0.0) -> np.ndarray:
         """Locations (..., 3) that put another rig's wrist where `locations` put this one's; a wrist of the
         other side, where a mirror at x = `plane` metres of rest space shows it."""
-        place = self.wrist + locations @ self.frames[0].T
+        place = self.wrist + self.origin + locations @ self.frames[0].T
         if other.side != self.side:
             place = place @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
-        return (place - other.wrist) @ other.frames[0]
+        return (place - other.wrist - other.origin) @ other.frames[0]
 
 
 def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

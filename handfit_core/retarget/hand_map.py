@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final, cast
 
@@ -91,10 +90,7 @@ class HandMap:
     @classmethod
     def from_json(cls, text: str) -> HandMap:
         """The inverse of `to_json`. Raises HandModelError for whatever else the text is."""
-        try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise HandModelError("this is no table of a hand's bones: it is not JSON") from error
+        data = _json(text, "table")
         if not isinstance(data, dict):
             raise HandModelError("this is no table of a hand's bones")
         if data.get("side") not in SIDES:
@@ -108,7 +104,7 @@ class HandMap:
                 continue
             value, kind = data[name], kinds[name]
             if kind == "float":
-                fits = type(value) in (int, float) and math.isfinite(value) and abs(value) <= 360.0
+                fits = type(value) in (int, float) and abs(value) <= 360.0
             else:
                 fits = isinstance(value, bool if kind == "bool" else str) and len(str(value)) <= _LONGEST
             if not fits:
@@ -160,6 +156,31 @@ def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = (
 def _ends(hand_map: HandMap) -> tuple[str, str]:
     """Where a palm begins and where it ends: bones."""
     return hand_map.bones[0], hand_map.bones[next(j for j in (4, 1, 7, 10, 13) if hand_map.bones[j])]
+
+
+def to_preset(hand_maps: Iterable[HandMap]) -> str:
+    """The text of a preset file: a JSON list of the tables of one hand or both."""
+    return f"[{','.join(hand_map.to_json() for hand_map in hand_maps)}]"
+
+
+def from_preset(text: str) -> list[HandMap]:
+    """The inverse of `to_preset`. Raises HandModelError for whatever else the text is."""
+    data = _json(text, "preset")
+    if not isinstance(data, list):
+        raise HandModelError("this is no preset of a hand's bones: it is no list of tables")
+    read = [HandMap.from_json(json.dumps(one)) for one in data]
+    if sorted(hand_map.side for hand_map in read) not in (["left"], ["right"], ["left", "right"]):
+        raise HandModelError("a preset has one table for a hand or one for each")
+    return read
+
+
+def _json(text: str, what: str) -> Any:
+    try:
+        data = json.loads(text)
+        json.dumps(data, ensure_ascii=False).encode()  # Blender cannot show half a surrogate pair
+    except (ValueError, RecursionError) as error:
+        raise HandModelError(f"this is no {what} of a hand's bones: it is not JSON") from error
+    return data
 
 
 def _names(data: Any, keys: tuple[str, ...]) -> tuple[str, ...]:

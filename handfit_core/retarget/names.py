@@ -150,6 +150,7 @@ RIGS = (
     Rig("Auto-Rig Pro", "hand.l", "{}1.l|c_{}2.l|c_{}3.l", palm="c_{}1_base.l"),
     Rig("SMPL-X", "left_wrist", "left_{}{}", thumb_roll=0.0),
     Rig("3ds Max Biped", "L Hand", "L Finger{}{}", "0 1 2 3 4", ("", "1", "2"), prefix="Bip01 "),
+    Rig("Advanced Skeleton", "Wrist_L", "{}Finger{}_L", "Thumb Index Middle Ring Pinky"),
     Rig("Rokoko", "LeftHand", "LeftFinger{}{}", _NUMBERS, ("Proximal", "Medial", "Distal"), _ANATOMY,
         palm="LeftFinger{}Metacarpal"),
     Rig("Captured hand", "wrist.L", "{}_{}.L", "thumb index middle ring little",
@@ -159,14 +160,24 @@ RIGS = (
 
 
 def named_hands(bones: Bones, side: Side) -> list[Found]:
-    """Every hand of that side that names tell of, the surest first. One hand may be found several times, as
-    the controls and the deforming bones of a control rig."""
-    found = []
+    """Every hand of that side that names tell of, the surest first.
+
+    One hand may be found several times, as the controls and the deforming bones of a control rig. Where some
+    have a counterpart on the other side, one that has none, such as a prosthesis, is left out."""
+    found: list[Found] = []
     for rig, bearers in _bearers(bones, side):
         with contextlib.suppress(HandModelError):  # bones in one place or on a line are no hand
             guess = _hand(bones, side, rig, bearers)
             found += [guess] if guess is not None else []
-    return sorted(found, key=lambda one: -one.sure)
+    names = [parsed(name) for name in bones.names]
+    mirrored = {(name.left, name.copy) for name in names if name.side not in (side, None)}
+
+    def paired(one: Found) -> bool:
+        own = [parsed(name) for name in one.hand_map.bones if name]
+        return all((name.left, name.copy) in mirrored for name in own)
+
+    found.sort(key=lambda one: -one.sure)
+    return [one for one in found if paired(one)] or found
 
 
 def _bearers(bones: Bones, side: Side) -> Iterator[tuple[Rig, dict[int, int]]]:

@@ -17,7 +17,7 @@ from .contact import penetration
 from .kinematics import RightHand, within_limits
 from .reach import fingers_mask, pinch, reach, tip_distance
 
-_DIP: Final = {
+DIP: Final = {
     "index": (0.87, -25.0),
     "middle": (0.79, -18.0),
     "ring": (0.73, -20.5),
@@ -77,7 +77,7 @@ def with_play(
 
 def bent(name: str, mcp: float, pip: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Knuckle and middle joint in degrees -> all three, the last one following."""
-    slope, offset = _DIP[name]
+    slope, offset = DIP[name]
     return mcp, pip, max(slope * pip + offset, 0.03 * pip) + rng.normal(0.0, 3.0)
 
 

@@ -49,6 +49,14 @@ def joint_name(joint: int, side: Side) -> str:
     return f"b{joint:02d}_{side[0]}"
 
 
+def mixamo_names(side: Side, prefix: str = "mixamorig:") -> dict[int, str]:
+    """What Mixamo calls a hand's bones, by MANO's joints."""
+    own = f"{prefix}{side.capitalize()}Hand"
+    called = dict(zip(FINGERS, ("Thumb", "Index", "Middle", "Ring", "Pinky"), strict=True))
+    fingers = {j: f"{own}{called[f]}{i + 1}" for f in FINGERS for i, j in enumerate(FINGER_JOINTS[f])}
+    return {0: own, **fingers}
+
+
 def hand_specs(
     side: Side,
     rng: np.random.Generator,

@@ -293,12 +293,12 @@ def test_bake_and_limits(hand):
 def test_a_used_control_asks_for_bake_before_keys_are_changed(hand):
     control(hand, "ring").rotation_euler.x = 0.3
     with pytest.raises(RuntimeError, match="Controls move this hand on top of its keys: bake them"):
-        bpy.ops.manient.relax_pose()
+        bpy.ops.manient.apply_pose(pose="Relaxed")
     hand.manient.use_controls = False
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     hand.manient.use_controls = True
     bpy.ops.manient.bake_controls()
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     with pytest.raises(RuntimeError, match="at rest: there is nothing to bake"):
         bpy.ops.manient.bake_controls()
 

@@ -65,10 +65,10 @@ def test_motion_in_the_nla_is_not_hidden_by_a_key(armature, made):
     np.testing.assert_allclose([shown(armature, f) for f in (4, 8, 16)], before, atol=1e-5)
     assert "NLA" in (why_not_keyable(armature) or "")
     assert why_not_editable(armature) is None
-    for operator in ("relax_pose", "refit_range", "edit_keypoints"):
+    for operator in ("apply_pose", "refit_range", "edit_keypoints"):
         assert not getattr(bpy.ops.manient, operator).poll()
     with pytest.raises(RuntimeError, match="in the NLA"):
-        bpy.ops.manient.relax_pose()
+        bpy.ops.manient.apply_pose(pose="Relaxed")
     for change in (
         lambda: correct(armature),
         lambda: refitted(armature, [5, 6]),
@@ -122,7 +122,7 @@ def test_a_library_override_says_so(armature, tmp_path):
     hand = next(o for o in bpy.context.scene.objects if o.type == "ARMATURE" and o.override_library)
     bpy.context.view_layer.objects.active = hand
     assert "library override" in (why_not_editable(hand) or "")
-    for operator in ("relax_pose", "lock_joints", "clear_corrections", "mirror_hand", "apply_take"):
+    for operator in ("apply_pose", "lock_joints", "clear_corrections", "mirror_hand", "apply_take"):
         assert not getattr(bpy.ops.manient, operator).poll(), operator
     assert "library override" in (why_not(bpy.context, hand_of(hand)) or "")
     assert bpy.ops.manient.save_pose_asset() == {"FINISHED"}
@@ -140,7 +140,7 @@ def test_a_linked_action_says_so(armature, tmp_path):
         wanted.actions = [name]
     armature.animation_data.action = wanted.actions[0]
     assert "make the action local" in (why_not_keyable(armature) or "")
-    assert not bpy.ops.manient.relax_pose.poll()
+    assert not bpy.ops.manient.apply_pose.poll()
     assert bpy.ops.manient.lock_joints.poll()
 
 
@@ -152,7 +152,7 @@ def test_locked_channels_are_not_overwritten(armature, made):
             curve.lock = True
     bpy.context.scene.frame_set(6)
     with pytest.raises(RuntimeError, match=f"bone {bone} .* are locked"):
-        bpy.ops.manient.relax_pose()
+        bpy.ops.manient.apply_pose(pose="Relaxed")
     for change in (
         lambda: correct(armature),
         lambda: refitted(armature, [5, 6]),
@@ -181,10 +181,10 @@ def test_a_locked_group_counts_too(armature):
 def test_renamed_bones_are_one_sentence(armature, made):
     bone = bone_names("right")[8]
     armature.data.bones[bone].name = "pinky"
-    for operator in ("relax_pose", "mirror_hand", "save_pose_asset", "apply_take", "refit_range"):
+    for operator in ("apply_pose", "mirror_hand", "save_pose_asset", "apply_take", "refit_range"):
         assert not getattr(bpy.ops.manient, operator).poll(), operator
     with pytest.raises(RuntimeError, match=f"lacks the bone {bone}"):
-        bpy.ops.manient.relax_pose()
+        bpy.ops.manient.apply_pose(pose="Relaxed")
     with pytest.raises(HandModelError, match=f"lacks the bone {bone}"):
         pose_at(rig_of(armature), np.array([4.0]))
     with pytest.raises(HandModelError, match="give its bones their names back"):
@@ -200,7 +200,7 @@ def test_linked_duplicates_do_not_move_each_other(armature, made):
     twin = bpy.context.view_layer.objects.active
     assert twin.animation_data.action == armature.animation_data.action
     bpy.context.scene.frame_set(6)
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     assert twin.animation_data.action != armature.animation_data.action
     np.testing.assert_array_equal(read_pose_keys(rig_of(armature)).quats, before.quats)
     assert same_rotations(read_pose_keys(rig_of(twin)).quats, before.quats) > 0.05
@@ -228,7 +228,7 @@ def test_a_relaxed_pose_beside_a_correction_outlives_it(armature):
     correct(armature, 6)
     wrist = pose_at(rig_of(armature), np.array([8.0]))
     bpy.context.scene.frame_set(8)
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     relaxed, place = pose_at(rig_of(armature), np.array([8.0]))
     assert same_rotations(relaxed[:, 0], wrist[0][:, 0]) < 1e-5
     np.testing.assert_allclose(place, wrist[1], atol=1e-6)

@@ -113,9 +113,9 @@ write_pose_keys(rig, PoseKeys.everywhere(np.array([100.0]), before.quats[:1], be
 np.testing.assert_allclose(np.abs(pose_at(rig, np.array([100.0]))[0]), np.abs(before.quats[:1]), atol=1e-6)
 hand.armature["boneless"] = True
 bpy.context.view_layer.objects.active = hand.armature
-assert not bpy.ops.manient.relax_pose.poll()
+assert not bpy.ops.manient.apply_pose.poll()
 try:
-    bpy.ops.manient.relax_pose()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
 except RuntimeError as error:
     assert "The plug-in aaa.py failed in Boneless (KeyError: 'bones'): mend" in str(error), error
 blender_manient.unregister()

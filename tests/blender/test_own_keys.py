@@ -126,12 +126,12 @@ def test_the_words_follow_the_range(armature):
 
 def test_corrections_are_named_too(armature):
     bpy.context.scene.frame_set(round(place(armature, 0)))
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     frame = place(armature, 8)
     quats, locations = pose_at(rig_of(armature), np.array([frame]))
     corrections.correct_frames(armature, [FRAMES[8]], quats, locations, 2, pins=PINS)
     said, alert = replaced(bpy.context, round(place(armature, 0)), round(place(armature, 11)))
-    assert said == "Fits 12 frames again. Replaces 1 relaxed pose. The points of 1 corrected frame stay"
+    assert said == "Fits 12 frames again. Replaces 1 applied pose. The points of 1 corrected frame stay"
     assert alert
 
 

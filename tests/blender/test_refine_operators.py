@@ -220,7 +220,7 @@ def test_what_a_range_was_fitted_to_is_no_key_by_hand(armature):
 
 
 def test_a_point_dragged_in_a_relaxed_frame_starts_from_there_and_goes_back_to_it(armature):
-    assert bpy.ops.manient.relax_pose() == {"FINISHED"}
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     relaxed = all_keys(armature)
     ring = landmarks(armature)[16]
     drag(armature, by=0.5 * FARTHER)

@@ -14,12 +14,16 @@ import pytest
 
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
+from blender_manient.scene.build import build_take
+from blender_manient.scene.onto_character import Onto, putting
+from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.names import RIGS
-from handfit_core.retarget.transfer import target_hand
+from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
+from handfit_core.slices import result_of
 from tests.core.retarget.rigs import Built, add_hand, body, names_of, source
 
 from .characters import BoneSpec, build_armature, placed
@@ -64,6 +68,11 @@ def palm(wrist, first, middle, last):
     return np.stack([along, across, np.cross(along, across)], axis=-1)
 
 
+def turn_of(bone: bpy.types.PoseBone) -> np.ndarray:
+    """(3, 3) from how a bone lies at rest to how it stands."""
+    return np.array((bone.matrix @ bone.bone.matrix_local.inverted()).to_3x3())
+
+
 def worst_angle(armature, hand_map: HandMap, turns) -> float:
     """How far the segments of a posed character's fingers are from where the captured hand's point, degrees.
 
@@ -75,12 +84,10 @@ def worst_angle(armature, hand_map: HandMap, turns) -> float:
     quats = rotmat_to_quat(target.local(turns))
     joints, tips = ours.points(turns)
     rest = {bone.name: np.array(bone.head_local) for bone in armature.data.bones}
-    ends = [FINGER_JOINTS[f][0] for f in ("index", "middle", "little")]
-    firsts = [next(hand_map.bones[j] for j in FINGER_JOINTS[f] if hand_map.bones[j]) for f in FINGERS]
-    theirs = palm(
-        rest[hand_map.bones[0]], *(rest[firsts[FINGERS.index(f)]] for f in ("index", "middle", "little"))
-    )
-    own = palm(ours.joints[0], *(ours.joints[end] for end in ends))
+    chains = [FINGER_JOINTS[finger] for finger in ("index", "middle", "little")]
+    firsts = [next(hand_map.bones[joint] for joint in chain if hand_map.bones[joint]) for chain in chains]
+    theirs = palm(rest[hand_map.bones[0]], *(rest[name] for name in firsts))
+    own = palm(ours.joints[0], *(ours.joints[chain[0]] for chain in chains))
     worst = 0.0
     for row in range(len(turns)):
         for bone, quat in zip(target.bones, quats[row], strict=True):
@@ -89,19 +96,21 @@ def worst_angle(armature, hand_map: HandMap, turns) -> float:
         bpy.context.view_layer.update()
         shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
         for number, chain in enumerate(FINGER_JOINTS.values()):
-            there = [joint for joint in chain if hand_map.bones[joint]]
-            for joint, after in zip(there, [*there[1:], None], strict=True):
+            # A bone that stands for two fingers follows the mean of both, and points as neither.
+            there = [joint for joint in chain if hand_map.bones.count(hand_map.bones[joint]) == 1]
+            for joint in there:
+                after = next((later for later in there if later > joint), None)
                 bone = shown[hand_map.bones[joint]]
-                turned = np.array(bone.matrix.to_3x3()) @ np.linalg.inv(
-                    np.array(armature.data.bones[bone.name].matrix_local.to_3x3())
-                )
+                turned = turn_of(bone)
                 if after is not None:
                     points = np.array(shown[hand_map.bones[after]].head - bone.head)
                     wanted = joints[row, after] - joints[row, joint]
                 else:
                     points = turned @ (target.tips[number] - rest[bone.name])
                     wanted = tips[row, number] - joints[row, joint]
-                wanted = theirs @ own.T @ (wanted / np.linalg.norm(wanted))
+                wanted = (
+                    turn_of(shown[hand_map.bones[0]]) @ theirs @ own.T @ (wanted / np.linalg.norm(wanted))
+                )
                 # The sine holds small angles where the cosine has no digits left.
                 points = points / np.linalg.norm(points)
                 worst = max(worst, np.arctan2(np.linalg.norm(np.cross(points, wanted)), points @ wanted))
@@ -136,18 +145,21 @@ FUZZED = [(rig.label, rig) for rig in RIGS] + [(NAMELESS, None)] * 5
 )
 @pytest.mark.parametrize("side", SIDES)
 def test_any_rig(seed, side):
-    """Names, proportions, rest bends up to 40 degrees, rolls, the object's place and size, metacarpals and
-    tips or not, tails as in Blender or as importers leave them; two hands in each."""
+    """Names, proportions, rest bends up to 40 degrees, rolls, the object's place and size, metacarpals, tips
+    and ring fingers or not, tails as in Blender or as importers leave them; two hands in each."""
     rng = np.random.default_rng(100 + seed)
     label, rig = FUZZED[seed]
-    built, metacarpals = Built(), bool(rng.integers(2))
+    built, metacarpals, expected = Built(), bool(rng.integers(2)), {}
+    gone = FINGER_JOINTS["ring"] if seed % 3 == 0 else ()
     for each in SIDES:
         fore, place = body(built, each)
         if rig is not None:
             names = names_of(rig, each)
         else:
             names = {slot: f"b{rng.integers(10**6):06d}" for slot in range(NUM_JOINTS + 4)}
-        kept = {slot: name for slot, name in names.items() if slot < NUM_JOINTS or metacarpals}
+        kept = {s: name for s, name in names.items() if s < NUM_JOINTS or (metacarpals and not gone)}
+        without = {j: "" if rig is not None else names[j - 3] for j in gone}  # the little finger's, else
+        expected[each] = tuple((names | without)[joint] for joint in range(NUM_JOINTS))
         add_hand(
             built,
             each,
@@ -158,6 +170,7 @@ def test_any_rig(seed, side):
             bend=np.radians(40.0),
             stretch=0.2,
             tips=bool(seed % 2),
+            without=gone,
         )
     after = {parent: bone for bone, parent in enumerate(built.parents)}
     sensible, unit = bool(rng.integers(2)), float(np.exp(rng.uniform(-2.0, 4.0)))
@@ -170,9 +183,9 @@ def test_any_rig(seed, side):
         )
     armature = build_armature(specs)
     placed(armature, rng, float(np.exp(rng.uniform(-4.0, 1.0))))
-    found = found_hand(armature, side)
-    assert found.hand_map.rig == label
-    assert worst_angle(armature, found.hand_map, poses(4, seed)) < 0.1
+    hand_map = found_hand(armature, side).hand_map
+    assert (hand_map.rig, hand_map.bones) == (label, expected[side])
+    assert worst_angle(armature, hand_map, poses(4, seed)) < 0.1
 
 
 @pytest.fixture(scope="session")
@@ -209,6 +222,34 @@ def test_rigify_generated(generated, side):
         bones = rig.data.bones
         rest = np.array((bones[name].matrix_local.inverted() @ bones[f"DEF-{name}"].matrix_local).to_3x3())
         assert np.degrees(np.arccos((turned.T @ rest)[1, 1].clip(-1.0, 1.0))) < 0.1, name
+
+
+@pytest.mark.usefixtures("registered")
+@pytest.mark.parametrize("by_fk", [0.0, 1.0])
+def test_the_hand_of_rigify_moves_as_captured(make_take, generated, by_fk):
+    """By the control that acts. How far it turns and goes does not depend on how spaces are laid over."""
+    rig = opened(generated, "rig")
+    rig.pose.bones["upper_arm_parent.L"]["IK_FK"] = by_fk
+    hand = hand_of(build_take(make_take(sides=("left",)).take).hands[0].armature)
+    assert hand is not None
+    hand_map = found_hand(rig, "left").hand_map
+    onto = Onto(wrist="TURNED" if by_fk else "PLACED", reference=3.0, contacts=False)
+    result_of(putting(rig, [(hand_map, hand)], onto))
+    scale = target_hand(bones_of(rig), hand_map, SourceHand.of(hand.shaped(), "left")).scale
+    first = {}
+    for frame in (3, 5, 8):
+        bpy.context.scene.frame_set(frame)
+        graph = bpy.context.evaluated_depsgraph_get()
+        theirs = rig.evaluated_get(graph).pose.bones["DEF-hand.L"]
+        ours = hand.armature.evaluated_get(graph).pose.bones[0]
+        now = {"theirs": (turn_of(theirs), theirs.head.copy()), "ours": (turn_of(ours), ours.head.copy())}
+        first = first or now
+        turned = {who: np.trace(turn @ first[who][0].T) for who, (turn, _) in now.items()}
+        assert turned["theirs"] == pytest.approx(turned["ours"], abs=1e-3)
+        if not by_fk:
+            gone = {who: (at - first[who][1]).length for who, (_, at) in now.items()}
+            assert gone["theirs"] == pytest.approx(scale * gone["ours"], abs=1e-3)
+    assert turned["ours"] < 2.9  # else it would show nothing
 
 
 @pytest.mark.parametrize("side", SIDES)

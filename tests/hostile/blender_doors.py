@@ -80,7 +80,7 @@ def import_of(path: str, kind: str) -> None:
 def blend(changes: list[tuple[str, str, Any]], take: str = "") -> None:
     """A file with captured hands, of which something was changed behind the add-on's back; opened again.
 
-    changes: (owner, property, value), with `hand`, `capture`, `scene` and `action` as owners; a property in
+    changes: (owner, property, value), with `hand`, `capture`, `scene`, `action` and `pose` as owners; a property in
     brackets is one of the owner's own, as [manient], or one of the add-on's group as any script can set it.
     take: the file of a take that is kept instead of the good one, with the digest that belongs to it.
     """
@@ -93,6 +93,10 @@ def blend(changes: list[tuple[str, str, Any]], take: str = "") -> None:
         "scene": bpy.context.scene,
         "action": armature.animation_data.action,
     }
+    if any(owner == "pose" for owner, _, _ in changes):
+        bpy.context.view_layer.objects.active = armature
+        bpy.ops.manient.save_pose_asset(asset_name=OWN_POSE)
+        owners["pose"] = bpy.data.actions[OWN_POSE].asset_data
     if take:
         data = Path(take).read_bytes()
         built.collection.manient.take = base64.b64encode(data).decode()
@@ -115,13 +119,16 @@ def blend(changes: list[tuple[str, str, Any]], take: str = "") -> None:
     _work_on()
 
 
+OWN_POSE = "Fist"
+"""An asset that a file may hold, and else a ready pose"""
 OPERATORS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("lock_joints", {"lock": True}),
     ("jump_doubtful", {"hand": "?"}),
     ("mark_doubtful", {"hand": "?"}),
     ("select_hand", {"hand": "?"}),
     ("clear_corrections", {"scope": "FRAME"}),
-    ("relax_pose", {}),
+    ("apply_pose", {}),
+    ("apply_pose", {"pose": OWN_POSE}),
     ("reset_shape", {}),
     ("apply_take", {"source": "?"}),
     ("mirror_hand", {}),

@@ -72,6 +72,9 @@ def cases() -> Iterator[Case]:
                 yield _blend(f"{owner}-{name}-raw-{raw}", (owner, f"[manient][{name}]", value))
     for raw, value in RAW.items():
         yield _blend(f"marks-{raw}", ("action", "[manient_corrections]", value))
+        yield _blend(f"pose-{raw}", ("pose", "[manient_pose]", value))
+        for name in ("side", "hand_pose"):
+            yield _blend(f"pose-{name}-{raw}", ("pose", f"[manient_pose][{name}]", value))
     of_frame = ("pins", "touches", "spread", "rotation", "location", "start_rotation", "start_location")
     for path in (("version",), ("frames",), ("frames", "3"), *(("frames", "3", name) for name in of_frame)):
         for lie, text in VALUES.items():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import OPEN_HAND, axes, load_model
+from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.skeleton import SIDES, other_side
 
 
@@ -66,3 +69,24 @@ def test_the_other_sides_bones_show_manos_mirrored_pose(side, plane):
         quat_to_rotmat(source.turned_to(target, quats)), quat_to_rotmat(expected), atol=1e-12
     )
     np.testing.assert_allclose(source.moved_to(target, locations, plane), places, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_another_origin_changes_places_and_nothing_else(side):
+    shaped = load_model(OPEN_HAND, side).shaped()
+    rest = rest_of(shaped, side)
+    moved = replace(rest, origin=np.array([0.1, 0.5, -0.2]))
+    pose = random_pose()
+    quats, locations = rest.to_bones(shaped, *pose)
+    other_quats, other_locations = moved.to_bones(shaped, *pose)
+    np.testing.assert_array_equal(other_quats, quats)
+    np.testing.assert_allclose((locations - other_locations) @ rest.frames[0].T, moved.origin + 0 * locations)
+    np.testing.assert_allclose(rest.moved_to(moved, locations), other_locations, atol=1e-12)
+    np.testing.assert_allclose(moved.from_bones(shaped, quats, other_locations)[2], pose[2], atol=1e-12)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_anatomical_axes_lie_so_in_bones(side):
+    model = load_model(OPEN_HAND, side)
+    bones = axes.REST_FROM_MODEL.T @ axes.bone_frames(model.shaped(), side)
+    np.testing.assert_allclose(bones[1:] @ axes.ANATOMICAL_IN_BONE, anatomical_axes(model), atol=1e-12)

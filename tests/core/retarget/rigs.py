@@ -102,7 +102,7 @@ def add_hand(
             turned = turned @ rotvec_to_rotmat(curl + rng.uniform(-1.0, 1.0, 3) * bend / np.sqrt(3.0))
             if joint not in without:
                 last = built.add(names[joint], last, head)
-        if tips:
+        if tips and last != index[0]:
             built.add(f"{names[joints[2]]}_tip", last, head + turned @ (ends[number] - rest[joints[2]]))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from handfit_core.retarget.hand_map import SeveralHands, the_surest
 from handfit_core.retarget.names import RIGS, named_hands, parsed
-from handfit_core.skeleton import NUM_JOINTS, SIDES
+from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 
 from .rigs import Built, add_hand, body, character, names_of
 
@@ -72,9 +72,22 @@ def test_two_characters_in_one_armature_are_named():
         the_surest(named_hands(bones, "left"), bones)
 
 
+def test_a_hand_with_a_counterpart_goes_before_one_without():
+    built, rng = Built(), np.random.default_rng(3)
+    hands: list[tuple[Side, str]] = [("left", "robo_"), ("left", ""), ("right", "")]
+    for side, prefix in hands:
+        fore, place = body(built, side, name=prefix + side)
+        away = 0.5 * len(prefix)
+        add_hand(built, side, names_of(RIGS[0], side, prefix), rng, parent=fore, place=place + away)
+    bones = built.bones()
+    found = the_surest(named_hands(bones, "left"), bones)
+    assert found is not None
+    assert found.hand_map.bones[0] == "hand.L"
+
+
 def test_bones_that_follow_others_are_not_taken():
     """As a rig's controls and the deforming bones that copy them."""
-    built, rng = Built(), np.random.default_rng(3)
+    built = Built()
     fore, place = body(built, "right")
     for prefix in ("DEF-", "", "ORG-"):
         names = names_of(RIGS[0], "right", prefix)
@@ -88,7 +101,6 @@ def test_bones_that_follow_others_are_not_taken():
     found = the_surest(named_hands(bones, "right"), bones, driven)
     assert found is not None
     assert found.hand_map.bones[1] == "DEF-f_index.01.R"
-    del rng
 
 
 def test_short_fingers_end_with_the_last_joint():

@@ -119,6 +119,16 @@ class Stage:
         self.window.event_simulate(type=kind, value="RELEASE", x=x, y=y, **modifiers)
         yield 0.0
 
+    def write(self, text: str) -> Steps:
+        """Type a text where one is being edited."""
+        for letter in text:
+            self.window.event_simulate(
+                type="A", value="PRESS", unicode=letter, x=self.mouse[0], y=self.mouse[1]
+            )
+            yield 0.0
+            self.window.event_simulate(type="A", value="RELEASE", x=self.mouse[0], y=self.mouse[1])
+            yield 0.0
+
     def click(self, target: Any) -> Steps:
         """Left click."""
         yield from self.move_to(target)
@@ -183,7 +193,8 @@ class Stage:
         assert self.region("UI").active_panel_category == tab, f"the sidebar has no tab {tab!r}"
 
     def find_button(self, command: str, along: float = 0.4) -> Steps:
-        """The place of a button of the sidebar whose tooltip's Python command begins so; None without one.
+        """The place of a button of the sidebar whose tooltip's Python command begins so, or of the field of a
+        property whose data path ends so; None without one.
 
         Found as an artist finds it: by hovering, line after line, `along` so much of the sidebar's width.
         """
@@ -196,7 +207,10 @@ class Stage:
             with self.override(region="UI"):
                 if bpy.ops.ui.copy_python_command_button.poll():
                     bpy.ops.ui.copy_python_command_button()
-            if bpy.context.window_manager.clipboard.startswith(command):
+                elif bpy.ops.ui.copy_data_path_button.poll():
+                    bpy.ops.ui.copy_data_path_button(full_path=True)
+            said = bpy.context.window_manager.clipboard
+            if said.startswith(command) or said.endswith(command):
                 return (x, y)
         return None
 

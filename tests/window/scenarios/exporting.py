@@ -45,7 +45,7 @@ def leaves_all_as_it_is(stage, source):
             seen["written"][fmt] = files
             seen["after"][fmt] = _state(armature)
             seen["pixels"][fmt] = _difference(stage, "export-before", f"export-after-{fmt}")
-        yield from stage.invoke("manient.relax_pose")
+        yield from stage.invoke("manient.apply_pose")
         yield 0.3
         yield from stage.undo()
         yield 0.3

@@ -39,7 +39,7 @@ def buttons(stage, source):
     """Relax, mirror, pose asset and export of a captured hand, each by its operator in the window."""
     yield from stage.open_sidebar()
     yield from capture(stage, source)
-    for operator in ("manient.relax_pose", "manient.mirror_hand", "manient.save_pose_asset"):
+    for operator in ("manient.apply_pose", "manient.mirror_hand", "manient.save_pose_asset"):
         yield from stage.invoke(operator)
         yield 0.5
     yield from stage.screenshot("pose-asset-dialog")

@@ -1,0 +1,143 @@
+"""How many keys Simplify would leave: found in slices while the panel shows it, and used by the operator.
+
+A preview belongs to an action, a state of its keys and the panel's settings. Whatever changes one of them
+begins it anew, so that a slider can be dragged on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import bpy
+
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.slices import result_of, slice_clock
+
+from .scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, thinning
+from .wording import capitalised
+
+_PAUSE = 0.02
+"""seconds between two slices"""
+_AFTER_CHANGE = 0.1
+"""seconds from a slider's change to the first slice"""
+
+_changes = 0
+"""Counts changes of any action"""
+_key: tuple[Any, ...] | None = None
+_steps: Generator[None, None, list[Thinned]] | None = None
+_found: list[Thinned] | str | None = None
+
+
+def bounds_of(scene: bpy.types.Scene) -> Bounds:
+    """What the panel says."""
+    settings = scene.manient
+    parts = frozenset(part.lower() for part in settings.keys_parts)
+    return Bounds(settings.keys_degrees, settings.keys_pixels, settings.keys_together, parts)
+
+
+def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
+    """What Simplify would do: for each hand, or a sentence why it cannot; None where that is being found."""
+    global _key, _steps, _found
+    key = _key_of(context)
+    if key != _key:
+        _key, _steps, _found = key, None, None
+        if not bpy.app.timers.is_registered(_continue):
+            bpy.app.timers.register(_continue, first_interval=_AFTER_CHANGE)
+    return _found
+
+
+def found_now(context: bpy.types.Context) -> list[Thinned]:
+    """What Simplify does: what the preview has found already, else it is found here. Raises what `thinning`
+    raises."""
+    if _key == _key_of(context) and isinstance(_found, list):
+        return _found
+    return result_of(_finding(hands_to_simplify(context), bounds_of(context.scene)))
+
+
+def _finding(hands: list[Hand], bounds: Bounds) -> Generator[None, None, list[Thinned]]:
+    if not hands:
+        raise OptionError("no hand: select a captured hand, or a character")
+    begun = []
+    problem: HandfitError | None = None
+    for hand in hands:
+        try:
+            begun.append(thinning(hand, bounds))
+        except OptionError as error:  # one hand of a character may have no keys
+            problem = error
+        yield
+    if problem is not None and not begun:
+        raise problem
+    found = []
+    for steps in begun:
+        found.append((yield from _quietly(steps)))
+    return found
+
+
+def _quietly(steps: Generator[int, None, Thinned]) -> Generator[None, None, Thinned]:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
+        yield
+
+
+def _key_of(context: bpy.types.Context) -> tuple[Any, ...]:
+    armatures = [hand.rig.armature for hand in hands_to_simplify(context)]
+    users = [a.animation_data for a in armatures]
+    actions = [user.action.name if user is not None and user.action is not None else "" for user in users]
+    return (_changes, bounds_of(context.scene), *(a.session_uid for a in armatures), *actions)
+
+
+def _continue() -> float | None:
+    """Blender's timer: a slice."""
+    global _steps, _found
+    context = bpy.context
+    if _key != _key_of(context):
+        return None  # the next redraw begins anew
+    over = slice_clock()
+    try:
+        if _steps is None:
+            _steps = _finding(hands_to_simplify(context), bounds_of(context.scene))
+        while not over():
+            next(_steps)
+        return _PAUSE
+    except StopIteration as stop:
+        _found = stop.value
+    except HandfitError as error:
+        _found = capitalised(str(error))
+    _steps = None
+    _redraw()
+    return None
+
+
+def _redraw() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _after_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if depsgraph.id_type_updated("ACTION"):
+        _forget()
+
+
+def _forget(*_: Any) -> None:
+    global _changes
+    _changes += 1
+
+
+HANDLERS = {
+    "depsgraph_update_post": _after_change,
+    **dict.fromkeys(("undo_post", "redo_post", "load_post"), _forget),
+}
+
+
+def unregister() -> None:
+    """Forget what was found."""
+    global _key, _steps, _found
+    _key = _steps = _found = None
+    if bpy.app.timers.is_registered(_continue):
+        bpy.app.timers.unregister(_continue)

@@ -1,0 +1,29 @@
+"""Put the origin of a hand's object at its wrist."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..scene.editable import why_not_editable
+from ..scene.origin import origin_to_wrist, why_moved
+from .needs_hand import OnHand, errors_reported, hand_in
+
+
+class MANIENT_OT_origin_to_wrist(OnHand, bpy.types.Operator):
+    bl_idname = "manient.origin_to_wrist"
+    bl_label = "Origin to Wrist"
+    bl_description = (
+        "Move the origin of the hand's object to where its wrist is in this frame. The hand stays where it "
+        "is in every frame, and so does its relation to the picture"
+    )
+
+    @staticmethod
+    def why_not(armature):
+        """The object has to be one that can be moved."""
+        return why_not_editable(armature) or why_moved(armature)
+
+    @errors_reported
+    def execute(self, context):
+        """Move it."""
+        origin_to_wrist(hand_in(context))
+        return {"FINISHED"}

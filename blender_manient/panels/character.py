@@ -1,0 +1,167 @@
+"""Character: the motion of captured hands on the hands of any character."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+
+from handfit_core.errors import HandfitError, HandModelError
+from handfit_core.retarget.hand_map import PALM_FINGERS
+from handfit_core.skeleton import FINGERS, SIDES, Side
+
+from .. import live_link
+from ..rigs import troubles
+from ..scene.characters import (
+    active_character,
+    hand_map_of,
+    is_damaged,
+    kept_map,
+    recognised,
+    source_of,
+    why_not_reachable,
+)
+from ..scene.onto_character import why_not_turned
+from ..section import Section, fitted, sentence, split
+from ..wording import capitalised, counted
+
+_SURE, _LIKELY = 0.75, 0.45
+"""How sure a hand must be recognised for these words"""
+
+
+class MANIENT_PT_character(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_character"
+    bl_label = "Character"
+    bl_order = 7
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context):
+        """Whose hands, whose motion, and how."""
+        layout, armature = self.layout, active_character(context)
+        if armature is None:
+            text = "Select a character, its armature or a mesh that it deforms, to have it move as captured"
+            sentence(layout, context, text, "INFO")
+            return
+        name = fitted(context, armature.name)
+        layout.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
+        why = why_not_reachable(armature)
+        if why is not None:
+            sentence(layout, context, why, "ERROR", alert=True)
+        column = layout.column()
+        column.enabled = why is None
+        for side in SIDES:
+            self._hand(context, column, armature, side)
+        self._how(context, column, armature)
+
+    def _hand(self, context, layout, armature: bpy.types.Object, side: Side) -> None:
+        settings = getattr(armature.manient.character, side)
+        box = layout.box().column(align=True)
+        box.prop(settings, "use", text=f"{side.capitalize()} Hand")
+        if not settings.use:
+            return
+        box.prop(settings, "source", text="", icon="VIEW_PAN")
+        try:
+            source = source_of(armature, side, context)
+        except HandfitError as error:
+            sentence(box, context, capitalised(str(error)), "ERROR", alert=True)
+        else:
+            if source is None:
+                text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
+            else:
+                text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
+            sentence(box, context, text, "BLANK1" if source else "INFO")
+        for text, icon in _told_of(armature, side):
+            sentence(box, context, text, icon, alert=icon == "ERROR")
+
+    def _how(self, context, layout, armature: bpy.types.Object) -> None:
+        character = armature.manient.character
+        column = split(layout.column())
+        column.prop(character, "into")
+        column.prop(character, "wrist")
+        if character.wrist != "FINGERS":
+            row = column.row(align=True)
+            row.prop(character, "reference")
+            row.operator("manient.mark_frame", text="", icon="MARKER_HLT")
+            text = "Pose the character's hand as it is to be in this frame"
+            sentence(column, context, text, "INFO")
+        column.prop(character, "contacts")
+        row = layout.row(align=True)
+        row.scale_y = 1.3
+        row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
+        layout.operator("manient.apply_to_character", text="Apply Pose", icon="POSE_HLT").mode = "POSE"
+        layout.prop(character, "live", icon="LINKED", toggle=True)
+        trouble = live_link.trouble(armature) if character.live else None
+        if trouble is not None:
+            sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
+
+
+class MANIENT_PT_character_bones(Section, bpy.types.Panel):
+    bl_idname = "MANIENT_PT_character_bones"
+    bl_label = "Bones"
+    bl_parent_id = "MANIENT_PT_character"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context):
+        """Only with a character."""
+        return active_character(context) is not None
+
+    def draw(self, context):
+        """One hand's table."""
+        layout, armature = self.layout, active_character(context)
+        assert armature is not None
+        table = context.scene.manient.hand_table
+        layout.row().prop(table, "side", expand=True)
+        column = split(layout.column())
+        column.enabled = why_not_reachable(armature) is None
+        rows = column.column(align=True)
+        for name in ("hand", "control"):
+            rows.prop_search(table, name, armature.data, "bones")
+        for finger in FINGERS:
+            rows = column.column(align=True)
+            for joint in (1, 2, 3):
+                text = f"{finger.capitalize()} 1" if joint == 1 else str(joint)
+                rows.prop_search(table, f"{finger}_{joint}", armature.data, "bones", text=text)
+        column.prop(table, "thumb_roll")
+        column.prop(table, "keep_rest")
+        rows = column.column(align=True)
+        for finger in PALM_FINGERS:
+            text = "Metacarpals" if finger == PALM_FINGERS[0] else finger.capitalize()
+            rows.prop_search(table, f"{finger}_palm", armature.data, "bones", text=text)
+        rows.prop(table, "fold", slider=True)
+        column = layout.column(align=True)
+        column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
+        column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
+        row = layout.row(align=True)
+        row.operator("manient.load_hand_preset", icon="FILE_FOLDER")
+        row.operator("manient.save_hand_preset", icon="FILE_TICK")
+
+
+def _told_of(armature: bpy.types.Object, side: Side) -> list[tuple[str, str]]:
+    """What a hand was taken for, and what stands in its way: sentences and their icons."""
+    told = []
+    if is_damaged(armature, side):
+        text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
+        told.append((text, "ERROR"))
+    try:
+        hand_map = hand_map_of(armature, side)
+        rig = hand_map.rig or "Unknown rig"
+        if kept_map(armature, side) is not None:
+            told.append((f"{rig}, with your own table", "CHECKMARK"))
+        elif (sure := recognised(armature, side).sure) >= _SURE:
+            told.append((f"{rig}, for sure", "CHECKMARK"))
+        else:
+            doubt = "likely" if sure >= _LIKELY else "perhaps"
+            told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
+        hand_map.check(armature.data.bones)
+    except HandModelError as error:
+        return [*told, (capitalised(str(error)), "ERROR")]
+    if armature.manient.character.wrist == "FINGERS":
+        hand_map = replace(hand_map, control="")
+    told += [(text, "ERROR") for text in map(capitalised, troubles(armature, hand_map))]
+    reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
+    if reasons:
+        more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
+        text = capitalised(reasons[0].removesuffix(": it was left alone"))
+        told.append((f"{text}: it is left alone{more}", "INFO"))
+    return told

@@ -1,0 +1,171 @@
+"""A layer for changes by hand: the motion lies below as an NLA strip, and keys of an empty action on top are
+added to it. Blender's *Combine* turns by the layer's rotations after the motion's and adds locations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.edit.simplify import Channels, simplifying
+from handfit_core.errors import OptionError
+from handfit_core.geometry.rotations import channels_to_quat, quat_multiply, unflip_quats
+from handfit_core.slices import result_of
+
+from ..blender_versions import action_slot, assign_action, channels
+from ..rigs.character import CharacterBones
+from .editable import BELOW, check_keyable, is_tweaked, strip_below
+from .keys import (
+    PoseKeys,
+    check_unlocked,
+    frames_between,
+    is_smooth,
+    own_action,
+    read_pose_keys,
+    replace_keys,
+    write_pose_keys,
+)
+from .onto_character import add_strip
+
+_DEGREES = 0.5
+"""How exactly a layer is merged into motion that was simplified"""
+
+
+def add_layer(armature: bpy.types.Object) -> bpy.types.Action:
+    """Put the present action below and give an empty one on top. Returns the empty one.
+
+    Raises OptionError where there is no motion, or where it cannot be changed.
+    """
+    check_keyable(armature)
+    data = armature.animation_data
+    if data is None or data.action is None or not len(_holder(data).fcurves):
+        raise OptionError(f"{armature.name!r} has no motion that changes could lie on")
+    own_action(armature)
+    motion, slot = data.action, action_slot(data)
+    name = motion.name
+    data.action = None
+    add_strip(data, motion, slot)
+    layer = bpy.data.actions.new(f"{name} changes")
+    assign_action(armature, layer)
+    layer[BELOW] = motion
+    data.action_blend_type, data.action_extrapolation, data.action_influence = "COMBINE", "HOLD", 1.0
+    return layer
+
+
+def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
+    """Make the motion the active action again: with the layer's changes in its keys, or without them.
+
+    Where motion has a key, it gets the changed value; where the layer has keys, motion gets keys. Motion that
+    was simplified gets fitted anew, with more keys where half a degree asks for them. Raises OptionError
+    where there is no layer, and where it cannot be merged, before anything is changed.
+    """
+    data, strip = armature.animation_data, strip_below(armature)
+    if strip is None or is_tweaked(armature):
+        raise OptionError(
+            f"{armature.name!r} has no layer on top of a motion: leave the NLA's tweak mode, or make the "
+            "layer's action the active one"
+        )
+    layer, motion, slot = data.action, strip.action, action_slot(strip)
+    found = _merged(armature, strip) if merge else []
+    for track in data.nla_tracks:
+        if strip in list(track.strips):
+            track.strips.remove(strip)
+            if not len(track.strips):
+                data.nla_tracks.remove(track)
+            break
+    data.action_blend_type = "REPLACE"
+    data.action = motion
+    if slot is not None:
+        data.action_slot = slot
+    for rig, keys, tracks in found:
+        _write(rig, keys, tracks)
+    if layer.users - layer.use_fake_user == 0:
+        bpy.data.actions.remove(layer)
+
+
+def _holder(user: Any) -> Any:
+    return channels(user.action, action_slot(user), make=True)
+
+
+def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones, PoseKeys, list[Channels]]]:
+    """What each bone of the layer does together with the motion: which frames have keys, and the values on
+    all frames that count."""
+    data = armature.animation_data
+    top, below = _holder(data), _holder(strip)
+    moved = abs(strip.frame_start - strip.action_frame_start) > 1e-3
+    if moved or abs(strip.scale - 1.0) > 1e-6 or abs(strip.repeat - 1.0) > 1e-6 or strip.use_reverse:
+        raise OptionError(f"the strip {strip.name!r} lies at another time than its keys: put it back first")
+    if data.action_blend_type != "COMBINE" or data.action_influence < 1.0 or strip.use_animated_influence:
+        raise OptionError(
+            f"the layer of {armature.name!r} is not added as it was made: set its blending to Combine and "
+            "the whole influence of both, or bake it (Pose > Animation > Bake Action)"
+        )
+    names = {f'pose.bones["{bone.name}"].': bone.name for bone in armature.pose.bones}
+    bones: dict[str, None] = {}
+    for curve in top.fcurves:
+        start, dot, attribute = curve.data_path.partition("].")
+        bone = names.get(start + dot)
+        if bone is None or not attribute.startswith(("rotation", "location")):
+            raise OptionError(
+                f"the layer animates {curve.data_path}, which is neither a bone's rotation nor its location: "
+                "bake it (Pose > Animation > Bake Action), or delete that channel"
+            )
+        bones[bone] = None
+    found = []
+    for bone in bones:
+        rig = CharacterBones(armature, [bone])
+        first, second = (read_pose_keys(rig, holder=holder) for holder in (below, top))
+        both = np.union1d(first.frames, second.frames)
+        frames = frames_between(both)
+        mode = armature.pose.bones[bone].rotation_mode
+        keyed = np.isin(frames, both)
+        rotated, located = (second.rotation_keyed.any(), second.location_keyed.any())
+        path = f'pose.bones["{bone}"].'
+        tracks = []
+        if rotated:
+            kind = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+            attribute = path + kind.get(mode, "rotation_euler")
+            values, change = (_evaluated(h, attribute, mode, frames) for h in (below, top))
+            if mode == "QUATERNION":
+                both_turned = quat_multiply(*(channels_to_quat(v, mode) for v in (values, change)))
+                tracks.append(Channels(unflip_quats(both_turned), mode))
+            else:
+                tracks.append(Channels(values + change, mode))
+        if located:
+            values, change = (_evaluated(h, path + "location", "LOCATION", frames) for h in (below, top))
+            arm = max(float(armature.data.bones[bone].length), 1e-6)
+            tracks.append(Channels(values + change, "LOCATION", arm=arm))
+        check_unlocked(rig, joints=[0] if rotated else [], location=bool(located))
+        quats = channels_to_quat(tracks[0].values, mode) if rotated else np.zeros((len(frames), 4))
+        keys = PoseKeys(
+            frames,
+            quats[:, None],
+            tracks[-1].values if located else np.zeros((len(frames), 3)),
+            (keyed & rotated)[:, None],
+            keyed & located,
+        )
+        found.append((rig, keys, tracks))
+    return found
+
+
+def _write(rig: CharacterBones, keys: PoseKeys, tracks: list[Channels]) -> None:
+    if not is_smooth(rig):
+        write_pose_keys(rig, keys)
+        return
+    kept = np.flatnonzero(keys.rotation_keyed[:, 0] | keys.location_keyed)
+    result = result_of(simplifying(keys.frames, tracks, _DEGREES, kept=kept.tolist()))
+    for track, spline in zip(tracks, result.splines, strict=True):
+        joint = None if track.mode == "LOCATION" else 0
+        replace_keys(rig, joint, keys.frames[spline.rows], spline.values, *spline.handles(keys.frames))
+
+
+def _evaluated(holder: Any, path: str, mode: str, frames: np.ndarray) -> np.ndarray:
+    """(N, 3 or 4) what curves say; where one is missing, what stands for no change."""
+    values = np.zeros((len(frames), 4 if mode in {"QUATERNION", "AXIS_ANGLE"} else 3))
+    values[:, 0] = mode == "QUATERNION"
+    for i in range(values.shape[1]):
+        curve = holder.fcurves.find(path, index=i)
+        if curve is not None and len(curve.keyframe_points):
+            values[:, i] = [curve.evaluate(frame) for frame in frames.tolist()]
+    return values

@@ -1,0 +1,105 @@
+"""A captured hand's object with its origin at the wrist, while everything stays where it is in every frame.
+
+The object moves to where the wrist is, and the wrist's keys lose as much. Rest bones, mesh, take and camera
+stay what they are: `Object.manient.origin` tells where the armature's space now lies in that of the capture,
+and `Rig.rest` takes it into account for all that compares bones with the picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from handfit_core.edit.corrections import CorrectionField
+from handfit_core.errors import OptionError
+
+from ..blender_versions import channels, used_actions
+from .corrections import corrections_of, keep_turned
+from .editable import check_editable
+from .keys import own_action
+from .own_scene import object_mode
+from .sampling import shown_now
+from .store import CapturedHand
+
+_MOVING = ("location", "rotation", "scale", "delta_")
+"""How the data paths begin that move an object"""
+
+
+def origin_to_wrist(hand: CapturedHand) -> None:
+    """Put the origin of the hand's object where its wrist is now. Raises OptionError and TakeError, and then
+    changes nothing."""
+    armature, wrist = hand.armature, hand.rig.bones[0]
+    check_editable(armature)
+    why = why_moved(armature)
+    if why is not None:
+        raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
+    field = corrections_of(armature)  # before anything is changed: they may not be readable
+    with object_mode():
+        bpy.context.view_layer.update()
+        shown = shown_now(armature)
+        place = shown.pose[0, shown.names.index(wrist), :3, 3]
+        own_action(armature, nla=True)
+        along = hand.rig.rest.frames[0].T @ place
+        _shift_keys(armature, wrist, along)
+        armature.manient.origin = np.array(armature.manient.origin) + place
+        _move_origin(armature, Matrix.Translation(place))
+    moved = {
+        frame: replace(c, place=c.place - along) if np.any(c.place) else c
+        for frame, c in field.corrections.items()
+    }
+    keep_turned(armature, CorrectionField(moved), used_actions(armature))
+    armature.update_tag()
+
+
+def why_moved(armature: bpy.types.Object) -> str | None:
+    """What moves the object itself, in a sentence for a tooltip; None where nothing does."""
+    data = armature.animation_data
+    curves = [] if data is None else list(data.drivers)
+    for action, slot in used_actions(armature):
+        holder = channels(action, slot)
+        curves += [] if holder is None else list(holder.fcurves)
+    if any(c.data_path.startswith(_MOVING) for c in curves) or any(c.enabled for c in armature.constraints):
+        return "The object itself is animated, driven or constrained: give that to a parent first"
+    return None
+
+
+def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> None:
+    """Take `along` (3,), in metres along the wrist's own axes, from its location and all keys of that."""
+    bone = armature.pose.bones[wrist]
+    bone.location = np.array(bone.location) - along
+    data = armature.animation_data
+    strips = [strip for track in data.nla_tracks for strip in track.strips] if data is not None else []
+    added = {strip.action for strip in strips if strip.blend_type != "REPLACE"}
+    for action, slot in used_actions(armature):
+        holder = channels(action, slot)
+        for curve in holder.fcurves if holder is not None and action not in added else ():
+            if curve.data_path != f'pose.bones["{wrist}"].location':
+                continue
+            values = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
+            for part in ("co", "handle_left", "handle_right"):
+                curve.keyframe_points.foreach_get(part, values.ravel())
+                values[:, 1] -= along[curve.array_index]
+                curve.keyframe_points.foreach_set(part, values.ravel())
+            curve.update()
+        action.update_tag()
+
+
+def _move_origin(armature: bpy.types.Object, moved: Matrix) -> None:
+    """Move the object, in its own space, and keep what hangs on it where it is."""
+    before = armature.matrix_world.copy()
+    kept = {path: tuple(getattr(armature, path)) for path in _TURNS}
+    armature.matrix_world = before @ moved
+    for path, values in kept.items():  # which only rounding would change
+        setattr(armature, path, values)
+    for other in bpy.data.objects:
+        deformed = any(m.type == "ARMATURE" and m.object == armature for m in other.modifiers)
+        if other.parent == armature and other.parent_type == "OBJECT" and not deformed:
+            other.matrix_parent_inverse = moved.inverted() @ other.matrix_parent_inverse
+        elif deformed and other.parent != armature:  # it has to lie about the bones as before
+            other.matrix_world = before @ moved @ before.inverted() @ other.matrix_world
+
+
+_TURNS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")

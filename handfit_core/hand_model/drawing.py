@@ -1,0 +1,104 @@
+"""A hand as a small picture, without a graphics card: what a pose looks like in a list."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from handfit_core.hand_model.data import HandModel
+
+_FINER: Final = 2
+"""Samples of a pixel along either axis"""
+_MARGIN: Final = 0.04
+"""of the picture, free on every side"""
+_KEY, _FILL = np.array([-0.45, 0.65, 0.62]), np.array([0.8, 0.1, 0.59])
+"""Unit vectors to the lights: from the left above, and from the right"""
+_SKIN: Final = np.array([[52.0, 26.0, 22.0], [255.0, 222.0, 196.0]])
+"""RGB in the dark and in full light"""
+_REACH: Final = 0.008
+"""metres around a place in which what stands before it takes light from it"""
+
+
+def drawn_pose(
+    model: HandModel, hand_pose: np.ndarray, size: int, turned: float = 25.0, raised: float = 8.0
+) -> np.ndarray:
+    """(size, size, 2) uint8 light and alpha, top row first: a right hand in the pose (45,), radians.
+
+    Its fingers point up and its palm faces the viewer, who has walked `turned` degrees around it, positive
+    towards its thumb, and looks down by `raised` degrees.
+    """
+    still = np.zeros(3)
+    points = model.posed(None, still, hand_pose, still).vertices
+    points = points @ np.array(
+        [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
+    )  # right, up, to the viewer
+    a, b = np.radians([turned, raised])
+    around = np.array([[np.cos(a), 0.0, -np.sin(a)], [0.0, 1.0, 0.0], [np.sin(a), 0.0, np.cos(a)]])
+    down = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
+    points = points @ (down @ around).T
+    fine = size * _FINER
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = (1.0 - 2.0 * _MARGIN) * fine / max(high[:2] - low[:2])
+    at = (points - (low + high) / 2.0) * scale + [fine / 2.0, fine / 2.0, 0.0]
+    depth, light = _lit(at, model.faces, fine)
+    light *= 1.0 - 0.75 * _hidden(depth, _REACH * scale)
+    there = np.isfinite(depth)
+    picture = np.stack([np.where(there, np.clip(light, 0.0, 1.0), 0.0), there], axis=-1)
+    picture = picture.reshape(size, _FINER, size, _FINER, 2).mean(axis=(1, 3))
+    picture[..., 0] /= np.maximum(picture[..., 1], 1.0 / _FINER**2)
+    return (255.0 * picture[::-1]).round().astype(np.uint8)
+
+
+def colored(drawn: np.ndarray) -> np.ndarray:
+    """(..., 2) light and alpha -> (..., 4) RGBA, both uint8."""
+    color = _SKIN[0] + drawn[..., :1] / 255.0 * (_SKIN[1] - _SKIN[0])
+    return np.concatenate([color.round().astype(np.uint8), drawn[..., 1:]], axis=-1)
+
+
+def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Depth, -inf where nothing is, and light 0..1, both (size, size): of the triangles that face us."""
+    sides = points[faces[:, 1:]] - points[faces[:, :1]]
+    flat = np.cross(sides[:, 0], sides[:, 1])
+    normals = np.zeros_like(points)
+    for corner in faces.T:
+        np.add.at(normals, corner, flat)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    seen = flat[:, 2] > 0.0
+    faces, sides, area = faces[seen], sides[seen], flat[seen, 2]
+    corners = points[faces]
+    low = np.floor(corners[..., :2].min(axis=1)).astype(int)
+    wide, tall = (np.ceil(corners[..., :2].max(axis=1)).astype(int) - low + 1).T
+    count = wide * tall
+    of = np.repeat(np.arange(len(faces)), count)
+    nth = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    pixel = low[of] + np.stack([nth % wide[of], nth // wide[of]], axis=-1)
+    off = pixel + 0.5 - corners[of, 0, :2]
+    first, second = sides[of, 0], sides[of, 1]
+    b = (off[:, 0] * second[:, 1] - off[:, 1] * second[:, 0]) / area[of]
+    c = (first[:, 0] * off[:, 1] - first[:, 1] * off[:, 0]) / area[of]
+    inside = (b >= 0.0) & (c >= 0.0) & (b + c <= 1.0) & (pixel >= 0).all(axis=1) & (pixel < size).all(axis=1)
+    of, b, c, (x, y) = of[inside], b[inside], c[inside], pixel[inside].T
+    parts = np.stack([1.0 - b - c, b, c], axis=-1)
+    z = (parts * corners[of, :, 2]).sum(axis=1)
+    normal = np.einsum("kc,kcd->kd", parts, normals[faces[of]])
+    light = 0.18 + 0.72 * np.maximum(normal @ _KEY, 0.0) + 0.24 * np.maximum(normal @ _FILL, 0.0)
+    order = np.argsort(z)  # the nearest is written last
+    depth, picture = np.full((size, size), -np.inf), np.zeros((size, size))
+    depth[y[order], x[order]] = z[order]
+    picture[y[order], x[order]] = light[order]
+    return depth, picture
+
+
+def _hidden(depth: np.ndarray, reach: float) -> np.ndarray:
+    """0..1, as `depth`: how much of the light of each place is taken by what stands before it nearby."""
+    taken, steps = np.zeros_like(depth), 0
+    for part in (0.35, 0.7, 1.0):
+        for angle in np.arange(8) * np.pi / 4.0 + part:
+            dy, dx = np.round(part * reach * np.array([np.sin(angle), np.cos(angle)])).astype(int)
+            beside = np.roll(depth, (dy, dx), axis=(0, 1))
+            with np.errstate(invalid="ignore"):
+                rise = np.nan_to_num((beside - depth) / (part * reach), nan=0.0, posinf=0.0, neginf=0.0)
+            taken += np.clip(rise, 0.0, 2.0) / 2.0
+            steps += 1
+    return taken / steps

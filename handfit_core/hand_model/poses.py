@@ -1,0 +1,86 @@
+"""Poses of fingers that belong to no rig: the ready ones, and those that artists save."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.errors import HandModelError
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model.axes import REST_FROM_MODEL, mirrored_pose
+from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
+
+FILE: Final = Path(__file__).parent / "data" / "poses.npz"
+"""The ready poses, which `scripts/ready_poses.py` makes"""
+_ANGLES: Final = 3 * (NUM_JOINTS - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """How the fingers of a hand are bent."""
+
+    side: Side
+    hand_pose: np.ndarray
+    """(45,) axis-angle in radians, as a take has it"""
+
+    def on(self, side: Side) -> np.ndarray:
+        """(45,) the hand_pose of a hand of that side: mirrored for the other one."""
+        if side == self.side:
+            return self.hand_pose
+        return mirrored_pose(np.zeros(3), self.hand_pose)[1]
+
+    def turns(self, side: Side) -> np.ndarray:
+        """(16, 3, 3) each joint's rotation in rest space on a hand of that side; the wrist's is none."""
+        fingers = rotvec_to_rotmat(self.on(side).reshape(-1, 3))
+        return np.concatenate([np.eye(3)[None], REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T])
+
+    @classmethod
+    def of_turns(cls, side: Side, turns: np.ndarray) -> Pose:
+        """The inverse of `turns`."""
+        fingers = REST_FROM_MODEL.T @ turns[1:] @ REST_FROM_MODEL
+        return cls(side, rotmat_to_rotvec(fingers).reshape(_ANGLES))
+
+    def values(self) -> dict[str, Any]:
+        """What a custom property of Blender's can hold."""
+        return {"side": self.side, "hand_pose": self.hand_pose.tolist()}
+
+    @classmethod
+    def of_values(cls, values: Any) -> Pose:
+        """The inverse of `values`. Raises HandModelError for whatever else a file may hold."""
+        if not isinstance(values, Mapping) or values.get("side") not in SIDES:
+            raise HandModelError("this is no pose of a hand, which names its side, left or right")
+        numbers = values.get("hand_pose")
+        try:
+            pose = np.array(numbers, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            pose = np.empty(0)
+        # Beyond a whole turn the same rotations are written otherwise, or numbers are no angles at all.
+        if pose.shape != (_ANGLES,) or not np.all(np.abs(pose) <= 2.0 * np.pi):
+            raise HandModelError(f"a pose of a hand is {_ANGLES} angles in radians, and this one is not")
+        return cls(values["side"], pose)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadyPose:
+    """One that comes with the hand."""
+
+    name: str
+    pose: Pose
+    drawn: np.ndarray
+    """(S, S, 2) uint8 as `drawing.drawn_pose` gives it"""
+
+
+@lru_cache(maxsize=1)
+def ready_poses() -> dict[str, ReadyPose]:
+    """By name, in the order in which they are shown; those of a right hand."""
+    with np.load(FILE, allow_pickle=False) as arrays:
+        parts = [arrays[name] for name in ("names", "hand_poses", "drawn")]
+    return {
+        str(name): ReadyPose(str(name), Pose("right", pose.astype(np.float64)), drawn)
+        for name, pose, drawn in zip(*parts, strict=True)
+    }

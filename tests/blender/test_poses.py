@@ -1,0 +1,483 @@
+"""Poses put on captured hands and on characters, and kept as assets for both."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_manient.rigs import rig_of
+from blender_manient.rigs.captured_hand import bone_names
+from blender_manient.scene import corrections
+from blender_manient.scene.build import build_take
+from blender_manient.scene.characters import keep_map
+from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, remove_pose_keys
+from blender_manient.scene.poses import PROPERTY, kept_pose, posable_hands, pose_items
+from handfit_core.edit.corrections import changed_quats, correction_between
+from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
+from handfit_core.hand_model import axes, load_model
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
+from handfit_core.hand_model.poses import Pose, ready_poses
+from handfit_core.media.source import Source
+from handfit_core.skeleton import FINGER_JOINTS, SIDES, other_side
+
+from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed
+from .conftest import action_curves
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture(params=["right", "left"])
+def hand(request, make_take, model):
+    made = make_take(sides=(request.param,), model=model)
+    armature = build_take(made.take).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    return armature, request.param, load_model(model, request.param)
+
+
+def finger_rotations(armature, side) -> np.ndarray:
+    """(15, 3, 3) joint rotations in the model's axes, from what the bones show."""
+    frames = rig_of(armature).rest.frames
+    turned = frames @ quat_to_rotmat(displayed_pose(rig_of(armature))) @ np.swapaxes(frames, -1, -2)
+    return (axes.REST_FROM_MODEL.T @ turned @ axes.REST_FROM_MODEL)[1:]
+
+
+def test_fingers_relax_and_the_wrist_stays(hand):
+    armature, side, model = hand
+    bpy.context.scene.frame_set(9)  # between keys
+    before = displayed_pose(rig_of(armature))
+    keys = read_pose_keys(rig_of(armature))
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
+    bpy.context.view_layer.update()
+    found = finger_rotations(armature, side)
+    np.testing.assert_allclose(found, rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3)), atol=1e-4)
+    bends = np.degrees(anatomical_angles(found, anatomical_axes(model))[:12, 2])
+    assert (bends > 10).all()
+    np.testing.assert_allclose(np.abs(displayed_pose(rig_of(armature))[0] @ before[0]), 1.0, atol=1e-6)
+    after = read_pose_keys(rig_of(armature))
+    here = after.frames == 9
+    assert here.sum() == 1
+    assert after.rotation_keyed[here][0].tolist() == [False] + [True] * 15
+    assert not after.location_keyed[here].any()
+    np.testing.assert_array_equal(after.frames[~here], keys.frames)
+
+
+def turned(before: PoseKeys, after: PoseKeys) -> np.ndarray:
+    """(N, 16) radians by which the keys differ on the frames that both have."""
+    both = np.isin(after.frames, before.frames)
+    return np.linalg.norm(correction_between(before.quats, after.quats[both]), axis=-1)
+
+
+def test_it_fades_out_over_spread_and_clear_takes_it_back(hand):
+    armature, _, _ = hand
+    bpy.context.scene.manient.spread = 4
+    before = read_pose_keys(rig_of(armature))
+    bpy.context.scene.frame_set(6)
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
+    after = read_pose_keys(rig_of(armature))
+    change = turned(before, after)
+    assert change[:, 0].max() == 0.0
+    np.testing.assert_array_equal(change.max(axis=1) > 1e-4, np.abs(before.frames - 6) < 4)
+    np.testing.assert_array_equal(after.locations, before.locations)
+    largest = [change[before.frames == frame].max() for frame in (6, 5, 4)]
+    assert largest[0] > largest[1] > largest[2] > 0.0
+    assert corrections.corrected_frames(armature) == [6]
+    assert bpy.ops.manient.clear_corrections(scope="FRAME") == {"FINISHED"}
+    assert turned(before, read_pose_keys(rig_of(armature))).max() < 1e-5
+
+
+def test_without_a_spread_it_stays_in_its_frame(hand):
+    armature, _, _ = hand
+    bpy.context.scene.manient.spread = 0
+    before = read_pose_keys(rig_of(armature))
+    bpy.context.scene.frame_set(6)
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    change = turned(before, read_pose_keys(rig_of(armature))).max(axis=1)
+    np.testing.assert_array_equal(change > 1e-4, before.frames == 6)
+
+
+def test_between_the_frames_of_a_retimed_clip(make_take, picture):
+    """The current frame is relaxed, although the clip has none there; clearing takes its key away again."""
+    scene = bpy.context.scene
+    scene.render.fps = 24
+    scene.frame_set(1001)
+    made = make_take(sides=("right",), source=Source("video", (str(picture),)), fps=30.0)
+    armature = build_take(made.take, match_scene=False, picture=False).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    model = load_model("open-hand", "right")
+    before = read_pose_keys(rig_of(armature))
+    scene.frame_set(1003)
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    scene.frame_set(1003)
+    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, "right"), expected, atol=1e-4)
+    assert corrections.corrected_frames(armature) == [1003]
+    bpy.ops.manient.clear_corrections(scope="FRAME")
+    after = read_pose_keys(rig_of(armature))
+    np.testing.assert_array_equal(after.frames, before.frames)
+    assert turned(before, after).max() < 1e-5
+
+
+def test_pins_that_come_and_go_leave_it(hand):
+    """A point that is dragged in a relaxed frame is measured against the relaxed pose."""
+    armature, _, _ = hand
+    bpy.context.scene.frame_set(6)
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    relaxed = pose_at(rig_of(armature), np.array([6.0]))
+    dragged = changed_quats(relaxed[0][0], np.zeros((16, 3)), np.full((16, 3), 0.1))
+    corrections.correct_frames(armature, [6], dragged[None], relaxed[1], 4, pins=[{8: (10.0, 20.0)}])
+    one = corrections.corrections_of(armature).corrections[6]
+    start = changed_quats(dragged, one.rotation, one.start_rotation)
+    assert np.linalg.norm(correction_between(start, relaxed[0][0]), axis=-1).max() < 1e-6
+    # It is the artist's own, even where the frame had been keyed anew before.
+    corrections.end_corrections(armature, [6])
+    assert corrections.corrected_frames(armature) == []
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    assert corrections.corrected_frames(armature) == [6]
+
+
+def test_bones_without_keys_are_only_posed(hand):
+    armature, side, model = hand
+    remove_pose_keys(rig_of(armature), -100, 100, joints=[4, 5, 6])
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    keys = read_pose_keys(rig_of(armature))
+    assert not keys.rotation_keyed[:, [4, 5, 6]].any()
+    bpy.context.view_layer.update()
+    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
+
+
+def test_auto_keying_keys_them_too(hand):
+    armature, _, _ = hand
+    armature.animation_data_clear()
+    bpy.context.scene.tool_settings.use_keyframe_insert_auto = True
+    bpy.context.scene.frame_set(5)
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    keys = read_pose_keys(rig_of(armature))
+    assert keys.frames.tolist() == [5.0]
+    assert keys.rotation_keyed[0].tolist() == [False] + [True] * 15
+
+
+def test_without_animation_there_are_no_keys(hand):
+    armature, _, _ = hand
+    armature.animation_data_clear()
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    assert armature.animation_data is None or armature.animation_data.action is None
+    assert np.abs(displayed_pose(rig_of(armature))[1:, 1]).min() > 0.01
+
+
+def test_euler_bones_pose_mode_and_undo(hand):
+    armature, side, model = hand
+    armature.pose.bones[bone_names(side)[8]].rotation_mode = "XZY"
+    bpy.ops.object.mode_set(mode="POSE")
+    name = armature.name
+    bpy.ops.ed.undo_push(message="before")
+    before = displayed_pose(rig_of(armature))
+    bpy.ops.manient.apply_pose(pose="Relaxed")
+    bpy.context.view_layer.update()
+    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
+    assert bpy.context.mode == "POSE"
+    bpy.ops.ed.undo_push(message="relaxed")
+    bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+    restored = displayed_pose(rig_of(bpy.data.objects[name]))
+    np.testing.assert_allclose(np.abs(np.sum(restored * before, axis=-1)), 1.0, atol=1e-5)
+
+
+# Ready poses on captured hands
+
+
+@pytest.mark.parametrize("name", ["Fist", "Pinch", "Letter N"])
+def test_a_ready_pose_gives_a_captured_hand_exactly_its_angles(hand, name):
+    armature, side, _ = hand
+    bpy.context.scene.frame_set(6)
+    assert bpy.ops.manient.apply_pose(pose=name) == {"FINISHED"}
+    bpy.context.scene.frame_set(6)
+    expected = rotvec_to_rotmat(ready_poses()[name].pose.on(side).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-6)
+    (found,) = posable_hands(bpy.context)
+    read = found.read()
+    assert read.side == side
+    np.testing.assert_allclose(rotvec_to_rotmat(read.hand_pose.reshape(15, 3)), expected, atol=1e-6)
+
+
+def test_half_of_the_way(hand):
+    armature, side, _ = hand
+    bpy.context.scene.frame_set(6)
+    before = finger_rotations(armature, side)
+    bpy.ops.manient.apply_pose(pose="Fist", blend=0.5)
+    bpy.context.view_layer.update()
+    half = finger_rotations(armature, side)
+    wanted = rotvec_to_rotmat(ready_poses()["Fist"].pose.on(side).reshape(15, 3))
+    np.testing.assert_allclose(angles_between(before, half), angles_between(half, wanted), atol=1e-4)
+    np.testing.assert_allclose(
+        angles_between(before, half) + angles_between(half, wanted), angles_between(before, wanted), atol=1e-4
+    )
+    bpy.ops.manient.clear_corrections(scope="FRAME")
+    bpy.ops.manient.apply_pose(pose="Fist", blend=0.0)
+    np.testing.assert_allclose(finger_rotations(armature, side), before, atol=1e-5)
+
+
+def angles_between(one, other):
+    cosine = (np.trace(np.swapaxes(one, -1, -2) @ other, axis1=-2, axis2=-1) - 1.0) / 2.0
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def select_bones(armature, names):
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="POSE")
+    bpy.ops.pose.select_all(action="DESELECT")
+    for name in names:
+        # From Blender 5.0 on the pose bone is selected, before the bone is.
+        bone = armature.pose.bones[name]
+        (bone if hasattr(bone, "select") else armature.data.bones[name]).select = True
+
+
+def test_selected_bones_choose_fingers_and_other_points_stay(hand):
+    armature, side, _ = hand
+    bpy.context.scene.frame_set(6)
+    here = pose_at(rig_of(armature), np.array([6.0]))
+    pins = {4: (1.0, 2.0), 8: (10.0, 20.0)}
+    corrections.correct_frames(armature, [6], *here, 4, pins=[pins], touches=[{16: 12, 8: 4}])
+    before = finger_rotations(armature, side)
+    select_bones(armature, [bone_names(side)[FINGER_JOINTS["index"][1]]])
+    assert bpy.ops.manient.apply_pose(pose="Fist") == {"FINISHED"}
+    bpy.context.view_layer.update()
+    after = finger_rotations(armature, side)
+    moved = angles_between(before, after) > 0.01
+    index = np.array(FINGER_JOINTS["index"]) - 1
+    assert moved[index].all()
+    assert not np.delete(moved, index).any()
+    field = corrections.corrections_of(armature)
+    assert set(field.pins(6)) == {4}  # the index finger's own is gone
+    assert dict(field.touching(6)) == {16: 12}
+
+
+def test_the_chosen_picture_is_what_is_applied(hand):
+    armature, side, _ = hand
+    settings = bpy.context.scene.manient
+    items = pose_items(settings, bpy.context)
+    assert [item[0] for item in items] == list(ready_poses())
+    assert len({item[4] for item in items}) == len(items)
+    settings.pose = "Horns"
+    assert bpy.ops.manient.apply_pose() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    expected = rotvec_to_rotmat(ready_poses()["Horns"].pose.on(side).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-5)
+
+
+def test_a_pose_that_is_not_there(hand):
+    with pytest.raises(RuntimeError, match="there is no pose 'Vulcan': ready ones are Relaxed, Flat"):
+        bpy.ops.manient.apply_pose(pose="Vulcan")
+
+
+# Characters
+
+
+def character(side, seed=3, **fields):
+    rng = np.random.default_rng(seed)
+    fields = {"bend": 0.6, "stretch": 0.3, **fields}
+    armature = build_armature(hand_specs(side, rng, **fields))
+    placed(armature, rng, 0.1)
+    keep_map(armature, map_of(side))
+    return armature
+
+
+def segments(armature, side):
+    """(10, 3) where two bones of each finger point, relative to the hand's own bone, in our rest space."""
+    bones = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
+    heads = np.array([bones[joint_name(j, side)].head for j in range(16)])
+    own = np.array(bones[joint_name(0, side)].matrix.to_3x3())
+    rest = np.array(armature.data.bones[joint_name(0, side)].matrix_local.to_3x3())
+    steps = np.array([heads[b] - heads[a] for js in FINGER_JOINTS.values() for a, b in (js[:2], js[1:])])
+    steps = steps @ own @ rest.T
+    return steps / np.linalg.norm(steps, axis=1, keepdims=True)
+
+
+def expected_segments(pose: Pose, side):
+    """The same of our own hand, in the same palm."""
+    model = load_model(None, side)
+    still = np.zeros(3)
+    points = axes.points_to_rest(model.posed(None, still, pose.on(side), still).joints)
+    steps = np.array([points[b] - points[a] for js in FINGER_JOINTS.values() for a, b in (js[:2], js[1:])])
+    return steps / np.linalg.norm(steps, axis=1, keepdims=True)
+
+
+def target_of(armature):
+    (hand,) = posable_hands(bpy.context)
+    assert hand.rig.armature == armature
+    return hand._target
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("name", ["Fist", "Pinch", "Letter K, P"])
+def test_a_ready_pose_points_a_characters_fingers_as_ours(name, side):
+    armature = character(side)
+    bpy.context.scene.frame_set(12)
+    assert bpy.ops.manient.apply_pose(pose=name) == {"FINISHED"}
+    bpy.context.scene.frame_set(12)
+    pose = ready_poses()[name].pose
+    wanted = expected_segments(pose, side) @ target_of(armature).aligned.T
+    cosine = np.sum(segments(armature, side) * wanted, axis=1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max() < 0.1
+    curves = list(action_curves(armature.animation_data.action))
+    assert len(curves) == 4 * 15
+    assert all([p.co[0] for p in c.keyframe_points] == [12.0] for c in curves)
+    (hand,) = posable_hands(bpy.context)
+    read = hand.read()
+    assert read.side == side
+    np.testing.assert_allclose(read.on("right"), pose.on("right"), atol=1e-4)
+
+
+def test_a_characters_fingers_by_selected_bones_and_half_of_the_way():
+    armature = character("left")
+    select_bones(armature, [joint_name(FINGER_JOINTS["thumb"][2], "left")])
+    assert bpy.ops.manient.apply_pose(pose="Fist", blend=0.5) == {"FINISHED"}
+    keyed = {c.data_path.split('"')[1] for c in action_curves(armature.animation_data.action)}
+    assert keyed == {joint_name(j, "left") for j in FINGER_JOINTS["thumb"]}
+    (hand,) = posable_hands(bpy.context)
+    read = rotvec_to_rotmat(hand.read().on("right").reshape(15, 3))
+    moved = angles_between(np.eye(3), read)
+    assert moved[12:].min() > 0.05
+
+
+def two_hands():
+    rng = np.random.default_rng(5)
+    specs = [BoneSpec("chest", "", (0, 0, 0), (0, 0, 0.2))]
+    for side in SIDES:
+        specs += hand_specs(
+            side, rng, parent="chest", place=np.array([{"left": 0.5, "right": -0.5}[side], 0, 0])
+        )
+    armature = build_armature(specs)
+    for side in SIDES:
+        keep_map(armature, map_of(side))
+    return armature
+
+
+def test_both_hands_of_a_character_or_the_one_with_selected_bones():
+    armature = two_hands()
+    select_bones(armature, [joint_name(0, "right")])
+    bpy.ops.manient.apply_pose(pose="Point")
+    keyed = {c.data_path.split('"')[1] for c in action_curves(armature.animation_data.action)}
+    assert keyed == {joint_name(j, "right") for j in range(1, 16)}
+    bpy.ops.pose.select_all(action="DESELECT")
+    bpy.ops.manient.apply_pose(pose="Point")
+    keyed = {c.data_path.split('"')[1] for c in action_curves(armature.animation_data.action)}
+    assert keyed == {joint_name(j, side) for side in SIDES for j in range(1, 16)}
+    with pytest.raises(RuntimeError, match="two hands: select a bone"):
+        bpy.ops.manient.save_pose_asset(asset_name="Both")
+    select_bones(armature, [joint_name(1, "left")])
+    assert bpy.ops.manient.save_pose_asset(asset_name="Mine") == {"FINISHED"}
+    assert kept_pose(bpy.data.actions["Mine"].asset_data).side == "left"
+
+
+def test_what_a_character_cannot_take_is_said_before_anything_is_changed():
+    armature = character("right")
+    armature.data.pose_position = "REST"
+    assert not bpy.ops.manient.apply_pose.poll()
+    armature.data.pose_position = "POSE"
+    bpy.ops.manient.apply_pose(pose="Fist")
+    curves = list(action_curves(armature.animation_data.action))
+    curves[0].lock = True
+    values = [c.keyframe_points[0].co[1] for c in curves]
+    with pytest.raises(RuntimeError, match="locked"):
+        bpy.ops.manient.apply_pose(pose="Spread")
+    assert [c.keyframe_points[0].co[1] for c in curves] == values
+
+
+# Assets for every rig
+
+
+@pytest.mark.parametrize("onto", ["captured", "character"])
+def test_a_pose_saved_on_one_rig_is_the_same_on_another(hand, onto, tmp_path):
+    """Saved to a file, appended from it, and put on a hand of the other side."""
+    armature, side, _ = hand
+    bpy.context.scene.frame_set(9)
+    bpy.context.view_layer.update()
+    shown = finger_rotations(armature, side)
+    assert bpy.ops.manient.save_pose_asset(asset_name="Wave") == {"FINISHED"}
+    pixels = picture_of(bpy.data.actions["Wave"])
+    assert pixels.shape == (128, 128, 4)
+    assert 0.2 < (pixels[..., 3] > 0.5).mean() < 0.9
+    path = str(tmp_path / "poses.blend")
+    bpy.data.libraries.write(path, {bpy.data.actions["Wave"]}, fake_user=True)
+    bpy.data.actions.remove(bpy.data.actions["Wave"])
+    with bpy.data.libraries.load(path) as (there, here):
+        here.actions = list(there.actions)
+    np.testing.assert_allclose(picture_of(bpy.data.actions["Wave"]), pixels, atol=0.01)
+    assert "Wave" in [item[0] for item in pose_items(None, bpy.context)]
+
+    other = other_side(side)
+    pose = kept_pose(bpy.data.actions["Wave"].asset_data)
+    np.testing.assert_allclose(rotvec_to_rotmat(pose.hand_pose.reshape(15, 3)), shown, atol=1e-5)
+    if onto == "character":
+        target = character(other, seed=11)
+        assert bpy.ops.manient.apply_pose(pose="Wave") == {"FINISHED"}
+        bpy.context.view_layer.update()
+        wanted = expected_segments(pose, other) @ target_of(target).aligned.T
+        cosine = np.sum(segments(target, other) * wanted, axis=1)
+        assert np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max() < 0.1
+    else:
+        assert bpy.ops.manient.mirror_hand() == {"FINISHED"}
+        target = bpy.context.active_object
+        assert target.manient.side == other
+        bpy.ops.manient.apply_pose(pose="Fist")
+        assert bpy.ops.manient.apply_pose(pose="Wave") == {"FINISHED"}
+        bpy.context.view_layer.update()
+        expected = rotvec_to_rotmat(pose.on(other).reshape(15, 3))
+        np.testing.assert_allclose(finger_rotations(target, other), expected, atol=1e-5)
+
+
+def picture_of(action):
+    preview = action.preview
+    pixels = np.empty(4 * preview.image_size[0] * preview.image_size[1], dtype=np.float32)
+    preview.image_pixels_float.foreach_get(pixels)
+    return pixels.reshape(preview.image_size[1], preview.image_size[0], 4)
+
+
+def test_a_characters_pose_on_a_captured_hand(hand):
+    armature, side, _ = hand
+    character("right", seed=2)
+    bpy.ops.manient.apply_pose(pose="Letter R")
+    assert bpy.ops.manient.save_pose_asset(asset_name="Crossed") == {"FINISHED"}
+    curves = list(action_curves(bpy.data.actions["Crossed"]))
+    assert len(curves) == 4 * 15
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.manient.apply_pose(pose="Crossed")
+    bpy.context.view_layer.update()
+    expected = rotvec_to_rotmat(ready_poses()["Letter R"].pose.on(side).reshape(15, 3))
+    np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
+
+
+def test_ones_own_pose_takes_the_place_of_a_ready_one(hand):
+    armature, side, _ = hand
+    bpy.context.scene.frame_set(3)
+    bpy.context.view_layer.update()
+    own = finger_rotations(armature, side)
+    bpy.ops.manient.save_pose_asset(asset_name="Fist")
+    bpy.context.scene.frame_set(9)
+    bpy.ops.manient.apply_pose(pose="Fist")
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(finger_rotations(armature, side), own, atol=1e-5)
+    names = [item[0] for item in pose_items(None, bpy.context)]
+    assert len(names) == len(set(names)) == len(ready_poses())
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["right", 5, [1.0, 2.0], {"side": "right"}, {"side": "right", "hand_pose": [1e9] * 45}, {"side": 3}],
+)
+def test_a_damaged_pose_asset_ends_in_a_sentence(hand, value):
+    armature, side, _ = hand
+    bpy.ops.manient.save_pose_asset(asset_name="Bad")
+    bpy.data.actions["Bad"].asset_data[PROPERTY] = value
+    before = finger_rotations(armature, side)
+    assert "Bad" in [item[0] for item in pose_items(None, bpy.context)]
+    with pytest.raises(RuntimeError, match="pose of a hand"):
+        bpy.ops.manient.apply_pose(pose="Bad")
+    np.testing.assert_array_equal(finger_rotations(armature, side), before)
+
+
+def test_the_asset_browsers_entry_wants_an_asset(hand):
+    assert not bpy.ops.manient.apply_pose_asset.poll()

@@ -1,0 +1,147 @@
+"""The ready poses: what a hand can do, and no finger in another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import HandModelError
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits, relaxed_pose
+from handfit_core.hand_model.axes import REST_FROM_MODEL
+from handfit_core.hand_model.drawing import colored, drawn_pose
+from handfit_core.hand_model.poses import FILE, Pose, ready_poses
+from handfit_core.hand_model.surface import surface_of
+from handfit_core.skeleton import SIDES, Side
+
+READY = ready_poses()
+SLACK = np.radians(0.01)
+"""What single precision takes"""
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("name", READY)
+def test_a_ready_pose_is_one_that_a_hand_can_have(name: str, side: Side) -> None:
+    model, limits = load_model(None, side), joint_limits(side)
+    pose = READY[name].pose.on(side)
+    angles = anatomical_angles(rotvec_to_rotmat(pose.reshape(15, 3)), anatomical_axes(model))
+    assert (angles > limits.lower - SLACK).all()
+    assert (angles < limits.upper + SLACK).all()
+    surface = surface_of(model)
+    assert surface.depths(surface.of(np.zeros((1, 10)), pose[None]))[0] < 0.002
+
+
+def test_names_say_one_pose_each() -> None:
+    assert 35 <= len(READY) <= 50
+    assert len({name.casefold() for name in READY}) == len(READY)
+    assert all(name == ready.name for name, ready in READY.items())
+    letters = "".join(name.removeprefix("Letter ") for name in READY if name.startswith("Letter"))
+    # J and Z are I and a pointing finger that move.
+    assert sorted(letters.replace(", ", "")) == sorted("ABCDEFGHIKLMNOPQRSTUVWXY")
+    poses = np.array([ready.pose.hand_pose for ready in READY.values()])
+    apart = np.abs(poses[:, None] - poses).max(axis=-1)
+    assert apart[np.triu_indices(len(poses), 1)].min() > np.radians(5.0)
+
+
+def test_relaxed_is_the_hands_own() -> None:
+    np.testing.assert_allclose(
+        READY["Relaxed"].pose.hand_pose, relaxed_pose(load_model(None, "right")), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "second"),
+    [("Pinch", 4, 8), ("Pinch Middle", 4, 12), ("Letter F", 4, 8), ("Letter W", 4, 20)],
+)
+def test_what_pinches_touches(name: str, first: int, second: int) -> None:
+    """The skins of thumb and finger meet, and are nearer than in the open hand by far."""
+    model = load_model(None, "right")
+    surface = surface_of(model)
+    poses = np.stack([READY[name].pose.hand_pose, READY["Spread"].pose.hand_pose])
+    tips = np.array([[first, second]] * 2)
+    gaps = surface.gaps_at(surface.of(np.zeros((2, 10)), poses), np.arange(2), tips).gap
+    assert gaps[0] < 0.006
+    assert gaps[1] > 0.05
+
+
+def test_the_file_is_small() -> None:
+    assert FILE.stat().st_size < 300_000
+
+
+def test_pictures_show_the_poses() -> None:
+    """Each stored picture is nearer to what its pose looks like than any other pose's is."""
+    model = load_model(None, "right")
+    names = ["Relaxed", "Claw", "Fist", "Point", "Gun", "Horns", "I Love You"]
+    stored = [READY[name].drawn[..., 1] / 255.0 for name in names]
+    for at, name in enumerate(names):
+        now = drawn_pose(model, READY[name].pose.hand_pose, 128)[..., 1] / 255.0
+        assert int(np.argmin([np.abs(one - now).mean() for one in stored])) == at, name
+
+
+def test_a_picture_is_a_hand_on_nothing() -> None:
+    model = load_model(None, "right")
+    drawn = drawn_pose(model, np.zeros(45), 64)
+    assert drawn.shape == (64, 64, 2)
+    assert drawn.dtype == np.uint8
+    assert (drawn[0, 0] == 0).all()
+    assert (drawn[30:40, 30:34, 1] == 255).all()  # the palm
+    assert drawn[..., 1].max(axis=1).nonzero()[0][[0, -1]].tolist() == pytest.approx([2, 61], abs=1)
+    picture = colored(drawn)
+    assert picture.shape == (64, 64, 4)
+    np.testing.assert_array_equal(picture[..., 3], drawn[..., 1])
+
+
+def test_a_mirrored_pose_is_the_other_hands() -> None:
+    pose = READY["Pinch"].pose
+    left = Pose("left", pose.on("left"))
+    np.testing.assert_array_equal(left.on("right"), pose.hand_pose)
+    mirror = np.array([-1.0, 1.0, 1.0])
+    points = {}
+    for side in SIDES:
+        still = np.zeros(3)
+        points[side] = load_model(None, side).keypoints(None, still, pose.on(side), still)
+    np.testing.assert_allclose(points["left"], points["right"] * mirror, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_turns_and_back(side: Side) -> None:
+    pose = READY["Fist"].pose
+    turns = pose.turns(side)
+    np.testing.assert_allclose(turns[0], np.eye(3))
+    first = rotvec_to_rotmat(pose.on(side)[:3])
+    np.testing.assert_allclose(turns[1], REST_FROM_MODEL @ first @ REST_FROM_MODEL.T)
+    np.testing.assert_allclose(Pose.of_turns(side, turns).on("right"), pose.hand_pose, atol=1e-6)
+
+
+def test_values_and_back() -> None:
+    pose = READY["Claw"].pose
+    read = Pose.of_values(pose.values())
+    assert read.side == "right"
+    np.testing.assert_array_equal(read.hand_pose, pose.hand_pose)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        None,
+        {},
+        [],
+        "right",
+        {"side": "right"},
+        {"side": "middle", "hand_pose": [0.0] * 45},
+        {"side": ["right"], "hand_pose": [0.0] * 45},
+        {"side": "right", "hand_pose": [0.0] * 44},
+        {"side": "right", "hand_pose": [[0.0] * 45]},
+        {"side": "right", "hand_pose": [float("nan")] * 45},
+        {"side": "right", "hand_pose": [0.0] * 44 + [float("inf")]},
+        {"side": "right", "hand_pose": [1e30] * 45},
+        {"side": "right", "hand_pose": ["a"] * 45},
+        {"side": "right", "hand_pose": [[1.0], [1.0, 2.0]]},
+        {"side": "right", "hand_pose": {"a": 1}},
+        {"side": "right", "hand_pose": [10**400] * 45},
+    ],
+)
+def test_what_is_no_pose_is_refused_in_a_sentence(values: object) -> None:
+    with pytest.raises(HandModelError, match="pose of a hand"):
+        Pose.of_values(values)

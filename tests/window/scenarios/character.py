@@ -1,0 +1,121 @@
+"""The panel Character: a generated Rigify character gets the motion of captured hands."""
+
+from __future__ import annotations
+
+import addon_utils
+import bpy
+
+from scenarios.capturing import keys_of, part
+from scenarios.panels import opened_by_default
+
+OTHER = "f_pinky.02.L"
+"""A bone that is chosen for the last bone of the left ring finger"""
+
+
+def applied(stage, take, blend):
+    """What is recognised, a bone of the table changed by mouse, motion applied by the panel's button; both
+    undone and redone; saved and opened again."""
+    yield from stood_beside(stage, take)
+    with opened_by_default("MANIENT_PT_character"):
+        yield from stage.open_sidebar()
+        yield 0.5
+        yield from stage.screenshot("character")
+        table = bpy.context.scene.manient.hand_table
+        seen = {"recognised": [table.hand, table.ring_3], "kept": [_kept()]}
+        yield from _choose(stage, "hand_table.ring_3", OTHER)
+        seen["changed"] = table.ring_3
+        seen["kept"].append(_kept())
+        yield from stage.screenshot("character-bones")
+        yield from _press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.until(lambda: _keys() > 0, 60.0, "keys on the character")
+        yield 0.5
+        seen["keys"] = [_keys()]
+        seen["keyed"] = sorted({c.data_path.split('"')[1] for c in _rig().animation_data.action.fcurves})
+        bpy.context.scene.frame_set(30)
+        yield from stage.leave_popups()
+        yield from stage.screenshot("character-applied")
+        seen["pose"] = [_turns()]
+        for step in (stage.undo, stage.undo, stage.redo, stage.redo):
+            yield from step()
+            yield 0.3
+            seen["keys"].append(_keys())
+            seen["kept"].append(_kept())
+        bpy.context.scene.frame_set(30)
+        bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+        bpy.ops.wm.open_mainfile(filepath=str(blend))
+        yield 0.5
+        bpy.context.scene.frame_set(30)
+        seen["pose"].append(_turns())
+        seen["keys"].append(_keys())
+        seen["kept"].append(_kept())
+    return seen
+
+
+def stood_beside(stage, take):
+    """A take's hands and a generated Rigify character, which is selected, seen from the front."""
+    addon_utils.enable("rigify", default_set=True, persistent=True)
+    with stage.override():
+        bpy.ops.manient.import_take(filepath=str(take), matching="KEEP")
+        bpy.ops.object.armature_human_metarig_add()
+        metarig = bpy.context.active_object
+        part_of_rigify = __import__("rigify.generate", fromlist=["generate_rig"])
+        part_of_rigify.generate_rig(bpy.context, metarig)
+        bpy.data.objects.remove(metarig)
+        _rig().select_set(True)
+        bpy.context.view_layer.objects.active = _rig()
+        bpy.ops.ed.undo_push(message="Character")
+    yield 0.5
+
+
+def _rig():
+    return bpy.data.objects["rig"]
+
+
+def _keys() -> int:
+    return keys_of(_rig())
+
+
+def _kept() -> str:
+    return part("scene.characters").table_of(_rig(), "left").bones[12]
+
+
+def _turns() -> list[float]:
+    """How far the left hand's bones are turned in this frame, by MANO's joints."""
+    shown = _rig().evaluated_get(bpy.context.evaluated_depsgraph_get())
+    names = part("scene.characters").table_of(_rig(), "left").bones
+    return [round(shown.pose.bones[name].matrix_basis.to_quaternion().angle, 4) for name in names]
+
+
+def _press(stage, button: str):
+    place = yield from _scrolled_to(stage, button)
+    yield from stage.click(place)
+
+
+def _choose(stage, field: str, name: str):
+    """Click the field of a bone in the table, type a name into its search, and take what is found."""
+    place = yield from _scrolled_to(stage, field)
+    yield from stage.click(place)
+    yield 0.5
+    yield from stage.write(name)
+    yield 0.5
+    yield from stage.screenshot("character-search")
+    yield from stage.key("RET")
+    yield 0.5
+
+
+def _scrolled_to(stage, button: str):
+    """The place of a button of the sidebar, the wheel turned until it shows."""
+    region = stage.region("UI")
+    middle = (region.x + region.width / 2, region.y + region.height / 2)
+    yield from stage.move_to(middle)
+    for _ in range(40):
+        yield from stage.key("WHEELUPMOUSE")
+    for _ in range(4):
+        place = yield from stage.find_button(button, along=0.6)
+        if place is not None:
+            return place
+        yield from stage.move_to(middle)
+        for _ in range(12):
+            yield from stage.key("WHEELDOWNMOUSE")
+        yield 0.3
+    raise AssertionError(f"the sidebar has no {button}")

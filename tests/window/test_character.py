@@ -1,0 +1,26 @@
+"""The panel Character in the window: recognised, changed by mouse, applied, undone, saved."""
+
+from __future__ import annotations
+
+FRAMES = 100
+
+
+def test_motion_on_a_rigify_character(blender, make_long_take, tmp_path):
+    seen = blender.play(
+        "character.applied", take=make_long_take(FRAMES), blend=tmp_path / "character.blend", timeout=400
+    ).value
+    own, other = "f_ring.03.L", "f_pinky.02.L"
+    assert seen["recognised"] == ["DEF-hand.L", own]
+    assert seen["changed"] == other
+    keyed = [f"{name}.0{i}.{s}" for s in "LR" for name in NAMES for i in (1, 2, 3)]
+    assert seen["keyed"] == sorted(set(keyed) - {own})
+    keys = 4 * FRAMES * len(seen["keyed"])
+    # Applied; two undos, of the motion and of the table; two redos; saved and opened again.
+    assert seen["keys"] == [keys, 0, 0, 0, keys, keys]
+    assert seen["kept"] == [own, other, other, own, other, other, other]
+    applied, opened = seen["pose"]
+    assert applied == opened
+    assert min(applied[1:]) > 0.1
+
+
+NAMES = ("thumb", "f_index", "f_middle", "f_ring", "f_pinky")
