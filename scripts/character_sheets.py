@@ -3,7 +3,7 @@
 
     python scripts/character_sheets.py Rigify=rigify.blend VRM=vrm.blend:Armature -o sheet.webp --side left
 
-Runs where bpy, SciPy and OpenCV are installed. All hands are shown as long as the captured one, the wrist
+Runs where bpy and OpenCV are installed. All hands are shown as long as the captured one, the wrist
 neither turned nor moved: first from before the palm, below from 60 degrees nearer to the thumb.
 """
 
@@ -30,32 +30,30 @@ import numpy as np
 
 from handfit_core.errors import HandfitError, InputError
 from handfit_core.files import written_whole
-from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.hand_model.axes import REST_FROM_MODEL, points_to_rest
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.axes import points_to_rest
 from handfit_core.hand_model.nails import nail_polygons
+from handfit_core.hand_model.poses import Pose, ready_poses
 from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
-from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
+from handfit_core.skeleton import SIDES, Side
 from handfit_core.slices import result_of
-from scripts.benchmark.closed import CLOSED, closed_pose
-from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles, model_of
-from scripts.benchmark.poses import random_pose
 
-POSES: Final = {
-    "relaxed": ("relaxed", 0),
-    "spread": ("open", 4),
-    "fist": ("S", 1),
-    "thumb up": ("thumb off a fist", 1),
-    "point": ("point", 0),
-    "pinch": ("pinch", 0),
-    "OK": ("F", 0),
-    "V": ("V", 0),
-    "grip": ("C", 0),
-    "thumb tucked": ("thumb in a fist", 0),
-}
-"""What stands over a column -> the kind of pose of `scripts/benchmark`, and the seed that draws it"""
-_CELL: Final = (0.19, 0.23)
+POSES: Final = (
+    "Relaxed",
+    "Spread",
+    "Fist",
+    "Thumbs Up",
+    "Point",
+    "Pinch",
+    "Letter F",
+    "Letter V",
+    "Ball Grip",
+    "Letter T",
+)
+"""The ready poses that are shown"""
+_CELL: Final = (0.19, 0.245)
 """metres, width and height of what is shown of one hand"""
-_MIDDLE: Final = 0.08
+_MIDDLE: Final = 0.085
 """metres from the wrist to a cell's middle"""
 _REACH: Final = 0.23
 """metres from the wrist within which skin belongs to the hand"""
@@ -94,7 +92,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="SHEET.webp")
     parser.add_argument("--side", choices=SIDES, default="left", help="(default: left)")
     parser.add_argument("--height", type=int, default=150, metavar="PX", help="of a hand (default: 150)")
-    parser.add_argument("--poses", nargs="+", choices=list(POSES), default=list(POSES), metavar="POSE")
+    parser.add_argument(
+        "--poses", nargs="+", choices=list(ready_poses()), default=list(POSES), metavar="POSE"
+    )
     parser.add_argument(
         "--thumb-roll", nargs="+", type=float, metavar="DEG", help="a row for each of these, to choose one"
     )
@@ -104,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("error: this Python has no bpy: install it", file=sys.stderr)
         return 1
     try:
-        wanted = poses(args.poses, args.side)
+        wanted = [ready_poses()[name].pose for name in args.poses]
         rows = {"captured": captured(wanted, args.side)}
         for named in args.characters:
             name, where = named.split("=", 1)
@@ -121,26 +121,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def poses(names: Sequence[str], side: Side) -> np.ndarray:
-    """(N, 45) axis-angle of the named poses."""
-    hand, found = RightHand(np.zeros(10)), []
-    for name in names:
-        kind, seed = POSES[name]
-        drawn = closed_pose if kind in CLOSED else random_pose
-        found.append(hand_pose_from_angles(drawn(kind, hand, np.random.default_rng(seed)), side))
-    return np.stack(found)
-
-
-def captured(wanted: np.ndarray, side: Side) -> list[Skin]:
+def captured(wanted: Sequence[Pose], side: Side) -> list[Skin]:
     """The open hand in each pose."""
-    model = model_of(side)
-    vertices = model.posed(None, np.zeros((len(wanted), 3)), wanted, -model.shaped().joints[0]).vertices
-    polygons, nails = model.polygons.tolist(), nail_polygons(model)
-    return [Skin(points_to_rest(v), polygons, nails) for v in vertices]
+    model = load_model(None, side)
+    at = -model.shaped().joints[0]
+    vertices = [model.posed(None, np.zeros(3), pose.on(side), at).vertices for pose in wanted]
+    return [Skin(points_to_rest(v), model.polygons.tolist(), nail_polygons(model)) for v in vertices]
 
 
 def following(
-    where: str, wanted: np.ndarray, side: Side, roll: float | None = None, contacts: bool = True
+    where: str, wanted: Sequence[Pose], side: Side, roll: float | None = None, contacts: bool = True
 ) -> list[Skin]:
     """A character's hand after each pose was applied to it, as large as the captured one. `where`: its
     .blend, and behind a colon its armature, if there are several; `roll`: its thumb's in degrees, instead of
@@ -163,14 +153,12 @@ def following(
     hand_map = found_hand(armature, side).hand_map
     if roll is not None:
         hand_map = replace(hand_map, thumb_roll=roll)
-    source = SourceHand.of(model_of(side).shaped(), side)
-    turns = np.broadcast_to(np.eye(3), (len(wanted), NUM_JOINTS, 3, 3)).copy()
-    turns[:, 1:] = REST_FROM_MODEL @ rotvec_to_rotmat(wanted.reshape(len(wanted), -1, 3)) @ REST_FROM_MODEL.T
+    source = SourceHand.of(load_model(None, side).shaped(), side)
     target = target_hand(bones_of(armature), hand_map, source)
     meshes = [o for o in bpy.context.scene.objects if o.type == "MESH" and _moves_with(o, armature)]
     found = []
-    for row in range(len(wanted)):  # each for itself: from one to the next nothing is smooth
-        motion = Motion(source, np.array([1.0]), turns[row : row + 1], np.zeros((1, 3)))
+    for pose in wanted:  # each for itself: from one to the next nothing is smooth
+        motion = Motion(source, np.ones(1), pose.turns(side)[None], np.zeros((1, 3)))
         result_of(applying(armature, [(hand_map, motion)], Onto(into="ACTION", contacts=contacts)))
         bpy.context.scene.frame_set(1)
         found.append(_skin(meshes, armature, target))

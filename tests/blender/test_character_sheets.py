@@ -13,16 +13,17 @@ import pytest
 from blender_manient.rigs import found_hand
 from blender_manient.rigs.character import bones_of
 from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import bone_frames, points_to_rest
+from handfit_core.hand_model.poses import ready_poses
 from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, Side
-from scripts.benchmark.kinematics import model_of
-from scripts.character_sheets import following, main, poses
+from scripts.character_sheets import following, main
 
 from .characters import build_armature, hand_specs
 
-SHOWN = ["thumb up", "V"]
+SHOWN = ["Thumbs Up", "Letter V"]
 MIXAMO = next(rig for rig in RIGS if rig.label == "Mixamo")
 
 
@@ -33,7 +34,7 @@ def character(side: Side, path: Path) -> Path:
     turn = rotvec_to_rotmat(np.array([0.4, -1.1, 2.0]))
     armature = build_armature(hand_specs(side, np.random.default_rng(2), names=names, turn=turn, scale=10.0))
     armature.scale = (0.1, 0.1, 0.1)
-    model, mesh = model_of(side), bpy.data.meshes.new("skin")
+    model, mesh = load_model(None, side), bpy.data.meshes.new("skin")
     flat = points_to_rest(model.v_template - model.shaped().joints[0])
     mesh.from_pydata((10.0 * flat @ turn.T).tolist(), [], model.polygons.tolist())
     skin = bpy.data.objects.new("skin", mesh)
@@ -51,9 +52,11 @@ def character(side: Side, path: Path) -> Path:
 @pytest.mark.parametrize("side", SIDES)
 def test_the_skin_is_where_the_captured_hand_has_it(side, tmp_path):
     """Apart from its pose correctives, which characters have not; a roll turns the thumb alone."""
-    path, model, wanted = character(side, tmp_path / "hand.blend"), model_of(side), poses(SHOWN, side)
+    path, model = character(side, tmp_path / "hand.blend"), load_model(None, side)
+    wanted = [ready_poses()[name].pose for name in SHOWN]
     plain = replace(model, posedirs=np.zeros_like(model.posedirs))
-    should = plain.posed(None, np.zeros((2, 3)), wanted, -model.shaped().joints[0]).vertices
+    flat = np.stack([pose.on(side) for pose in wanted])
+    should = plain.posed(None, np.zeros((2, 3)), flat, -model.shaped().joints[0]).vertices
     thumb = model.weights[:, list(FINGER_JOINTS["thumb"])].sum(axis=1) > 0.0
     for roll in (0.0, 30.0):
         skins = following(str(path), wanted, side, roll, contacts=False)
@@ -65,11 +68,11 @@ def test_the_skin_is_where_the_captured_hand_has_it(side, tmp_path):
 
 def test_a_row_for_each_roll(tmp_path):
     path, sheet = character("left", tmp_path / "hand.blend"), tmp_path / "sheet.png"
-    options = ["--poses", *SHOWN, "--height", "46", "--thumb-roll", "0", "40", "--no-contacts"]
+    options = ["--poses", *SHOWN, "--height", "49", "--thumb-roll", "0", "40", "--no-contacts"]
     assert main([f"Mine={path}:Character", "-o", str(sheet), *options]) == 0
     picture = cv2.imread(str(sheet))[20:, 76:]
-    assert picture.shape == (3 * 2 * 46, 2 * 38, 3)
-    cells = picture.reshape(6, 46, 2, 38, 3)
+    assert picture.shape == (3 * 2 * 49, 2 * 38, 3)
+    cells = picture.reshape(6, 49, 2, 38, 3)
     background = picture[0, 0].astype(int)
     covered = (np.abs(cells - background).max(axis=-1) > 25).mean(axis=(1, 3))
     assert covered.min() > 0.05, "a hand in every cell"
@@ -78,8 +81,8 @@ def test_a_row_for_each_roll(tmp_path):
 
 def test_what_is_not_there_is_said(tmp_path, capsys):
     path, sheet = character("left", tmp_path / "hand.blend"), str(tmp_path / "sheet.png")
-    assert main([f"Mine={tmp_path / 'none.blend'}", "-o", sheet, "--poses", "V"]) == 1
-    assert main([f"Mine={path}:Other", "-o", sheet, "--poses", "V"]) == 1
+    assert main([f"Mine={tmp_path / 'none.blend'}", "-o", sheet, "--poses", "Relaxed"]) == 1
+    assert main([f"Mine={path}:Other", "-o", sheet, "--poses", "Relaxed"]) == 1
     said = capsys.readouterr().err
     assert "none.blend: no such file" in said
     assert "no armature 'Other'" in said
@@ -99,7 +102,7 @@ def test_thumbs_of_rigify_bend_about_their_own_axis(side):
         bones, hand_map = bones_of(armature), found_hand(armature, side).hand_map
     finally:
         addon_utils.disable("rigify", default_set=True)
-    shaped = model_of(side).shaped()
+    shaped = load_model(None, side).shaped()
     own = bone_frames(shaped, side)
     for roll, most in ((hand_map.thumb_roll, 8.0), (0.0, 40.0)):
         target = target_hand(bones, replace(hand_map, thumb_roll=roll), SourceHand.of(shaped, side))
