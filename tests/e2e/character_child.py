@@ -63,6 +63,7 @@ def make(path: str) -> None:
     place = bpy.data.objects.new("Place", None)
     place.location = (0.3, 0.2, 0.1)
     armature.parent = place
+    eye.data.name, prop.data.name = "Eye", "Prop"
     for obj in (eye, prop, place):
         bpy.context.collection.objects.link(obj)
     hips = armature.pose.bones["mixamorig:Hips"]

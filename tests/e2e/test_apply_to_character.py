@@ -122,11 +122,15 @@ def seen(side: Side) -> list[int]:
     return [row for row in range(len(NUMBERS)) if side == "left" or row != UNSEEN]
 
 
-def test_a_character_comes_out_with_the_motion(in_blender, hero, look, tmp_path):
+def test_a_character_comes_out_with_the_motion(request, in_blender, hero, look, tmp_path):
     clip, before = take(), hero.read_bytes()
+    endings = [".blend", ".glb", ".fbx", ".bvh"]
+    if "wheel" in request.node.name:  # Debian's build has neither
+        endings += [".usdc", ".abc"]
     clip.save(tmp_path / "clip.take.npz")
     out = tmp_path / "out"
-    done = in_blender(SCRIPT, "clip.take.npz", "-o", out, "--apply-to", hero, "--format", "blend,glb,fbx,bvh")
+    formats = ",".join(ending[1:] for ending in endings).replace("usdc", "usd")
+    done = in_blender(SCRIPT, "clip.take.npz", "-o", out, "--apply-to", hero, "--format", formats)
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = report(out)
     assert entry["status"] == "ok"
@@ -134,9 +138,9 @@ def test_a_character_comes_out_with_the_motion(in_blender, hero, look, tmp_path)
     rig = {"rig": "Mixamo", "bones": 15, "frames": 8}
     hands = [{"side": side, "captured": number, **rig} for number, side in enumerate(SIDES, start=1)]
     assert entry["character"] == {"armature": "Hero", "hands": hands}
-    endings = (".take.npz", ".blend", ".glb", ".fbx", ".bvh")
-    assert entry["files"] == [f"clip/clip{ending}" for ending in endings]
-    assert sorted(p.name for p in (out / "clip").iterdir()) == sorted(f"clip{e}" for e in endings)
+    files = ["clip.take.npz", *(f"clip{ending}" for ending in endings)]
+    assert entry["files"] == [f"clip/{name}" for name in files]
+    assert sorted(p.name for p in (out / "clip").iterdir()) == sorted(files)
     assert hero.read_bytes() == before
 
     blend = look(out / "clip" / "clip.blend")
@@ -145,21 +149,21 @@ def test_a_character_comes_out_with_the_motion(in_blender, hero, look, tmp_path)
     assert blend["armatures"] == 1, "nothing of the captured hands is in it"
     assert blend["texts"] == ["kept.txt"], "all of the character's file is"
     assert len(blend["tracks"]) == 1, "its own action goes on below the new one"
-    for ending in (".blend", ".glb", ".fbx", ".bvh"):
+    for ending in endings:
         found = look(out / "clip" / f"clip{ending}")
-        for number, side in enumerate(SIDES):
-            for row in seen(side):
-                error = worst(character(found, side, NUMBERS[row]), captured(clip, number, row))
-                assert error < 0.1, (ending, side, row)
-        if ending in (".glb", ".fbx"):
-            assert {"Eye", "Hero", "Skin"} <= set(found["objects"])
-            assert not {"Cage", "Prop"} & set(found["objects"])
+        if ending != ".abc":  # the skin alone
+            for number, side in enumerate(SIDES):
+                for row in seen(side):
+                    error = worst(character(found, side, NUMBERS[row]), captured(clip, number, row))
+                    assert error < 0.1, (ending, side, row)
+        if ending in (".blend", ".bvh"):
+            continue
+        assert any("Eye" in name for name in found["objects"]), (ending, found["objects"])
+        assert not {"Cage", "Prop"} & set(found["objects"])
         for frame in map(str, NUMBERS):
-            ours, theirs = blend["shown"][frame], found["shown"][frame]
-            hips = np.subtract(ours["heads"]["mixamorig:RightHand"], theirs["heads"]["mixamorig:RightHand"])
-            assert np.abs(hips).max() < (0.01 if ending != ".bvh" else np.inf), (
-                "it nods, and stands in its place"
+            ours, theirs = (
+                np.array(blend["shown"][frame]["points"]),
+                np.array(found["shown"][frame]["points"]),
             )
-            if ending in (".glb", ".fbx"):
-                apart = np.subtract(np.array(ours["points"])[:, None], np.array(theirs["points"])[None])
-                assert np.linalg.norm(apart, axis=-1).min(axis=1).max() < 1e-4, (ending, frame)
+            apart = np.linalg.norm(ours[:, None] - theirs[None], axis=-1)
+            assert apart.min(axis=1).max() < 1e-4, f"it nods and stands as in the .blend ({ending}, {frame})"
