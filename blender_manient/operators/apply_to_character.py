@@ -126,6 +126,14 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         for sentence in dict.fromkeys(s for one in applied for s in one.left_alone):
             self.report({"WARNING"}, sentence[:1].upper() + sentence[1:])
+        missed = max(one.missed for one in applied)
+        if missed:
+            self.report(
+                {"WARNING"},
+                f"In {counted(missed, 'frame')} fingertips that touch do not meet as captured, by up to "
+                f"{1000.0 * max(one.apart for one in applied):.0f} mm of your hand's size: this character's "
+                "fingers are too long or too short for it",
+            )
         bones = sum(one.bones for one in applied)
         frames = max(one.frames for one in applied)
         self.report({"INFO"}, f"Keyed {counted(bones, 'bone')} in {counted(frames, 'frame')}")
