@@ -19,7 +19,7 @@ from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
-from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of
+from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
@@ -179,13 +179,13 @@ class Character:
         reference = self.reference
         if reference is None:
             reference = max(float(motion.frames[0]) for _, motion in hands)
-        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
-        for entry, one in zip(told, applied, strict=True):
-            entry |= {"bones": one.bones, "frames": one.frames}
-            warnings += one.left_alone
         scene = bpy.context.scene
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
+        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
+        for entry, one in zip(told, applied, strict=True):
+            entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
+        warnings += shortcomings(applied)
         scene.frame_set(int(take.frame_numbers[0]))
         if bpy.app.autoexec_fail_message.startswith("Driver"):
             warnings.append(
