@@ -36,4 +36,13 @@ def test_what_keeps_a_character_from_motion_is_said(blender, make_long_take, tmp
     assert [hand["side"] for hand in json.loads(preset.read_text(encoding="utf-8"))] == ["left", "right"]
 
 
+def test_a_character_follows_a_drag_by_the_live_link(blender, make_clip):
+    played = blender.play("character.linked", source=make_clip(60), timeout=300).value
+    assert played["trouble"] is None
+    # The last move has been waited for; those before it may lag behind by a fit.
+    assert played["behind"][-1] < 0.02
+    assert {28, 30, 32} <= set(played["moved"]) <= {28, 30, 32}
+    assert played["off"] < 1e-3
+
+
 NAMES = ("thumb", "f_index", "f_middle", "f_ring", "f_pinky")
