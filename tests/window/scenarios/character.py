@@ -62,7 +62,7 @@ def linked(stage, source, steps=12):
     with opened_by_default("MANIENT_PT_character"):
         yield from stage.open_sidebar()
         yield 0.5
-        yield from _press(stage, "manient.character.live")
+        yield from press(stage, "manient.character.live")
         yield from stage.until(lambda: keys_of(follower) > 0, 30.0, "the follower's keys")
         yield from stage.screenshot("live-linked")
     before = _index_turns(follower)
