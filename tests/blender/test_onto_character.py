@@ -148,6 +148,17 @@ def test_only_mapped_bones_are_touched_and_the_present_action_goes_on(make_take)
     assert bones[wrist.name].matrix_basis.to_euler().x == pytest.approx(1.0, abs=1e-5)
 
 
+def test_bones_with_quotes_in_their_names(make_take):
+    hand = captured(make_take)
+    names = {j: f'b"{j}\\"' for j in range(16)}
+    target = build_armature(hand_specs("right", np.random.default_rng(18), bend=0.3, names=names))
+    result_of(putting(target, [(map_of("right", names), hand)], PLAIN))
+    error = angles(
+        directions(target, list(names.values()), 5), directions(hand.armature, bone_names("right"), 5)
+    )
+    assert error.max() < 0.1
+
+
 def test_a_strip_above_all_others(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(8), bend=0.3))
