@@ -20,6 +20,11 @@ from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_
 NAME = "manient"
 
 _DEFAULT_PYTHON = "the preferences', else $HANDFIT_PYTHON, else Blender's own"
+_BATCHES = {
+    "capture": "fit hands to photos, sequences, videos and folders of them",
+    "apply": "put the motion of takes, or of photos and videos, onto a character",
+}
+"""Commands with the options of a batch, and what help says of them"""
 _handle: Any = None
 """What Blender gave for the registered command"""
 
@@ -28,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
     """Run `manient ARGV`; returns the exit code, raises nothing."""
     show_all_names()
     debug = "--debug" in argv
-    if "capture" in argv[:1] and _refused():  # its very options are the core's
+    if argv[:1] and argv[0] in _BATCHES and _refused():  # their very options are the core's
         return EXIT_SOME_FAILED
     try:
         args = _parser(argv).parse_args(argv)
@@ -43,21 +48,18 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """The command line; a capture's options, which the core has, only where a capture is asked for."""
+    """The command line; the options of a batch, which the core has, only where one is asked for."""
     parser = argparse.ArgumentParser(
         prog=f"blender --command {NAME}", description="Manient Hand Capture without a window."
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    capture = commands.add_parser(
-        "capture",
-        help="fit hands to photos, sequences, videos and folders of them",
-        description="Fit hands to photos, sequences, videos and folders of them.",
-    )
-    if "capture" in argv[:1]:
-        from .batch.arguments import add_arguments
+    for name, said in _BATCHES.items():
+        batch = commands.add_parser(name, help=said, description=f"{said[0].upper()}{said[1:]}.")
+        if argv[:1] == [name]:
+            from .batch.arguments import add_arguments
 
-        add_arguments(capture, default_python=_DEFAULT_PYTHON)
-    capture.set_defaults(run=_capture)
+            add_arguments(batch, default_python=_DEFAULT_PYTHON, onto_character=name == "apply")
+        batch.set_defaults(run=_run_batch)
     check = commands.add_parser(
         "check",
         help="check the installation",
@@ -69,7 +71,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     return parser
 
 
-def _capture(args: argparse.Namespace) -> int:
+def _run_batch(args: argparse.Namespace) -> int:
     from handfit_core.worker.interpreter import PYTHON_VARIABLE
 
     from . import preferences

@@ -9,8 +9,8 @@ from .wording import shortened
 
 CATEGORY = "Hand Capture"
 
-_BESIDE = 84
-"""Pixels at scale 1 of a sidebar that are no label: margins, icon, the tabs"""
+_BESIDE = 100
+"""Pixels at scale 1 of a sidebar that are no label: margins, those of a box too, icon, the tabs"""
 _BUTTON = 22
 """pixels at scale 1 of a button that is only an icon"""
 

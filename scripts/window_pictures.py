@@ -28,7 +28,10 @@ SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PICTURES = ("empty", "capturing", "captured", "keypoints", "touch", "find", "box", "add-laid", "add-point-12")
+PICTURES = (
+    *("empty", "capturing", "captured", "keypoints", "touch", "find", "box"),
+    *("add-laid", "add-point-12", "character"),
+)
 
 
 def main() -> int:
@@ -45,6 +48,7 @@ def main() -> int:
         try:
             window.play("pictures.tour", folder=folder, source="wave", timeout=300)
             window.play("pictures.choosing", folder=folder, source="mona_lisa.jpg", timeout=300)
+            window.play("pictures.onto_a_character", folder=folder, source="wave", timeout=300)
             points = write_robot_hand(Path(folder) / "robot.png").tolist()
             order = [(k, points[k]) for k in (0, 9, 8, 4, 20, 12)]
             window.play("pictures.placing", folder=folder, source="robot.png", points=order, timeout=300)

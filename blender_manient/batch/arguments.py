@@ -10,14 +10,20 @@ from handfit_core.options import add_options
 
 
 def add_arguments(
-    parser: argparse.ArgumentParser, default_inputs: Sequence[str] = (), *, default_python: str = "this one"
+    parser: argparse.ArgumentParser,
+    default_inputs: Sequence[str] = (),
+    *,
+    default_python: str = "this one",
+    onto_character: bool = False,
 ) -> None:
     """Add every option of a batch to a parser.
 
     `default_inputs` are taken where none are given; without them at least one must be given.
     `default_python` is what the help says about the Python that captures when nobody names one.
+    `onto_character`: whether a character must be named.
     """
     from ..exporters import EXPORTERS  # which needs Blender
+    from .character import add_character_arguments
 
     parser.add_argument(
         "inputs",
@@ -41,6 +47,7 @@ def add_arguments(
         "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
     )
     parser.add_argument("--debug", action="store_true", help="show tracebacks and Blender's own messages")
+    add_character_arguments(parser, required=onto_character)
 
 
 def _add_grouping_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -12,7 +13,7 @@ from handfit_core.take import Take
 from handfit_core.worker.runner import Event, Runner
 
 from ..scene.build import build_take
-from ..scene.export import export_take
+from ..scene.export import Stage, export_hands, export_take
 from ..scene.preview import render_preview, spread_frames
 from .console import blender_silenced
 from .inputs import Job
@@ -43,28 +44,51 @@ def fit(job: Job, result: Result, order: Order, runner: Runner, *, keep_addons: 
     result.files.append(_relative(take_path, order.output))
 
     with blender_silenced(order.debug):
-        if keep_addons:
-            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        else:
-            bpy.ops.wm.read_factory_settings(use_empty=True)
-        built = build_take(
-            take,
-            model=order.model if job.take else None,
-            pose_correctives=order.pose_correctives,
-            picture=order.picture,
-            max_megapixels=order.options.max_megapixels,
-        )
-        result.warnings += built.warnings
-        for fmt in order.formats:
-            for path in export_take(built, take, folder, job.name, fmt):
-                result.files.append(_relative(path, order.output))
-        frames = spread_frames(take, 3)
-        if order.preview and frames:
-            path = folder / f"{job.name}.preview.png"
-            render_preview(
-                built, take, frames[len(frames) // 2], path, max_megapixels=order.options.max_megapixels
-            )
+        for path in _results(take, job, folder, result, order, keep_addons):
             result.files.append(_relative(path, order.output))
+
+
+def start_empty(*, keep_addons: bool) -> None:
+    """Replace the open file by an empty one. `keep_addons` leaves the add-ons and preferences as they are;
+    otherwise they become Blender's factory settings."""
+    if keep_addons:
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    else:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def _results(
+    take: Take, job: Job, folder: Path, result: Result, order: Order, keep_addons: bool
+) -> Iterator[Path]:
+    """Write what is made of a take; gives each file that is there."""
+    model = order.model if job.take else None
+    frames = spread_frames(take, 3) if order.preview else []
+    start_empty(keep_addons=keep_addons)
+    if order.character is not None:
+        character, result.character, warnings = order.character.put(take, model)
+        result.warnings += warnings
+        for fmt in order.formats:
+            yield from export_hands([character], Stage.of_scene(bpy.context.scene), folder, job.name, fmt)
+        if not frames:
+            return
+        start_empty(keep_addons=keep_addons)
+    built = build_take(
+        take,
+        model=model,
+        pose_correctives=order.pose_correctives,
+        picture=order.picture,
+        max_megapixels=order.options.max_megapixels,
+    )
+    result.warnings += built.warnings
+    if order.character is None:
+        for fmt in order.formats:
+            yield from export_take(built, take, folder, job.name, fmt)
+    if frames:
+        path = folder / f"{job.name}.preview.png"
+        render_preview(
+            built, take, frames[len(frames) // 2], path, max_megapixels=order.options.max_megapixels
+        )
+        yield path
 
 
 def _capture(job: Job, take_path: Path, result: Result, runner: Runner, order: Order) -> None:

@@ -13,6 +13,7 @@ from handfit_core.solvers import SOLVERS, get_solver
 from handfit_core.worker.interpreter import find_python, runs_here
 
 from ..exporters import EXPORTERS, find_exporter
+from .character import Character
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Order:
     preview: bool
     picture: bool
     pose_correctives: bool
+    character: Character | None
+    """What gets the motion; None: the results are the captured hands themselves"""
     debug: bool
 
     @classmethod
@@ -37,6 +40,7 @@ class Order:
         """From parsed arguments (batch/arguments.py); `python` captures, None: as `find_python` chooses.
         Raises OptionError for values that cannot be meant."""
         formats = _checked_formats(args.format)
+        character = Character.of_arguments(args)
         options = CaptureOptions.of_arguments(args)
         if args.python is None:  # a Python that is named may have solvers and detectors of its own
             SOLVERS.get(options.solver)
@@ -53,6 +57,7 @@ class Order:
             preview=args.preview,
             picture=not args.no_picture,
             pose_correctives=not args.no_correctives,
+            character=character,
             debug=args.debug,
         )
 

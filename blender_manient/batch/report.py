@@ -26,6 +26,9 @@ class Result:
     """per hand its side, the frames in which it was detected, mean_reprojection_error_px, mean_error_of_hand:
     the same as a share of the hand's length in the picture, and mean_expected_error: metres that it is likely
     to be off"""
+    character: dict[str, Any] | None = None
+    """the armature that got the motion, and per hand of it its side, the captured hand's number, what the rig
+    was taken for, and how many bones were keyed in how many frames"""
     files: list[str] = field(default_factory=list)
     """relative to the report's folder"""
     warnings: list[str] = field(default_factory=list)

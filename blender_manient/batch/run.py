@@ -15,10 +15,10 @@ from handfit_core.worker.interpreter import PYTHON_VARIABLE
 from handfit_core.worker.runner import Runner
 
 from .. import shared_worker
-from .console import print_error, show_all_names, stopped_by_signals
+from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
 from .exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 from .inputs import Job, expand, with_free_names
-from .one_input import fit
+from .one_input import fit, start_empty
 from .order import Order
 from .report import Result, line, write_report
 
@@ -43,6 +43,10 @@ def run(args: argparse.Namespace, host: Host) -> int:
     with stopped_by_signals():
         try:
             order = Order.of_arguments(args, args.python or host.python)
+            if order.character is not None:  # before hours of work for nothing
+                with blender_silenced(order.debug):
+                    start_empty(keep_addons=host.keep_addons)
+                    order.character.check()
             jobs = with_free_names(
                 [job for text in args.inputs for job in expand(text, args.grouping)],
                 order.output,

@@ -27,7 +27,7 @@ class AlembicExporter(Exporter):
         """Write it where there is room for it."""
         scene = bpy.context.scene
         # Where the disk is full, Alembic ends Blender.
-        check_room(path, _alembic_size([hand.mesh for hand in hands if hand.mesh is not None]))
+        check_room(path, _alembic_size([mesh for hand in hands for mesh in hand.meshes]))
         bpy.ops.wm.alembic_export(
             filepath=str(path),
             check_existing=False,

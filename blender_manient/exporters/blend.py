@@ -22,8 +22,14 @@ class BlendExporter(Exporter):
     suffix = ".blend"
     writes = "collection"
 
-    def write(self, path: Path, _hands: Sequence[HandObjects], _preset: Preset, /) -> None:
-        """Write the open scene with all that it uses."""
+    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+        """Write the open scene with all that it uses; of a character the whole open file."""
+        if any(hand.side is None for hand in hands):
+            path.unlink(missing_ok=True)  # Blender would keep what stands there as an older version
+            bpy.ops.wm.save_as_mainfile(
+                filepath=str(path), check_existing=False, copy=True, compress=True, relative_remap=True
+            )
+            return
         try:
             # Picture paths become relative to the file wherever both lie on one drive.
             bpy.data.libraries.write(

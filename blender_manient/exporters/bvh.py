@@ -34,7 +34,8 @@ class BvhExporter(Exporter):
             frame_start=scene.frame_start,
             frame_end=scene.frame_end,
             rotate_mode="NATIVE",
-            root_transform_only=True,  # only the wrist moves; fingers have rotations alone
+            root_transform_only=hands[0].side
+            is not None,  # only a hand's wrist moves; fingers have rotations alone
         )
 
     def is_whole(self, stream: BinaryIO, _size: int, /) -> bool:

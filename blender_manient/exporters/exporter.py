@@ -19,11 +19,11 @@ from ..blender_versions import has_operator
 
 
 class HandObjects(Protocol):
-    """A hand to write to a file."""
+    """A hand to write to a file, or a whole character."""
 
     @property
-    def side(self) -> Side:
-        """Left or right."""
+    def side(self) -> Side | None:
+        """Left or right; None: a character."""
         ...
 
     @property
@@ -32,8 +32,8 @@ class HandObjects(Protocol):
         ...
 
     @property
-    def mesh(self) -> bpy.types.Object | None:
-        """None where the artist deleted it."""
+    def meshes(self) -> Sequence[bpy.types.Object]:
+        """What it deforms; none where the artist deleted a hand's."""
         ...
 
 

@@ -33,7 +33,7 @@ class GltfExporter(Exporter):
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, /) -> None:
         """Write one clip with all hands."""
         # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
-        for obj in (o for hand in hands for o in (hand.armature, hand.mesh) if o is not None):
+        for obj in (o for hand in hands for o in (hand.armature, *hand.meshes)):
             obj.select_set(True, view_layer=bpy.context.view_layer)
         # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
         render = bpy.context.scene.render

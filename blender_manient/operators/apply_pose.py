@@ -90,13 +90,13 @@ class MANIENT_OT_apply_pose_asset(_PutsPose, bpy.types.Operator):
 
 def _in_menu(menu, context) -> None:
     if MANIENT_OT_apply_pose_asset.poll(context):
-        menu.layout.separator()
         menu.layout.operator(MANIENT_OT_apply_pose_asset.bl_idname)
+        menu.layout.separator()
 
 
 def register() -> None:
     """Add it to the asset browser's menu."""
-    bpy.types.ASSETBROWSER_MT_context_menu.append(_in_menu)
+    bpy.types.ASSETBROWSER_MT_context_menu.prepend(_in_menu)
 
 
 def unregister() -> None:

@@ -14,16 +14,14 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from mathutils import Vector
 
 from handfit_core.errors import HandModelError
-from handfit_core.files import read_file, shown, why, written_whole
-from handfit_core.retarget.hand_map import HandMap, from_preset, to_preset
+from handfit_core.files import shown, written_whole
+from handfit_core.retarget.hand_map import HandMap, read_preset, to_preset
 from handfit_core.skeleton import SIDES, other_side
 
 from ..properties import SIDE_ITEMS
 from ..scene.characters import active_character, keep_map, recognise_again, table_of, why_not_reachable
 from .needs_hand import Refuses, errors_reported
 
-_LARGEST = 1_000_000
-"""bytes of a preset; one with 63 bytes for every bone's name has some 4 000"""
 _OPPOSITE = 0.02
 """How far from the mirror image of a bone's ends those of the opposite one lie at most, as a share of its
 distance from the middle"""
@@ -109,12 +107,10 @@ class MANIENT_OT_load_hand_preset(_OnCharacter, bpy.types.Operator, ImportHelper
     def execute(self, context):
         armature: Any = active_character(context)
         path = Path(bpy.path.abspath(self.filepath))
+        tables = read_preset(path)
         try:
-            tables = from_preset(read_file(path, _LARGEST).decode("utf-8", "replace"))
             for table in tables:
                 table.check(armature.data.bones)
-        except (OSError, ValueError) as error:
-            raise HandModelError(f"{shown(path)}: {why(error)}") from error
         except HandModelError as error:
             raise HandModelError(f"{shown(path)}: {error}") from error
         for table in tables:

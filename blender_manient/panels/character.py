@@ -158,10 +158,15 @@ def _told_of(armature: bpy.types.Object, side: Side) -> list[tuple[str, str]]:
         return [*told, (capitalised(str(error)), "ERROR")]
     if armature.manient.character.wrist == "FINGERS":
         hand_map = replace(hand_map, control="")
-    told += [(text, "ERROR") for text in map(capitalised, troubles(armature, hand_map))]
+    told += [(text, "ERROR") for text in map(_begun, troubles(armature, hand_map))]
     reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
     if reasons:
         more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
-        text = capitalised(reasons[0].removesuffix(": it was left alone"))
+        text = _begun(reasons[0].removesuffix(": it was left alone"))
         told.append((f"{text}: it is left alone{more}", "INFO"))
     return told
+
+
+def _begun(sentence: str) -> str:
+    """With a capital letter, except where it begins with a bone's name."""
+    return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

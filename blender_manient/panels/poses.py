@@ -24,7 +24,7 @@ class MANIENT_PT_poses(Section, bpy.types.Panel):
         split(layout)
         layout.prop(settings, "pose_blend", slider=True)
         chosen = layout.operator(
-            "manient.apply_pose", text=f"Apply {settings.pose}", translate=False, icon="HAND"
+            "manient.apply_pose", text=f"Apply {settings.pose}", translate=False, icon="POSE_HLT"
         )
         chosen.pose, chosen.blend = settings.pose, settings.pose_blend
         layout.operator("manient.save_pose_asset", icon="ASSET_MANAGER")

@@ -52,6 +52,11 @@ class BuiltHand:
     mesh: bpy.types.Object
     action: bpy.types.Action
 
+    @property
+    def meshes(self) -> tuple[bpy.types.Object, ...]:
+        """What exporters write beside its bones."""
+        return (self.mesh,)
+
 
 @dataclass(frozen=True)
 class BuiltTake:

@@ -13,10 +13,31 @@ from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand, troubles
-from .store import CapturedHand, captured_hands, hand_of
+from .store import CapturedHand, captured_hands, hand_of, kept_here
 
 _REMEMBERED = 32
 """hands"""
+
+
+@dataclass(frozen=True, eq=False)
+class CharacterObjects:
+    """A whole character, to be written to a file."""
+
+    armature: bpy.types.Object
+    meshes: tuple[bpy.types.Object, ...]
+    side: None = None
+
+    @classmethod
+    def of(cls, armature: bpy.types.Object) -> CharacterObjects:
+        """With what it deforms or carries in the open scene and renders show: proxies and cages are no part
+        of it."""
+        shown = (o for o in bpy.context.scene.objects if o.type == "MESH" and not o.hide_render)
+        return cls(armature, tuple(o for o in shown if armature in (*_deforming(o), o.parent)))
+
+
+def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The armatures of a scene that are no captured hands, by name."""
+    return sorted(filter(_is_character, scene.objects), key=lambda o: o.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +67,9 @@ def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
     of, as objects do that link a character; None for captured hands and all others."""
     if obj is None:
         return None
-    deforming = [m.object for m in obj.modifiers if m.type == "ARMATURE"]
     instanced = obj.instance_collection.all_objects if obj.instance_collection is not None else ()
-    for one in (obj, *deforming, obj.parent, *instanced):
-        if one is not None and one.type == "ARMATURE" and not one.manient.is_hand:
-            return one
-    return None
+    around = (obj, *_deforming(obj), obj.parent, *instanced)
+    return next((one for one in around if one is not None and _is_character(one)), None)
 
 
 def active_character(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -82,7 +100,7 @@ def why_not_reachable(armature: bpy.types.Object) -> str | None:
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
     """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
-    kept = _read(getattr(armature.manient.character, side).hand_map)
+    kept = _read(getattr(armature.manient.character, side).hand_map) if kept_here() else None
     return kept if kept is not None and kept.side == side else None
 
 
@@ -190,6 +208,14 @@ def hands_to_move(
             "hand take, or choose one of the other side to have it mirrored"
         )
     return found
+
+
+def _is_character(obj: bpy.types.Object) -> bool:
+    return obj.type == "ARMATURE" and not (kept_here() and obj.manient.is_hand)
+
+
+def _deforming(obj: bpy.types.Object) -> list[bpy.types.Object | None]:
+    return [m.object for m in obj.modifiers if m.type == "ARMATURE"]
 
 
 @functools.lru_cache(maxsize=64)

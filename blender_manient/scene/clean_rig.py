@@ -30,10 +30,10 @@ from .sampling import Sampled, rotations_of, sample
 class CleanHand:
     """A plain copy of a hand."""
 
-    side: Side
+    side: Side | None
     armature: bpy.types.Object
-    mesh: bpy.types.Object | None
-    """None where the artist deleted it"""
+    meshes: tuple[bpy.types.Object, ...]
+    """None of them where the artist deleted it"""
 
 
 _STILL = 1e-7
@@ -65,7 +65,7 @@ def clean_rig(
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
 
-    originals = [o for o in (hand.armature, hand.mesh) if o is not None]
+    originals = [hand.armature, *hand.meshes]
     names = [o.name for o in originals]
     lent = [o for o in originals if o.library is None]  # linked ones keep theirs, which are no file's names
     for original in lent:
@@ -77,14 +77,14 @@ def clean_rig(
         armature.name = name or names[0]
         armature.data.transform(Matrix(grow))
         armature.matrix_basis = Matrix(np.linalg.inv(turned))
-        if hand.mesh is not None:
-            local = np.array(hand.armature.matrix_world.inverted() @ hand.mesh.matrix_world)
-            copies[1].name = names[1]
-            copies[1].data.transform(Matrix(grow @ local), shape_keys=True)
-            copies[1].parent = armature
-            copies[1].matrix_parent_inverse = Matrix.Identity(4)
-            copies[1].matrix_basis = Matrix.Identity(4)
-            _retarget(copies[1], hand.armature, armature)
+        for mesh, copied, own in zip(originals[1:], copies[1:], names[1:], strict=True):
+            local = np.array(hand.armature.matrix_world.inverted() @ mesh.matrix_world)
+            copied.name = own
+            copied.data.transform(Matrix(grow @ local), shape_keys=True)
+            copied.parent = armature
+            copied.matrix_parent_inverse = Matrix.Identity(4)
+            copied.matrix_basis = Matrix.Identity(4)
+            _retarget(copied, hand.armature, armature)
         if control_bones(armature):
             rig_of(armature, hand.side).remove_controls()
         _plain_bones(armature)
@@ -92,7 +92,7 @@ def clean_rig(
         action = _bake(armature, sampled, turned @ metres, size, frames)
         for original in originals:
             scene.collection.objects.unlink(original)
-        yield CleanHand(hand.side, armature, copies[1] if hand.mesh is not None else None)
+        yield CleanHand(hand.side, armature, tuple(copies[1:]))
     finally:
         bpy.data.batch_remove([*copies, *(o.data for o in copies), *([action] if action else [])])
         for original, old in zip(originals, names, strict=True):

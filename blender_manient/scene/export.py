@@ -115,14 +115,16 @@ def export_hands(
     preset: str = "PLAIN",
     whole: tuple[bpy.types.Collection, bpy.types.Object] | None = None,
 ) -> list[Path]:
-    """Write hands in one format into `folder` and return the files written, each whole or not at all.
+    """Write hands, or a character, in one format into `folder` and return the files written, each whole or
+    not at all.
 
     The files are `name.<suffix>`, unless the name has another ending that the format keeps; formats that hold
     one skeleton (BVH) get one file per hand, with `_left` and `_right` where there are two (`_left` and
     `_left2` for two left hands). Frame numbers are kept. `whole`, a collection and its camera, is what .blend
-    files hold; for takes the hands are `CapturedHand`s. Lengths are in metres (Unreal's FBX: centimetres),
-    whatever the scene's unit. The rest of the open Blender file is neither written nor changed. Raises
-    OptionError and OutputError.
+    files hold; of a character they hold the whole open file. For takes the hands are `CapturedHand`s. Hands'
+    lengths are in metres (Unreal's FBX: centimetres), whatever the scene's unit; characters' are as Blender's
+    exporters have them by themselves. The rest of the open Blender file is neither written nor changed.
+    Raises OptionError and OutputError.
     """
     chosen = find_exporter(fmt)
     if reason := chosen.why_not():
@@ -133,10 +135,11 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres, without controls, are as they should be in the file without more ado.
+    # Only hands of scenes in metres, without controls, are as they should be in the file without more ado; a
+    # character's rig is written as its artist made it.
     plain = np.isclose(stage.metres_per_unit, 1.0) and not any(control_bones(h.armature) for h in hands)
-    wanted = chosen.presets.get(preset, Preset(clean=not plain))
-    objects = [o for hand in hands for o in (hand.armature, hand.mesh)]
+    wanted = chosen.presets.get(preset, Preset(clean=not (plain or _is_character(hands))))
+    objects = [o for hand in hands for o in (hand.armature, *hand.meshes)]
     with contextlib.ExitStack() as stack:
         if whole is None and chosen.writes == "hands":  # a .blend keeps what is hidden
             stack.enter_context(object_mode())
@@ -209,7 +212,7 @@ def _opened(
 
     Blender's exporters write what the open scene holds, at its frame rate and over its range.
     """
-    if chosen.writes == "captured":
+    if chosen.writes == "captured" or (chosen.writes == "collection" and _is_character(hands)):
         yield hands
         return
     if chosen.writes == "hands":
@@ -223,11 +226,11 @@ def _opened(
             scene.unit_settings.scale_length = stage.metres_per_unit
         else:
             copies.enter_context(_files_by_name([hand.armature for hand in hands]))
-            for hand in hands:
-                scene.collection.objects.link(hand.armature)
-                if hand.mesh is not None:
-                    scene.collection.objects.link(hand.mesh)
-            if preset.clean:
+            for obj in _linked(hands):
+                scene.collection.objects.link(obj)
+            if not preset.clean:
+                scene.unit_settings.scale_length = stage.metres_per_unit
+            else:
                 frames = range(stage.first, stage.last + 1)
                 hands = tuple(
                     copies.enter_context(
@@ -244,6 +247,20 @@ def _opened(
                 )
         scene.frame_set(scene.frame_start)
         yield hands
+
+
+def _is_character(hands: Sequence[HandObjects]) -> bool:
+    return any(hand.side is None for hand in hands)
+
+
+def _linked(hands: Sequence[HandObjects]) -> dict[bpy.types.Object, None]:
+    """What the exported scene holds: of characters also what carries them, without which glTF has neither."""
+    found = dict.fromkeys(o for hand in hands for o in (hand.armature, *hand.meshes))
+    carried = list(found) if _is_character(hands) else []
+    for obj in carried:
+        while (obj := obj.parent) is not None:
+            found[obj] = None
+    return found
 
 
 @contextlib.contextmanager

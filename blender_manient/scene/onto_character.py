@@ -18,15 +18,19 @@ from mathutils import Matrix, Quaternion
 
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
-from handfit_core.hand_model.axes import MIRROR_X
+from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
+from handfit_core.hand_model.kept import kept_model
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, TargetHand, mirrored_turns, target_hand
-from handfit_core.slices import retold
+from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.slices import result_of, retold
+from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
+from .animation import computing_keys
 from .characters import why_not_reachable
 from .editable import is_tweaked
 from .keys import (
@@ -42,6 +46,7 @@ from .keys import (
 )
 from .sampling import rotations_of, sample
 from .store import CapturedHand
+from .timing import Timing, check_range
 
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
@@ -105,7 +110,9 @@ def reading_motion(
     takes a step per frame, and the scene is back where it was afterwards.
     """
     rig, rest = hand.rig, hand.rig.rest
-    wanted = _keyed_frames(hand) if frames is None else np.asarray(frames, dtype=np.float64)
+    wanted = frames_between(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
+    if len(wanted) == 0:
+        raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
     if told_by_keys(hand.armature):
         quats, locations = pose_at(rig, wanted)
     else:
@@ -116,12 +123,22 @@ def reading_motion(
     )
 
 
-def _keyed_frames(hand: CapturedHand) -> np.ndarray:
-    """(N,) the frames on which a hand has keys, and the whole ones in gaps between them."""
-    keyed = read_pose_keys(hand.rig).frames
-    if len(keyed) == 0:
-        raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    return frames_between(keyed)
+def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
+    """What a hand of a take does, on the take's own frames and on every frame in gaps, without building it.
+
+    `model` is taken instead of the one that the take names. Raises HandModelError, and TakeError where frames
+    lie beyond Blender's timeline.
+    """
+    check_range(take, Timing())
+    shaped = kept_model(model or take.model, track.side).shaped(track.betas)
+    wrist = points_to_rest(shaped.joints[0])
+    rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
+    keys = result_of(computing_keys(take, track, shaped, rest, Timing()))
+    frames = frames_between(keys.frames)
+    curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
+    values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
+    quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
+    return Motion(SourceHand.of(shaped, track.side), frames, quat_to_rotmat(quats), wrist + values[:, -3:])
 
 
 def told_by_keys(armature: bpy.types.Object) -> bool:

@@ -222,6 +222,8 @@ def _maps(armature: bpy.types.Object) -> list[HandMap]:
 
 def pose_named(name: str) -> Pose:
     """A pose asset of this file, else a ready pose. Raises OptionError, HandModelError."""
+    if not name:
+        raise OptionError("choose a pose first")
     action = bpy.data.actions.get(name)
     if action is not None and _is_pose(action):
         return kept_pose(action.asset_data)
@@ -264,8 +266,12 @@ def pose_items(_settings: Any, _context: bpy.types.Context | None) -> list[tuple
         *((name, name, "A ready pose", _previews[name].icon_id) for name in _previews),
         *((a.name, a.name, "A pose asset of this file", a.preview_ensure().icon_id) for a in own),
     ]
-    taken = {name: item for item in found for name in item[:1]}  # one's own in place of a ready one
-    _items[:] = [(*item, zlib.crc32(name.encode()) & 0x7FFFFFFF) for name, item in taken.items()]
+    ready = list(_previews)
+    # One's own pose takes the place of a ready one; numbers, which files keep, stay when poses come and go.
+    _items[:] = [
+        (*item, ready.index(name) if name in ready else zlib.crc32(name.encode()) % 2**30 + 2**30)
+        for name, item in {item[0]: item for item in found}.items()
+    ]
     return _items
 
 
@@ -279,6 +285,7 @@ def forget_previews() -> None:
 
 def _show(preview: bpy.types.ImagePreview, drawn: np.ndarray) -> None:
     """Give a preview a picture (S, S, 2) as `drawn_pose` makes it."""
-    pixels = colored(drawn)[::-1] / np.float32(255.0)
+    pixels = colored(drawn)[::-1].copy()
+    pixels[pixels[..., 3] == 0] = 0  # Blender adds what is transparent to what is behind
     preview.image_size = pixels.shape[:2]
-    preview.image_pixels_float.foreach_set(np.ascontiguousarray(pixels, dtype=np.float32).ravel())
+    preview.image_pixels.foreach_set(pixels.view(np.int32).ravel())

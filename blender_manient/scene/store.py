@@ -61,6 +61,11 @@ class CapturedHand:
     side: Side
 
     @property
+    def meshes(self) -> tuple[bpy.types.Object, ...]:
+        """What exporters write beside its bones."""
+        return () if self.mesh is None else (self.mesh,)
+
+    @property
     def rig(self) -> Rig:
         """Its bones."""
         return rig_of(self.armature, self.side)

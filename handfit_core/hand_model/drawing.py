@@ -14,8 +14,8 @@ _MARGIN: Final = 0.04
 """of the picture, free on every side"""
 _KEY, _FILL = np.array([-0.45, 0.65, 0.62]), np.array([0.8, 0.1, 0.59])
 """Unit vectors to the lights: from the left above, and from the right"""
-_SKIN: Final = np.array([[52.0, 26.0, 22.0], [255.0, 222.0, 196.0]])
-"""RGB in the dark and in full light"""
+_SKIN: Final = np.linspace([52, 26, 22], [255, 222, 196], 256).round().astype(np.uint8)
+"""(256, 3) RGB from the dark to full light"""
 _REACH: Final = 0.008
 """metres around a place in which what stands before it takes light from it"""
 
@@ -52,8 +52,7 @@ def drawn_pose(
 
 def colored(drawn: np.ndarray) -> np.ndarray:
     """(..., 2) light and alpha -> (..., 4) RGBA, both uint8."""
-    color = _SKIN[0] + drawn[..., :1] / 255.0 * (_SKIN[1] - _SKIN[0])
-    return np.concatenate([color.round().astype(np.uint8), drawn[..., 1:]], axis=-1)
+    return np.concatenate([_SKIN[drawn[..., 0]], drawn[..., 1:]], axis=-1)
 
 
 def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

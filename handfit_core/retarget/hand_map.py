@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final, cast
@@ -10,7 +11,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from handfit_core.errors import HandModelError
-from handfit_core.files import shown
+from handfit_core.files import read_file, shown, why
 from handfit_core.retarget.bones import Bones
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, SIDES, Side
 
@@ -24,6 +25,8 @@ than ours"""
 
 _LONGEST: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
+_LARGEST_PRESET: Final = 1_000_000
+"""bytes; a preset with 63 bytes for every bone's name has some 4 000"""
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,16 @@ def from_preset(text: str) -> list[HandMap]:
     if sorted(hand_map.side for hand_map in read) not in (["left"], ["right"], ["left", "right"]):
         raise HandModelError("a preset has one table for a hand or one for each")
     return read
+
+
+def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
+    """The tables of a preset file. Raises HandModelError, which names it."""
+    try:
+        return from_preset(read_file(path, _LARGEST_PRESET).decode("utf-8", "replace"))
+    except (OSError, ValueError) as error:
+        raise HandModelError(f"{shown(path)}: {why(error)}") from error
+    except HandModelError as error:
+        raise HandModelError(f"{shown(path)}: {error}") from error
 
 
 def _json(text: str, what: str) -> Any:

@@ -22,12 +22,15 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 LABEL = "By its structure"
 _TIP = re.compile(r"(tip|end|nub|leaf|先)[._\s]?(l|r|left|right)?$", re.IGNORECASE)
 _NO_HAND = re.compile(r"toe|foot|hair|skirt|wing|tail|cloth|feather|足|髪|スカート", re.IGNORECASE)
+_HAND = re.compile(r"hand|wrist|palm|thumb|finger|mitt|手|指", re.IGNORECASE)
+"""What a name must have for two chains to be a mitten: ears, legs and straps come in pairs, too"""
 _LONGEST = 5
 """bones in a finger: metacarpal, three, and one at its tip"""
 _FOLLOWED = {
     4: (("index",), ("middle",), ("ring",), ("little",)),
     3: (("index",), ("middle",), ("ring", "little")),
     2: (("index",), ("middle", "ring", "little")),
+    1: (("index", "middle", "ring", "little"),),
 }
 """Which of ours a hand's fingers follow, from the thumb on"""
 _FLAT = 0.02
@@ -77,7 +80,10 @@ def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int],
 def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     """What a bone is as a hand, if it is one."""
     chains = _chains(bones, hand, depth)
-    if not 3 <= len(chains) <= 5 or len({(stem or own)[0] for stem, own in chains}) < 2:
+    if not 2 <= len(chains) <= 5 or len({(stem or own)[0] for stem, own in chains}) < 2:
+        return None
+    every = [hand, *(bone for stem, own in chains for bone in (*stem, *own))]
+    if len(chains) == 2 and not any(_HAND.search(bones.names[bone]) for bone in every):
         return None
     wrist = bones.heads[hand]
 
@@ -137,7 +143,6 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
         "left", tuple(slots), (palm[0], palm[1], palm[2], palm[3]), rig=LABEL, thumb_roll=USUAL_THUMB_ROLL
     )
 
-    every = [hand, *(bone for stem, own in chains for bone in (*stem, *own))]
     outwards = [_unit(bones.heads[starts[i]] - wrist) @ along[i] for i in others]
     reach = [np.linalg.norm(bones.heads[ends[i]] - bones.heads[starts[i]]) for i in others]
     palm_size = np.median([far(starts[i]) for i in others]) / max(np.median(reach), 1e-9)

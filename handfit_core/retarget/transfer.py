@@ -187,12 +187,9 @@ def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHa
     names = sorted(hand_map.keyed, key=bones.index.__getitem__)
     at = [bones.index[name] for name in names]
     wrist = bones.heads[bones.index[hand_map.bones[0]]]
-    knuckles, ours = {}, {}
-    for finger in hand_map.fingers:
-        joint = next(j for j in FINGER_JOINTS[finger] if hand_map.bones[j])
-        knuckles[finger] = bones.heads[bones.index[hand_map.bones[joint]]]
-        ours[finger] = source.joints[joint]
-    theirs, scale = palm_frame(wrist, knuckles, hand_map.side)
+    knuckles = _knuckles(bones, hand_map)
+    ours = {finger: source.joints[joints].mean(axis=0) for finger, (_, joints) in knuckles.items()}
+    theirs, scale = palm_frame(wrist, {f: head for f, (head, _) in knuckles.items()}, hand_map.side)
     own, size = palm_frame(source.joints[0], ours, hand_map.side)
     aligned = theirs @ own.T
 
@@ -237,6 +234,16 @@ def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHa
     )
 
 
+def _knuckles(bones: Bones, hand_map: HandMap) -> dict[str, tuple[np.ndarray, list[int]]]:
+    """Where each finger of a character begins (3,), and the joints that begin there: of two fingers or more
+    where one bone stands for all of them, by the first one's name."""
+    found: dict[str, tuple[str, list[int]]] = {}
+    for finger in hand_map.fingers:
+        joint = next(j for j in FINGER_JOINTS[finger] if hand_map.bones[j])
+        found.setdefault(hand_map.bones[joint], (finger, []))[1].append(joint)
+    return {finger: (bones.heads[bones.index[bone]], joints) for bone, (finger, joints) in found.items()}
+
+
 def palm_frame(wrist: np.ndarray, knuckles: Mapping[str, np.ndarray], side: Side) -> tuple[np.ndarray, float]:
     """Along the palm, towards the index finger and out of the back of the hand, as columns (3, 3), and how
     long the palm is.
@@ -272,7 +279,8 @@ def leaning(bones: Bones, hand_map: HandMap) -> float:
     zero like a right one, near zero (0.02) where it is as flat as a glove."""
     heads = {j: bones.heads[bones.index[name]] for j, name in enumerate(hand_map.bones) if name}
     lines = {f: [heads[j] for j in FINGER_JOINTS[f] if j in heads] for f in hand_map.fingers}
-    frame, size = palm_frame(heads[0], {finger: line[0] for finger, line in lines.items()}, "left")
+    knuckles = {finger: head for finger, (head, _) in _knuckles(bones, hand_map).items()}
+    frame, size = palm_frame(heads[0], knuckles, "left")
     outwards = np.zeros(3)
     for finger, line in lines.items():
         if finger == "thumb":

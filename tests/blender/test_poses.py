@@ -260,6 +260,7 @@ def test_the_chosen_picture_is_what_is_applied(hand):
     items = pose_items(settings, bpy.context)
     assert [item[0] for item in items] == list(ready_poses())
     assert len({item[4] for item in items}) == len(items)
+    assert settings.pose == "Relaxed"
     settings.pose = "Horns"
     assert bpy.ops.manient.apply_pose() == {"FINISHED"}
     bpy.context.view_layer.update()

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
 from blender_manient.scene.build import build_take
@@ -25,8 +26,10 @@ from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 from handfit_core.slices import result_of
 from tests.core.retarget.rigs import Built, add_hand, body, names_of, source
+from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, placed
+from .conftest import action_curves
 
 GENERATE = """
 import os, sys, traceback
@@ -87,7 +90,10 @@ def worst_angle(armature, hand_map: HandMap, turns) -> float:
     chains = [FINGER_JOINTS[finger] for finger in ("index", "middle", "little")]
     firsts = [next(hand_map.bones[joint] for joint in chain if hand_map.bones[joint]) for chain in chains]
     theirs = palm(rest[hand_map.bones[0]], *(rest[name] for name in firsts))
-    own = palm(ours.joints[0], *(ours.joints[chain[0]] for chain in chains))
+    standing_for = [
+        [joint for joint in range(NUM_JOINTS) if hand_map.bones[joint] == name] for name in firsts
+    ]
+    own = palm(ours.joints[0], *(ours.joints[alike].mean(axis=0) for alike in standing_for))
     worst = 0.0
     for row in range(len(turns)):
         for bone, quat in zip(target.bones, quats[row], strict=True):
@@ -305,6 +311,29 @@ def test_rigify_tells_what_would_spoil_the_fingers(generated):
     ):
         arm["IK_FK"] = value
         assert [said in sentence for sentence in troubles(rig, hand)] == [True]
+
+
+def test_a_switch_of_rigify_is_said_and_refused_before_anything_is_changed(generated, registered, make_take):
+    rig = opened(generated, "rig")
+    build_take(make_take(sides=("left",)).take)
+    bpy.context.view_layer.objects.active = rig
+    before = set(bpy.data.actions)
+    chain = rig.pose.bones["f_index.01_ik.L"]
+    chain["FK_IK"] = 1.0
+    assert "Fingers follow IK by f_index.01_ik.L" in drawn(MANIENT_PT_character).said
+    with pytest.raises(RuntimeError, match="fingers follow IK"):
+        bpy.ops.manient.apply_to_character()
+    assert set(bpy.data.actions) == before
+    chain["FK_IK"] = 0.0
+    # The control is recognised anew, though no bone has changed.
+    character = rig.manient.character
+    character.wrist, character.reference = "TURNED", 3
+    rig.pose.bones["upper_arm_parent.L"]["IK_FK"] = 1.0
+    assert "Fingers follow" not in drawn(MANIENT_PT_character).said
+    assert "does not move the hand" not in drawn(MANIENT_PT_character).said
+    assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
+    keyed = {curve.data_path.split('"')[1] for curve in action_curves(rig.animation_data.action)}
+    assert {"hand_fk.L", "f_index.01.L"} <= keyed
 
 
 @pytest.mark.parametrize("side", SIDES)

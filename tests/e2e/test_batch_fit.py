@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -25,9 +26,6 @@ from tests.takes import take_of, track_of
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "scripts" / "batch_fit.py"
 SAMPLES = Path(os.environ.get("HANDFIT_SAMPLES", ROOT.parent / "shared" / "samples"))
-CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
-if CHROOT:
-    CHROOT = str(Path(CHROOT).resolve())
 TIMEOUT = 1200
 
 
@@ -40,31 +38,10 @@ needs_capture = pytest.mark.skipif(
 needs_scripts = pytest.mark.skipif(sys.platform == "win32", reason="the peer is a script with a #! line")
 
 
-@pytest.fixture(params=["wheel", "blender"])
-def batch(request, tmp_path):
+@pytest.fixture
+def batch(in_blender):
     """batch(*arguments) -> CompletedProcess, run in a folder of its own."""
-    if request.param == "wheel":
-        command = [sys.executable, str(SCRIPT)]
-    elif CHROOT:
-        wrapper = str(ROOT / "scripts" / "chroot_blender.sh")
-        command = [wrapper, CHROOT, "blender", "-b", "-P", str(SCRIPT), "--"]
-    else:
-        pytest.skip("HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it")
-
-    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-        bind = ":".join(filter(None, [str(tmp_path), os.environ.get("CHROOT_BIND")]))
-        return subprocess.run(
-            [*command, *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, "CHROOT_BIND": bind, "HANDFIT_PYTHON": python},
-            timeout=TIMEOUT,
-            check=False,
-        )
-
-    return run
+    return functools.partial(in_blender, SCRIPT)
 
 
 @pytest.fixture

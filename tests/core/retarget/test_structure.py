@@ -9,9 +9,10 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import SeveralHands, the_surest
 from handfit_core.retarget.structure import structured_hands
+from handfit_core.retarget.transfer import target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 
-from .rigs import Built, add_hand, body
+from .rigs import Built, add_hand, body, source
 
 PALM = range(NUM_JOINTS, NUM_JOINTS + 4)
 
@@ -102,6 +103,39 @@ def test_hands_of_toons(fingers, bones_each):
             assert [found.hand_map.bones[j] for j in FINGER_JOINTS[finger]] == [
                 found.hand_map.bones[j] for j in FINGER_JOINTS["little"]
             ]
+
+
+@pytest.mark.parametrize("hint", ["", "mitten_"])
+def test_a_mitten_is_a_hand_where_a_name_says_so(hint):
+    """Its one finger follows all four of ours: ears and straps come in pairs, too."""
+    without = tuple(joint for f in ("index", "ring", "little") for joint in FINGER_JOINTS[f])
+
+    def named(side, palm):
+        return {slot: hint + name for slot, name in numbered(side, palm).items()}
+
+    bones = two_hands(np.random.default_rng(5), without=without, names=named)
+    for side in SIDES:
+        found = the_surest(structured_hands(bones, side), bones)
+        assert (found is None) == (not hint)
+        if found is None:
+            continue
+        names = named(side, False)
+        for finger, joints in FINGER_JOINTS.items():
+            wanted = joints if finger == "thumb" else FINGER_JOINTS["middle"]
+            assert [found.hand_map.bones[j] for j in joints] == [names[j] for j in wanted]
+        target = target_hand(bones, found.hand_map, source(side))
+        turns = np.broadcast_to(np.eye(3), (1, NUM_JOINTS, 3, 3)).copy()
+        turns[:, 1:13] = rotvec_to_rotmat(np.array([0.1, -0.2, 0.3]))  # alike in all fingers but the thumb
+        heads, _ = target.points(target.standing(turns))
+        at = target.bones.index(names[5])
+        pointing = heads[0, at] - heads[0, target.bones.index(names[4])]
+        joints, _ = source(side).points(turns)
+        along = np.diff(joints[0, :13].reshape(-1, 3), axis=0)[
+            [1, 4, 7, 10]
+        ]  # of each finger's first segment
+        ours = target.aligned @ (along / np.linalg.norm(along, axis=-1, keepdims=True)).sum(axis=0)
+        across = np.cross(pointing, ours) / np.linalg.norm(pointing) / np.linalg.norm(ours)
+        assert np.degrees(np.arcsin(np.linalg.norm(across))) < 0.1
 
 
 def test_names_tell_the_side_of_a_flat_hand():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+
 import addon_utils
 import bpy
 
@@ -26,7 +28,7 @@ def applied(stage, take, blend):
         seen["changed"] = table.ring_3
         seen["kept"].append(_kept())
         yield from stage.screenshot("character-bones")
-        yield from _press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from press(stage, "bpy.ops.manient.apply_to_character(")
         yield from stage.until(lambda: _keys() > 0, 60.0, "keys on the character")
         yield 0.5
         seen["keys"] = [_keys()]
@@ -52,14 +54,19 @@ def applied(stage, take, blend):
 
 
 def stood_beside(stage, take):
-    """A take's hands and a generated Rigify character, which is selected, seen from the front."""
-    addon_utils.enable("rigify", default_set=True, persistent=True)
+    """A take's hands and a generated Rigify character, which is selected."""
     with stage.override():
         bpy.ops.manient.import_take(filepath=str(take), matching="KEEP")
+    yield from rigify_character(stage)
+
+
+def rigify_character(stage):
+    """Rigify's human, generated and selected."""
+    addon_utils.enable("rigify", default_set=True, persistent=True)
+    with stage.override():
         bpy.ops.object.armature_human_metarig_add()
         metarig = bpy.context.active_object
-        part_of_rigify = __import__("rigify.generate", fromlist=["generate_rig"])
-        part_of_rigify.generate_rig(bpy.context, metarig)
+        importlib.import_module("rigify.generate").generate_rig(bpy.context, metarig)
         bpy.data.objects.remove(metarig)
         _rig().select_set(True)
         bpy.context.view_layer.objects.active = _rig()
@@ -86,7 +93,7 @@ def _turns() -> list[float]:
     return [round(shown.pose.bones[name].matrix_basis.to_quaternion().angle, 4) for name in names]
 
 
-def _press(stage, button: str):
+def press(stage, button: str):
     place = yield from _scrolled_to(stage, button)
     yield from stage.click(place)
 

@@ -6,12 +6,15 @@ import math
 
 import addon_utils
 import bpy
+from mathutils import Matrix, Vector
 from stage import ADDON
 
+from handfit_core.retarget.transfer import SourceHand, target_hand
 from scenarios.adding import posed
-from scenarios.capturing import begin, done, finish, hands
+from scenarios.capturing import begin, capture, done, finish, hands, part
+from scenarios.character import press, rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
-from scenarios.panels import sections
+from scenarios.panels import opened_by_default, sections
 from scenarios.refine import INDEX_TIP, places, state
 
 
@@ -71,6 +74,57 @@ def placing(stage, folder, source, points):
     """A drawn hand is laid into its picture and posed by some points, as `adding.posed` takes them."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/drawing.blend")
     return (yield from posed(stage, f"//{source}", "right", points))
+
+
+def onto_a_character(stage, folder, source, frame=8):
+    """A Rigify character gets the motion of a captured hand, beside which its own right hand is held."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/character.blend")
+    with opened_by_default("MANIENT_PT_character"):
+        yield from capture(stage, f"//{source}")
+        (armature,) = hands()
+        yield from rigify_character(stage)
+        rig = bpy.context.active_object
+        bpy.context.scene.frame_set(frame)
+        _hold_beside(rig, armature)
+        bpy.context.scene.manient.hand_table.side = "right"
+        yield from stage.open_sidebar()
+        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.until(lambda: rig.animation_data.action is not None, 60.0, "keys on the character")
+        yield 1.0
+        with stage.override():
+            bpy.ops.view3d.view_axis(type="FRONT")
+        space = stage.area().spaces[0]
+        space.overlay.show_extras = space.overlay.show_cursor = False
+        space.region_3d.view_location = _wrist(armature) + Vector((-0.05, 0.0, 0.05))
+        space.region_3d.view_distance = 0.55
+        yield from stage.leave_popups()
+        yield 12.0  # until Blender's message in the status bar is gone
+        yield from stage.screenshot("character")
+
+
+def _hold_beside(rig, armature, side="right"):
+    """Turn and scale the character so that its hand stands to the left of the captured one as that does now,
+    and show the bones of that hand alone."""
+    hand, table = part("scene.store").hand_of(armature), part("scene.characters").table_of(rig, side)
+    bones = part("rigs.character").bones_of(rig)
+    target = target_hand(bones, table, SourceHand.of(hand.shaped(), side))
+    wrist = armature.pose.bones[hand.rig.bones[0]]
+    turn = Matrix((wrist.matrix @ wrist.bone.matrix_local.inverted()).to_3x3() @ Matrix(target.aligned.T))
+    there = _wrist(armature) + Vector((-0.2, 0.0, 0.0))
+    size = Matrix.Scale(1.0 / target.scale, 4)
+    own = rig.data.bones[table.bones[0]].head_local
+    rig.matrix_world = Matrix.Translation(there) @ turn.to_4x4() @ size @ Matrix.Translation(-own)
+    for collection in rig.data.collections_all:
+        collection.is_visible = collection.name == "DEF"
+    shown = {table.bones[0], *(f"DEF-{name}" for name in table.bones[1:])}
+    for bone in rig.data.bones:
+        bone.hide = bone.name not in shown
+    rig.show_in_front, rig.display_type = True, "SOLID"
+    rig.select_set(False)  # as the active object it is the character still
+
+
+def _wrist(armature):
+    return armature.matrix_world @ armature.pose.bones[0].head
 
 
 def _drag_a_fingertip(stage):

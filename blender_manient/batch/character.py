@@ -1,0 +1,246 @@
+"""A character that gets the motion of every input: its file, and how the motion is put on it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import bpy
+
+from handfit_core.errors import HandfitError, HandModelError, InputError, OptionError
+from handfit_core.files import is_file, shown
+from handfit_core.retarget.hand_map import HandMap, read_preset
+from handfit_core.skeleton import SIDES, Side
+from handfit_core.slices import result_of
+from handfit_core.take import HandTrack, Take
+
+from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
+from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of
+from ..scene.timing import set_timing
+
+_HANDS: dict[Side, str] = {"left": "left", "right": "right"}
+"""Which captured hand each of the character's gets where nobody says"""
+_OPTIONS = ("bones", "wrist", "reference", "into", "no_contacts")
+"""What is said of a character beside its hands"""
+
+
+def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
+    """Add the options of a character; `required`: whether one must be named."""
+    group = parser.add_argument_group(
+        "onto a character",
+        "A character comes out with the motion, instead of the captured hands. For it, --hands says which of "
+        "them each of its own hands gets: left, right, none, or a number in the order of report.json, as in "
+        "--hands left=right,right=none (default: left=left,right=right). A choice of what is captured may "
+        "stand beside it: --hands both,left=left.",
+    )
+    group.add_argument(
+        "--apply-to",
+        "--to",
+        required=required,
+        metavar="FILE.blend[:ARMATURE]",
+        help="the character's file, and its armature where there are several; no script in it is run",
+    )
+    group.add_argument(
+        "--bones",
+        metavar="PRESET.json",
+        help="which bones are its hands, as the panel saves it (default: those that are recognised)",
+    )
+    group.add_argument(
+        "--wrist",
+        choices=[each.lower() for each in get_args(Wrist)],
+        help="what of the hand's own motion is applied: none, how it turns, or also where it goes (default: "
+        "fingers)",
+    )
+    group.add_argument(
+        "--reference",
+        type=float,
+        metavar="FRAME",
+        help="the frame in which the character's hand is as it is to be in the captured pose; for --wrist "
+        "(default: the first with all hands)",
+    )
+    group.add_argument(
+        "--into",
+        choices=[each.lower() for each in get_args(Into)],
+        help="a new action, an NLA strip above all others, or the present action (default: new)",
+    )
+    group.add_argument(
+        "--no-contacts", action="store_true", help="do not keep fingertips together that touch in the capture"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Character:
+    """A character's file, and how motion is put on it."""
+
+    path: Path
+    armature: str
+    """Its name; empty for the file's only one"""
+    hands: Mapping[Side, str]
+    """By its own hands, which captured one they get: left, right, or a number from 1"""
+    bones: Mapping[Side, HandMap]
+    """Those that a preset tells"""
+    onto: Onto
+    reference: float | None
+
+    @classmethod
+    def of_arguments(cls, args: argparse.Namespace) -> Character | None:
+        """From parsed arguments, None where they name no character. Takes what is said of its hands out of
+        `args.hands`, which is a capture's afterwards. Raises OptionError."""
+        parts = (args.hands or "").split(",")
+        said = {side: to for side, is_said, to in (part.partition("=") for part in parts) if is_said}
+        args.hands = ",".join(part for part in parts if "=" not in part) or None
+        if args.apply_to is None:
+            given = [f"hands {part}" for part in parts if "=" in part]
+            given += [name.replace("_", "-") for name in _OPTIONS if getattr(args, name) not in (None, False)]
+            if given:
+                raise OptionError(f"--{given[0]} is about a character: name its file with --apply-to")
+            return None
+        for side, wanted in said.items():
+            if side not in SIDES or not (wanted in (*SIDES, "none") or (wanted.isdecimal() and int(wanted))):
+                raise OptionError(
+                    "--hands says which captured hand the character's left and right hand get: left, right, "
+                    f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
+                )
+        path, armature = _file_and_armature(args.apply_to)
+        tables = read_preset(args.bones) if args.bones else []
+        onto = Onto(
+            into=cast(Into, (args.into or "new").upper()),
+            wrist=cast(Wrist, (args.wrist or "fingers").upper()),
+            contacts=not args.no_contacts,
+        )
+        hands = cast(
+            "dict[Side, str]", {side: to for side, to in said.items() if to != "none"} if said else _HANDS
+        )
+        return cls(path, armature, hands, {table.side: table for table in tables}, onto, args.reference)
+
+    def check(self) -> None:
+        """Raises HandfitError where none of the wanted hands could get motion, whatever is captured."""
+        armature, gone = self.open()
+        problems = []
+        for side in self.hands:
+            try:
+                self._bones_of(armature, side)
+            except HandModelError as error:
+                problems.append(str(error))
+        if len(problems) == len(self.hands):
+            problems = problems or ["--hands lets no hand of it have motion"]
+            raise OptionError("; ".join([f"{shown(self.path)}: {problems[0]}", *problems[1:], *gone]))
+
+    def open(self) -> tuple[bpy.types.Object, list[str]]:
+        """Open the file. Returns the armature, and sentences about what is not as it should be.
+
+        Nothing in the file is run: drivers that need Python stand still. Raises InputError and OptionError.
+        """
+        name = shown(self.path)
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(self.path.absolute()), load_ui=True, use_scripts=False)
+        except RuntimeError as error:
+            reason = " ".join(str(error).removeprefix("Error: ").split())
+            raise InputError(f"{name}: Blender could not open the character's file ({reason})") from error
+        if bpy.data.version[:2] > bpy.app.version[:2]:
+            newer, own = (".".join(map(str, v[:2])) for v in (bpy.data.version, bpy.app.version))
+            raise InputError(
+                f"{name}: the character's file was saved by Blender {newer}, and this is {own}, which would "
+                f"lose what is new in it: use Blender {newer} or later"
+            )
+        gone = [
+            f"{name}: the file {shown(library.filepath)}, from which something in it is linked, is not there"
+            for library in bpy.data.libraries
+            if library.packed_file is None and not is_file(bpy.path.abspath(library.filepath))
+        ]
+        armature = self._armature(gone)
+        why_not = why_not_reachable(armature)
+        if why_not is not None:
+            raise OptionError(f"{name}: {armature.name!r}: {why_not[:1].lower()}{why_not[1:]}")
+        return armature, gone
+
+    def put(self, take: Take, model: str | None) -> tuple[CharacterObjects, dict[str, Any], list[str]]:
+        """Open the file and key a take on the character. The scene gets the take's rate and range.
+
+        `model` is taken instead of the one that the take names. Returns what belongs to the character, what
+        report.json says of it, and sentences about what is not as it should be. Raises HandfitError.
+        """
+        armature, warnings = self.open()
+        hands, told, alone = [], [], []
+        for side, wanted in self.hands.items():
+            try:
+                track, hand_map = _track(take, wanted), self._bones_of(armature, side)
+            except HandfitError as error:
+                alone.append(f"the character's {side} hand was left alone: {error}")
+                continue
+            hands.append((hand_map, motion_of(take, track, model)))
+            told.append({"side": side, "captured": take.hands.index(track) + 1, "rig": hand_map.rig})
+        if not hands:
+            raise OptionError("; ".join(alone))
+        reference = self.reference
+        if reference is None:
+            reference = max(float(motion.frames[0]) for _, motion in hands)
+        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
+        for entry, one in zip(told, applied, strict=True):
+            entry |= {"bones": one.bones, "frames": one.frames}
+            warnings += one.left_alone
+        scene = bpy.context.scene
+        if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
+            set_timing(scene, take)
+        scene.frame_set(int(take.frame_numbers[0]))
+        if bpy.app.autoexec_fail_message.startswith("Driver"):
+            warnings.append(
+                f"{shown(self.path)}: drivers that need Python stand still, as no script of the file is run "
+                f"({bpy.app.autoexec_fail_message})"
+            )
+        return CharacterObjects.of(armature), {"armature": armature.name, "hands": told}, [*alone, *warnings]
+
+    def _armature(self, gone: list[str]) -> bpy.types.Object:
+        """The one that was named, or the only one, or the only one that deforms or carries a mesh."""
+        there = characters_in(bpy.context.scene)
+        found = [one for one in there if one.name == self.armature or not self.armature]
+        if len(found) > 1:
+            found = [one for one in found if CharacterObjects.of(one).meshes] or found
+        if len(found) == 1:
+            return found[0]
+        names = ", ".join(one.name for one in there[:20])
+        if not there:
+            problem = "there is no armature in its open scene"
+        elif self.armature:
+            problem = f"there is no armature {shown(self.armature)!r}; choose from {names}"
+        else:
+            problem = (
+                f"there are several armatures ({names}); name one, as in {self.path.name}:{there[0].name}"
+            )
+        raise OptionError("; ".join([f"{shown(self.path)}: {problem}", *gone]))
+
+    def _bones_of(self, armature: bpy.types.Object, side: Side) -> HandMap:
+        """Raises HandModelError."""
+        hand_map = self.bones.get(side) or hand_map_of(armature, side)
+        hand_map.check(armature.data.bones)
+        return hand_map
+
+
+def _track(take: Take, wanted: str) -> HandTrack:
+    """The hand of a take that is meant by left, right or a number. Raises OptionError."""
+    if wanted.isdecimal():
+        found = list(take.hands[int(wanted) - 1 : int(wanted)])
+    else:
+        found = [track for track in take.hands if track.side == wanted]
+    found = [track for track in found if track.present.any()]
+    if len(found) > 1:
+        numbers = ", ".join(str(take.hands.index(track) + 1) for track in found)
+        raise OptionError(
+            f"several {wanted} hands were captured: choose one by its number with --hands, of {numbers}"
+        )
+    if not found:
+        raise OptionError(
+            f"no {wanted} hand was captured" if wanted in SIDES else f"no hand {wanted} was captured"
+        )
+    return found[0]
+
+
+def _file_and_armature(text: str) -> tuple[Path, str]:
+    """FILE.blend[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
+    for at in (len(text), *(i for i, letter in enumerate(text) if letter == ":")):
+        if is_file(Path(text[:at]).expanduser()):
+            return Path(text[:at]).expanduser(), text[at + 1 :]
+    raise OptionError(f"{shown(text)}: there is no such character's file")
