@@ -16,19 +16,16 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.geometry.rotations import rotmat_to_quat
-from handfit_core.retarget.transfer import SourceHand, mirrored_turns
 from handfit_core.slices import result_of, slice_clock
 
 from .remembered import Remembered
-from .rigs.character import CharacterBones
 from .scene.characters import hands_to_move
 from .scene.keys import nearest, remove_pose_keys, set_pose
 from .scene.onto_character import (
     BoneKeys,
+    Motion,
     Onto,
     computing,
-    prepared,
     reading_motion,
     told_by_keys,
     writing,
@@ -109,16 +106,15 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
 def _show(armature: bpy.types.Object) -> None:
     """Put the fingers where the captured hands show them now."""
     for hand_map, hand in hands_to_move(armature, bpy.context):
-        source, rest = SourceHand.of(hand.shaped(), hand.side), hand.rig.rest
-        shown = shown_now(hand.armature)
+        rest, shown = hand.rig.rest, shown_now(hand.armature)
         basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
         turns = rest.frames @ basis @ np.swapaxes(rest.frames, -1, -2)
-        if hand.side != hand_map.side:
-            source, turns = source.mirrored(), mirrored_turns(turns)
-        target, keyed, _ = prepared(armature, hand_map, source, fingers_only=True)
-        quats = rotmat_to_quat(target.local(turns[None]))[0]
-        quats[~keyed] = np.nan
-        set_pose(CharacterBones(armature, target.bones), quats)
+        motion = Motion.of(hand, np.zeros(1), turns[None], np.zeros((1, 3)))
+        onto = Onto(contacts=armature.manient.character.contacts)
+        for one in result_of(computing(armature, [(hand_map, motion)], onto)).keys:
+            quats = one.keys.quats[0]
+            quats[~one.keyed] = np.nan
+            set_pose(one.rig, quats)
 
 
 def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, None]:

@@ -266,7 +266,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         step=10,
     )
     keys_together: EnumProperty(  # type: ignore
-        name="Common Frames",
+        name="Together",
         description="Which bones have their keys on the same frames",
         items=(
             ("ALL", "Whole Hand", "All bones have keys on the same frames: whole poses, and the most keys"),

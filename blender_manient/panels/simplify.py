@@ -7,7 +7,7 @@ import bpy
 from .. import key_preview
 from ..operators.simplify_keys import armature_of
 from ..scene.editable import strip_below, why_not_keyable
-from ..scene.simplify import Thinned, kept_action
+from ..scene.simplify import PARTS, Thinned, kept_action
 from ..scene.store import active_hand
 from ..section import Section, sentence, split
 
@@ -43,7 +43,9 @@ class MANIENT_PT_keys(Section, bpy.types.Panel):
         if active_hand(context) is not None:
             column.prop(settings, "keys_pixels")
         layout.prop(settings, "keys_together")
-        layout.grid_flow(columns=3, even_columns=True, align=True).prop(settings, "keys_parts", expand=True)
+        grid = layout.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
+        for part in PARTS:
+            grid.prop_enum(settings, "keys_parts", part.upper())
         found = key_preview.preview(context)
         sentence(layout, context, _said(found), "ERROR" if isinstance(found, str) else "KEYFRAME")
         layout.operator("manient.simplify_keys", icon="FCURVE")

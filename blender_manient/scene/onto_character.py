@@ -20,6 +20,7 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, TargetHand, mirrored_turns, target_hand
 from handfit_core.skeleton import NUM_JOINTS
@@ -30,6 +31,7 @@ from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
+from ..wording import counted
 from .animation import computing_keys
 from .characters import why_not_reachable
 from .editable import is_tweaked
@@ -46,10 +48,13 @@ from .keys import (
 )
 from .sampling import rotations_of, sample
 from .store import CapturedHand
-from .timing import Timing, check_range
+from .timing import Timing, check_range, frame_rate
 
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
+
+APART = 0.002
+"""metres of the captured hand's scale: what is less, nobody sees"""
 
 _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_OF", "ACTION", "IK"} | {
     *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
@@ -71,10 +76,19 @@ class Motion:
     """(N, 16, 3, 3) each joint's rotation relative to its parent, the wrist's to its rest, in rest space"""
     places: np.ndarray
     """(N, 3) metres: where the wrist is"""
+    skins: Fingertips | None = None
+    """Its fingertips; None: which of them touch is not known"""
+
+    @classmethod
+    def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
+        """What a hand in the scene does. Raises HandModelError."""
+        source = SourceHand.of(hand.shaped(), hand.side)
+        return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
 
     def mirrored(self) -> Motion:
         """The other hand's, as a mirror at x = 0 shows it."""
-        return Motion(self.source.mirrored(), self.frames, mirrored_turns(self.turns), self.places @ MIRROR_X)
+        turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
+        return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins)
 
 
 @dataclass(frozen=True)
@@ -86,6 +100,7 @@ class Onto:
     reference: float = 1.0
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
     contacts: bool = True
+    """Whether fingertips that touch do so on the character, too"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +112,23 @@ class Applied:
     left_alone: tuple[str, ...]
     """Why some bones got no keys, a sentence each"""
     apart: float = 0.0
-    """metres of the captured hand's scale that fingertips which should touch stay apart, at the worst"""
+    """metres of the captured hand's scale by which fingertips that touch do not meet as captured, at the
+    worst"""
+    missed: int = 0
+    """In how many frames that is more than `APART`"""
+
+
+def shortcomings(applied: Sequence[Applied]) -> list[str]:
+    """What is not as captured, in sentences that begin with a small letter."""
+    found = list(dict.fromkeys(sentence for one in applied for sentence in one.left_alone))
+    missed = max(one.missed for one in applied)
+    if missed:
+        found.append(
+            f"in {counted(missed, 'frame')} fingertips that touch do not meet as captured, by up to "
+            f"{1000.0 * max(one.apart for one in applied):.0f} mm of your hand's size: this character's "
+            "fingers are too long or too short for it"
+        )
+    return found
 
 
 def reading_motion(
@@ -118,9 +149,7 @@ def reading_motion(
     else:
         quats, locations = yield from _shown(hand, wanted)
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
-    return Motion(
-        SourceHand.of(hand.shaped(), hand.side), wanted, turns, rest.wrist + locations @ rest.frames[0].T
-    )
+    return Motion.of(hand, wanted, turns, rest.wrist + locations @ rest.frames[0].T)
 
 
 def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
@@ -130,7 +159,8 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     lie beyond Blender's timeline.
     """
     check_range(take, Timing())
-    shaped = kept_model(model or take.model, track.side).shaped(track.betas)
+    hand = kept_model(model or take.model, track.side)
+    shaped = hand.shaped(track.betas)
     wrist = points_to_rest(shaped.joints[0])
     rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
     keys = result_of(computing_keys(take, track, shaped, rest, Timing()))
@@ -138,7 +168,8 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
     quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
-    return Motion(SourceHand.of(shaped, track.side), frames, quat_to_rotmat(quats), wrist + values[:, -3:])
+    source, skins = SourceHand.of(shaped, track.side), Fingertips.of(hand, track.betas)
+    return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
 
 
 def told_by_keys(armature: bpy.types.Object) -> bool:
@@ -225,18 +256,24 @@ def computing(
         motion = captured if captured.source.side == hand_map.side else captured.mirrored()
         fingers_only = onto.wrist == "FINGERS"
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
+        kept = None
+        if onto.contacts and motion.skins is not None:
+            times = motion.frames / frame_rate(bpy.context.scene)
+            kept = yield from keeping_contacts(target, motion.source, motion.skins, motion.turns, times)
         quats = np.empty((len(motion.frames), len(target.bones), 4))
         for start in range(0, len(quats), _CHUNK):
             some = slice(start, start + _CHUNK)
-            local = rotmat_to_quat(target.local(motion.turns[some]))
-            quats[some] = within_locks(armature, target.bones, local)
+            standing = target.standing(motion.turns[some]) if kept is None else kept.standing[some]
+            quats[some] = within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
             yield 0.0
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
         if not fingers_only:
             placed = yield from _moving(armature, target, motion, onto)
             keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
-        applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone)))
+        apart = np.zeros(1) if kept is None else kept.apart
+        worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
+        applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
     return Computed(keys, applied)
 
 

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
-from handfit_core.hand_model import ShapedHand
+from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.opening import MAX_FRAME_NUMBER
@@ -77,7 +77,11 @@ class CapturedHand:
 
     def shaped(self) -> ShapedHand:
         """Its model in that shape. Raises HandModelError."""
-        return kept_model(self.take.model, self.side).shaped(self.betas)
+        return self.model().shaped(self.betas)
+
+    def model(self) -> HandModel:
+        """The model that it was captured with. Raises HandModelError."""
+        return kept_model(self.take.model, self.side)
 
 
 def keeping_take(

@@ -30,11 +30,16 @@ def anatomical_axes(model: HandModel) -> np.ndarray:
     Taken from the mean shape; shape moves them by a degree or two at most.
     """
     shaped = model.shaped()
+    return axes_of(shaped.joints, shaped.tips, model.side)
+
+
+def axes_of(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
+    """The same (15, 3, 3) of a flat hand's joints (16, 3) and fingertips (5, 3), model frame."""
     axes = np.empty((15, 3, 3))
-    for finger, joints in FINGER_JOINTS.items():
-        points = [*shaped.joints[list(joints)], shaped.tips[FINGERS.index(finger)]]
-        for joint, here, beyond in zip(joints, points[:-1], points[1:], strict=True):
-            axes[joint - 1] = _frame(here - beyond, _towards_back(finger, model.side))
+    for finger, chain in FINGER_JOINTS.items():
+        points = [*joints[list(chain)], tips[FINGERS.index(finger)]]
+        for joint, here, beyond in zip(chain, points[:-1], points[1:], strict=True):
+            axes[joint - 1] = _frame(here - beyond, _towards_back(finger, side))
     return axes
 
 

@@ -154,7 +154,7 @@ class Surface:
         if not len(hand):
             return Near(hand, PAIRS[pair], np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0))
         parts = capsules.of(hand, PAIRS[pair])
-        places, gap = gaps_along(*parts, _nearest(*parts))
+        places, gap = gaps_along(*parts, nearest_along(*parts))
         return Near(hand, PAIRS[pair], places, _towards(places), gap - capsules.grown[hand, pair])
 
     def gaps_at(self, capsules: Capsules, hand: np.ndarray, points: np.ndarray) -> Near:
@@ -188,7 +188,9 @@ def surface_of(model: HandModel) -> Surface:
     return Surface(model)
 
 
-def _nearest(ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray) -> np.ndarray:
+def nearest_along(
+    ends_a: np.ndarray, radii_a: np.ndarray, ends_b: np.ndarray, radii_b: np.ndarray
+) -> np.ndarray:
     """(K, 2) how far along their axes, 0..1, capsules are nearest to each other: ends (K, 2, 3) and radii
     (K, 2) of both."""
     a, b = _Axis.of(ends_a, radii_a), _Axis.of(ends_b, radii_b)

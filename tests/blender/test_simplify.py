@@ -38,7 +38,7 @@ from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.slices import result_of
 
 from .characters import build_armature, hand_specs, joint_name
-from .test_corrections import correct
+from .test_corrections import correct, moved_poses, refitted
 from .test_keys import contents
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -245,6 +245,21 @@ def test_all_keys_come_back_with_the_corrections_that_they_hold(armature):
     assert restore(armature) is not None
     assert armature.manient.corrections == held
     assert corrections.why_elsewhere(armature) is None
+
+
+def test_a_range_that_is_fitted_again_after_simplify(armature):
+    simplify(Bounds(2.0, 2.0, "BONE"))
+    frames, places = list(range(30, 41)), np.arange(1.0, 81.0)
+    before = pose_at(rig_of(armature), places)[0]
+    new, _ = moved_poses(armature, frames)
+    refitted(armature, frames)
+    after = pose_at(rig_of(armature), places)[0]
+    assert apart(after[29:40], new) < 0.01
+    keyed = read_pose_keys(rig_of(armature))
+    for joint in range(NUM_JOINTS):
+        own = keyed.frames[keyed.rotation_keyed[:, joint]]
+        outside = (places <= own[own < 30].max()) | (places >= own[own > 40].min())
+        assert apart(after[outside, joint], before[outside, joint]) < 0.01
 
 
 def test_all_keys_follow_when_the_hand_gets_another_shape(armature):

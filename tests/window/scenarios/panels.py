@@ -70,13 +70,15 @@ def sections() -> list[type]:
 
 
 @contextmanager
-def opened_by_default(only: str = ""):
-    """Meanwhile all sections of new files are open, or `only` one is: a section's state comes from its class
-    when it is first drawn."""
+def opened_by_default(*only: str):
+    """Meanwhile all sections of new files are open, or `only` these are: a section's state comes from its
+    class when it is first drawn."""
     before = {cls: set(getattr(cls, "bl_options", ())) for cls in sections()}
     _register_with(
         {
-            cls: options | {"DEFAULT_CLOSED"} if only not in cls.__name__ else options - {"DEFAULT_CLOSED"}
+            cls: options - {"DEFAULT_CLOSED"}
+            if not only or any(name in cls.__name__ for name in only)
+            else options | {"DEFAULT_CLOSED"}
             for cls, options in before.items()
         }
     )

@@ -1,0 +1,470 @@
+"""Where captured fingertips touch, the character's touch: thumb and finger both move, in slices of frames.
+
+Fingers that point as captured ones do, but are longer or begin elsewhere, do not meet where those meet. Let v
+lead from one captured fingertip to another, where their skins are nearest to each other, let u do so on the
+character, in metres of the captured hand, and let x be what its joints turn beyond what was captured. Then x
+is least for
+
+    x^T M x + sum over touches of (u(x) - v)^T R (u(x) - v)
+
+within the joints' ranges. M says how unwelcome a turn is. R is rho = w / (S (1 - w + e)) between two skins,
+and less along them: w in 0..1 is how much they touch, and S, of J M^-1 J^T with J = du/dx, how far u gives
+way to a turn. A gap alone is thus closed by about the share w, touches that begin or end beside others pull
+softly, and where nothing touches x is exactly zero.
+
+As w is smooth in time, so is x, mostly. Where several fingers touch at once, the best turns can jump from one
+frame to the next. So x is found for every frame on its own, the mean of frames near each other is taken, and
+from there each frame closes again, by small turns, what the mean opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler
+from handfit_core.hand_model.anatomy import axes_of, joint_limits
+from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL, points_to_rest
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.surface import cross, gaps_along, nearest_along, surface_of
+from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
+from handfit_core.slices import retold
+
+PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
+"""(10, 2) fingers that can touch each other, those with the thumb first"""
+
+TOUCHING: Final = (0.004, 0.012)
+"""metres between skins: what is nearer than the first touches; what is farther than the second does not"""
+_CROSSED: Final = (0.5, 0.8)
+"""Fingers beside each other are no touch to keep. This much of the way between two fingers' skins, and more,
+lies across the palm where they are beside each other; up to the first, one lies over the other"""
+BLEND: Final = 0.1
+"""seconds: a touch is kept for as long before and after, and fades in and out for twice as long"""
+
+_THUMB: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
+"""Diagonal of M of the thumb's three joints: twist, spread and bend"""
+_FINGER: Final = ((np.inf, 4.0, 2.0), (np.inf, np.inf, 2.0), (np.inf, np.inf, 3.0))
+"""The same of the other fingers. Infinite: they do not turn so"""
+_LEFT_OPEN: Final = 0.02
+"""e: the share of a gap that stays open where both touch"""
+_ALONG: Final = (0.9, 0.5)
+"""The share of what lies along the skins that is closed at most, at first and after the mean: touches of
+several fingers with one thumb cannot all be met in the very same places"""
+_FARTHEST: Final = np.radians((30.0, 4.0))
+"""radians that an angle turns at most, beyond what was captured and beyond the mean: what needs more is no
+hand's grip, or a jump, and stays apart"""
+_MOST_STEPS: Final = 20
+_SMALL: Final = 1e-6
+"""radians: steps that are smaller end the search"""
+_AT_ONCE: Final = 32
+"""frames that a slice solves"""
+_FOUND_AT_ONCE: Final = 256
+"""frames in which a slice looks for touches"""
+
+
+@dataclass(frozen=True, eq=False)
+class Fingertips:
+    """The last bones of a captured hand's fingers with their skins, at rest, in rest space and metres."""
+
+    ends: np.ndarray
+    """(5, 2, 3) both ends of each one's axis"""
+    radii: np.ndarray
+    """(5, 2) of the skin around these"""
+
+    @classmethod
+    def of(cls, model: HandModel, betas: np.ndarray) -> Fingertips:
+        """Those of a hand model of shape betas (10,)."""
+        flat = surface_of(model).of(betas[None], np.zeros((1, 45)))
+        return cls(points_to_rest(flat.ends[0, 2:15:3]), flat.radii[0, 2:15:3])
+
+    def mirrored(self) -> Fingertips:
+        """The other hand's."""
+        return Fingertips(self.ends @ MIRROR_X, self.radii)
+
+
+@dataclass(frozen=True, eq=False)
+class Touches:
+    """Which fingertips of a captured hand touch in each of T frames."""
+
+    weights: np.ndarray
+    """(T, 10) 0..1 by `PAIRS`: how much each touch is to be kept, smooth in time; exactly 0 where none is"""
+    gap: np.ndarray
+    """(T, 10) metres between the two skins; negative where they overlap"""
+    now: np.ndarray
+    """(T, 10) bool: whether the two touch in this very frame"""
+    along: np.ndarray
+    """(T, 10, 2) where on the axes of the two last bones, 0..1, they are nearest to each other"""
+    ways: np.ndarray
+    """(T, 10, 3) metres from that place of the second to the first's, in rest space, the wrist at rest"""
+
+    def some(self, rows: np.ndarray, pairs: np.ndarray) -> Touches:
+        """Some frames and pairs alone."""
+        return Touches(*(getattr(self, name)[rows][:, pairs] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A character's hand whose fingertips touch where the captured ones do, over T frames."""
+
+    standing: np.ndarray
+    """(T, K, 3, 3) how the bones stand, as `TargetHand.standing` has them; the very same numbers for fingers
+    that touch nothing"""
+    apart: np.ndarray
+    """(T,) metres of the captured hand's scale by which the gap between skins that touch now is another than
+    the captured one, at the worst; 0 where none touch"""
+    turned: np.ndarray
+    """(T,) radians: the largest of the angles by which joints turn beyond what was captured"""
+
+
+def finding_touches(
+    source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
+) -> Generator[None, None, Touches]:
+    """What touches in captured hands, in steps: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at
+    times (T,) in seconds, rising."""
+    last = JOINTS_BY_FINGER[:, 2]
+    across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
+    count = len(turns)
+    ends, beside = np.empty((count, len(FINGERS), 2, 3)), np.empty((count, len(FINGERS), 3))
+    along, gap = np.empty((count, len(PAIRS), 2)), np.empty((count, len(PAIRS)))
+    for start in range(0, count, _FOUND_AT_ONCE):
+        some = slice(start, start + _FOUND_AT_ONCE)
+        whole, joints = globally(turns[some])[:, last], source.points(turns[some])[0][:, last, None]
+        ends[some] = joints + np.einsum("tfab,feb->tfea", whole, skins.ends - source.joints[last, None])
+        beside[some] = whole @ across
+        along[some], gap[some] = _nearest(ends[some], skins.radii, PAIRS)
+        yield
+    # Of fingers that lie side by side, the nearest places run from end to end.
+    along = _mean(along, times)
+    places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
+    ways = places[:, :, 0] - places[:, :, 1]
+    beside = np.abs((_units(ways) * _units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
+    near = _falling(gap, TOUCHING) * np.where(PAIRS[:, 0] == 0, 1.0, _falling(beside, _CROSSED))
+    most = near.copy()
+    for first, second, _ in _neighbours(times):
+        most[first] = np.maximum(most[first], near[second])
+        most[second] = np.maximum(most[second], near[first])
+    # However it is rounded, a mean of ones is one.
+    weights = np.maximum(near, np.minimum(_mean(most, times), 1.0))
+    return Touches(weights, gap, near == 1.0, along, ways)
+
+
+def keeping_contacts(
+    target: TargetHand, source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
+) -> Generator[float, None, Kept]:
+    """Have a character's fingertips touch where captured ones do, in steps that tell how much is done, 0..1.
+
+    `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
+    seconds, rising.
+    """
+    standing, apart = np.empty((len(turns), len(target.bones), 3, 3)), np.zeros(len(turns))
+    for start in range(0, len(turns), _FOUND_AT_ONCE):
+        standing[start : start + _FOUND_AT_ONCE] = target.standing(turns[start : start + _FOUND_AT_ONCE])
+        yield 0.0
+    times = np.asarray(times, dtype=np.float64)
+    found = yield from retold(finding_touches(source, skins, turns, times), lambda: 0.0)
+    chains = _Chains.of(target, source, skins)
+    x = np.zeros((len(turns), len(chains.bones)))
+    for some, done in _slices(found.weights[:, chains.told].max(axis=1, initial=0.0)):
+        x[some] = chains.problem(standing[some], found, some).solve(x[some], 0)
+        yield 0.5 * done
+    x = _mean(x, times)
+    for some, done in _slices(np.abs(x).max(axis=1)):
+        problem = chains.problem(standing[some], found, some)
+        x[some] = problem.solve(x[some], 1)
+        standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
+        yield 0.5 + 0.5 * done
+    return Kept(standing, apart, np.abs(x).max(axis=1, initial=0.0))
+
+
+def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
+    """The frames whose value (T,) is not zero, some at a time, and which share of them is done with these."""
+    rows = np.flatnonzero(value)
+    for start in range(0, len(rows), _AT_ONCE):
+        yield rows[start : start + _AT_ONCE], min((start + _AT_ONCE) / len(rows), 1.0)
+
+
+def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where on the axes, (N, P, 2), and how near, (N, P), pairs (P, 2) of skins are nearest to each other: by
+    ends (N, 5, 2, 3) and radii (5, 2)."""
+    first, second = (ends[:, some].reshape(-1, 2, 3) for some in pairs.T)
+    radii_a, radii_b = (np.tile(radii[some], (len(ends), 1)) for some in pairs.T)
+    along = nearest_along(first, radii_a, second, radii_b)
+    gap = gaps_along(first, radii_a, second, radii_b, along)[1]
+    return along.reshape(len(ends), -1, 2), gap.reshape(len(ends), -1)
+
+
+def _units(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
+    """1 up to the first, 0 from the second on, smooth between."""
+    share = np.clip((range_[1] - value) / (range_[1] - range_[0]), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Of (T, ...) those within `BLEND` of each frame, nearer ones counting more."""
+    total, count = values.copy(), np.ones(len(times))
+    for first, second, share in _neighbours(times):
+        shares = share.reshape(-1, *[1] * (values.ndim - 1))
+        total[first] += shares * values[second]
+        total[second] += shares * values[first]
+        count[first] += share
+        count[second] += share
+    return total / count.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray], None, None]:
+    """Frames and those that are so many after them, for as many as lie within `BLEND` of each other anywhere,
+    and how near each is: 1 at the same time, 0 from `BLEND` on."""
+    for step in range(1, len(times)):
+        share = np.maximum(1.0 - (times[step:] - times[:-step]) / BLEND, 0.0)
+        if not share.any():
+            return
+        yield slice(0, len(times) - step), slice(step, None), share
+
+
+@dataclass(frozen=True, eq=False)
+class _Chains:
+    """A character's fingers, laid into the captured hand's rest space, in its metres: K bones, U angles that
+    may turn, P pairs of fingertips."""
+
+    target: TargetHand
+    axes: np.ndarray
+    """(K, 3, 3) columns are each joint's twist, spread and bend axes"""
+    starts: np.ndarray
+    """(K, 3) from the parent's beginning to each bone's, at rest: as the parent's turn carries it"""
+    last: np.ndarray
+    """(5,) the last bone of each finger; -1 for those that are not there"""
+    radii: np.ndarray
+    """(5, 2) of the fingertips' skins"""
+    skins: np.ndarray
+    """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from
+    the character's fingertip as the captured ones are from theirs"""
+    carries: np.ndarray
+    """(5, U) bool: whether an angle moves a fingertip"""
+    bones: np.ndarray
+    """(U,) the bone of each angle"""
+    which: np.ndarray
+    """(U,) twist, spread or bend of it: 0, 1, 2"""
+    unwelcome: np.ndarray
+    """(U,) the diagonal of M"""
+    lower: np.ndarray
+    """(U,) radians"""
+    upper: np.ndarray
+    """(U,)"""
+    told: np.ndarray
+    """(P,) which of `PAIRS` have two last bones"""
+
+    @classmethod
+    def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips) -> _Chains:
+        flat = axes_of(source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL, source.side)
+        flat, limits = REST_FROM_MODEL @ flat, joint_limits(source.side)
+        laid = target.aligned.T @ target.corrected  # from the character's segments to ours
+        count = len(target.bones)
+        axes, starts = np.broadcast_to(np.eye(3), (count, 3, 3)).copy(), np.empty((count, 3))
+        angles: list[tuple[int, int, float, float, float]] = []
+        for k, (joints, parent) in enumerate(zip(target.joints, target.parents, strict=True)):
+            start = target.wrist if parent < 0 else target.heads[parent]
+            carried = target.aligned.T if parent < 0 else laid[parent]
+            starts[k] = carried @ (target.heads[k] - start) / target.scale
+            if not joints:
+                continue
+            joint = joints[0]
+            axes[k] = flat[joint - 1]
+            finger = next(f for f in FINGERS if joint in FINGER_JOINTS[f])
+            # Joints between that have no bone turn with this one, and lend it their ranges.
+            lent, above = [joint], target.joints[parent] if parent >= 0 else ()
+            while (before := PARENTS[lent[-1]]) and before not in above:
+                lent.append(before)
+            cost = (_THUMB if finger == "thumb" else _FINGER)[FINGER_JOINTS[finger].index(lent[-1])]
+            rows = np.array(lent) - 1
+            for axis, unwelcome in enumerate(cost):
+                if np.isfinite(unwelcome):
+                    low, high = limits.lower[rows, axis].sum(), limits.upper[rows, axis].sum()
+                    angles.append((k, axis, unwelcome, float(low), float(high)))
+        bones, which, unwelcome, lower, upper = (np.array(column) for column in zip(*angles, strict=True))
+
+        last = np.full(len(FINGERS), -1)
+        ends, carries = np.zeros((len(FINGERS), 2, 3)), np.zeros((len(FINGERS), len(bones)), dtype=bool)
+        for f, finger in enumerate(FINGERS):
+            bone = target.last(finger)
+            if bone is None:
+                continue
+            last[f] = bone
+            ends[f] = laid[bone] @ (target.tips[f] - target.heads[bone]) / target.scale
+            ends[f] += skins.ends[f] - source.tips[f]
+            while bone >= 0:
+                carries[f] |= bones == bone
+                bone = target.parents[bone]
+        first, second = last[PAIRS].T
+        told = np.flatnonzero((first >= 0) & (second >= 0) & (first != second))
+        return cls(
+            *(target, axes, starts, last, skins.radii, ends, carries),
+            *(bones, which, unwelcome, lower, upper, told),
+        )
+
+    def problem(self, standing: np.ndarray, found: Touches, rows: np.ndarray) -> _Problem:
+        """What touches in some rows (N,) of all frames, where the bones stand as captured: (N, K, 3, 3)."""
+        whole = self.whole(standing)
+        local = whole.copy()
+        for k, parent in enumerate(self.target.parents):
+            if parent >= 0:
+                local[:, k] = np.swapaxes(whole[:, parent], -1, -2) @ whole[:, k]
+        angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
+        pairs = self.told[found.weights[rows][:, self.told].any(axis=0)]
+        return _Problem(self, PAIRS[pairs], angles, found.some(rows, pairs))
+
+    def whole(self, standing: np.ndarray) -> np.ndarray:
+        """How bones (N, K, 3, 3) are turned from where ours rest, in our rest space."""
+        laid = self.target.aligned.T @ standing @ np.swapaxes(self.target.rest, -1, -2)
+        return laid @ np.swapaxes(self.target.corrected, -1, -2) @ self.target.aligned
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """N frames to be solved."""
+
+    chains: _Chains
+    pairs: np.ndarray
+    """(P, 2) the fingers that touch in any of them"""
+    angles: np.ndarray
+    """(N, K, 3) twist, spread and bend of each bone, as captured"""
+    touching: Touches
+    """Theirs, of these pairs"""
+
+    def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""
+        chains, target = self.chains, self.chains.target
+        angles = self.angles.copy()
+        angles[:, chains.bones, chains.which] += x
+        local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
+        moved = np.zeros(local.shape[:2], dtype=bool)
+        for u, k in enumerate(chains.bones):
+            moved[:, k] |= x[:, u] != 0.0
+        whole, found = chains.whole(standing), standing.copy()
+        for k, parent in enumerate(target.parents):
+            moved[:, k] |= moved[:, parent] if parent >= 0 else False
+            here = moved[:, k]
+            whole[here, k] = whole[here, parent] @ local[here, k] if parent >= 0 else local[here, k]
+            turned = target.aligned @ whole[here, k] @ target.aligned.T
+            found[here, k] = turned @ target.corrected[k] @ target.rest[k]
+        return found
+
+    def apart(self, x: np.ndarray) -> np.ndarray:
+        """(N,) metres by which the gap of skins that touch is another than the captured one, at the worst."""
+        chains = self.chains
+        whole, places, _ = self.posed(x)
+        ends = places[:, chains.last, None] + np.einsum("nfab,feb->nfea", whole[:, chains.last], chains.skins)
+        off = np.abs(_nearest(ends, chains.radii, self.pairs)[1] - self.touching.gap)
+        return np.max(off, axis=1, where=self.touching.now, initial=0.0)
+
+    def posed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How bones (N, K, 3, 3) are turned and where they begin (N, K, 3), and their angles (N, K, 3)."""
+        chains = self.chains
+        angles = self.angles.copy()
+        angles[:, chains.bones, chains.which] += x
+        local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
+        whole, places = np.empty_like(local), np.empty(local.shape[:3])
+        for k, parent in enumerate(chains.target.parents):
+            if parent < 0:
+                whole[:, k], places[:, k] = local[:, k], chains.starts[k]
+            else:
+                whole[:, k] = whole[:, parent] @ local[:, k]
+                places[:, k] = places[:, parent] + whole[:, parent] @ chains.starts[k]
+        return whole, places, angles
+
+    def forward(self, x: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, P, 3), and with `jacobian`, how they change with x: (N, P, 3, U)."""
+        chains = self.chains
+        whole, places, angles = self.posed(x)
+        pairs = self.pairs
+        skins, share = chains.skins[pairs], self.touching.along[..., None]
+        skins = skins[:, :, 0] + share * (skins[:, :, 1] - skins[:, :, 0])
+        last = chains.last[pairs]
+        points = places[:, last] + (whole[:, last] @ skins[..., None])[..., 0]  # (N, P, 2, 3)
+        off = points[:, :, 0] - points[:, :, 1] - self.touching.ways
+        if not jacobian:
+            return off, np.empty(0)
+        # Twist is about the joint's own axis at rest, spread about one that the twist has turned, and bend
+        # about one that both have.
+        own = angles[:, chains.bones]
+        euler = euler_to_rotmat(own)
+        twist, bend = np.broadcast_to([1.0, 0.0, 0.0], own.shape), euler[..., 2]
+        spread = np.stack([0.0 * own[..., 0], np.cos(own[..., 0]), np.sin(own[..., 0])], axis=-1)
+        axis = np.choose(chains.which[:, None], [twist, spread, bend])
+        above = np.array(chains.target.parents)[chains.bones]
+        carried = np.where((above < 0)[:, None, None], np.eye(3), whole[:, above]) @ chains.axes[chains.bones]
+        axis = (carried @ axis[..., None])[..., 0]  # (N, U, 3)
+        moves = np.zeros((*off.shape[:2], len(chains.bones), 3))
+        for k, sign in enumerate((1.0, -1.0)):
+            arms = points[:, :, k, None] - places[:, None, chains.bones]  # (N, P, U, 3)
+            turned = cross(np.broadcast_to(axis[:, None], arms.shape), arms)
+            moves += sign * chains.carries[pairs[:, k], :, None] * turned
+        return off, np.swapaxes(moves, -1, -2)
+
+    def stiffness(self, slopes: np.ndarray, along: float) -> np.ndarray:
+        """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
+        pose. `along`: the share of what lies along them that is closed at most."""
+        gives = (slopes**2 / self.chains.unwelcome).sum(axis=(-1, -2))
+        towards, weights = _units(self.touching.ways), self.touching.weights
+        between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
+        share = along * weights * (self.pairs == 0).any(axis=1)
+        rho = [
+            weight / (np.maximum(give, 1e-9) * (1.0 - weight + _LEFT_OPEN))
+            for weight, give in ((weights, between), (share, (gives - between) / 2.0))
+        ]
+        normal = towards[..., :, None] * towards[..., None, :]
+        return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
+
+    def some(self, rows: np.ndarray) -> _Problem:
+        """Some frames alone."""
+        every = np.arange(len(self.pairs))
+        return _Problem(self.chains, self.pairs, self.angles[rows], self.touching.some(rows, every))
+
+    def solve(self, about: np.ndarray, again: int) -> np.ndarray:
+        """x (N, U), the least away from `about` (N, U), by projected Levenberg-Marquardt: the first time (0)
+        or `again` (1), from the mean."""
+        chains, unwelcome = self.chains, self.chains.unwelcome
+        captured = self.angles[:, chains.bones, chains.which]
+        # What is beyond its range already may stay so.
+        low = np.clip(chains.lower - captured, -_FARTHEST[0], 0.0)
+        high = np.clip(chains.upper - captured, 0.0, _FARTHEST[0])
+        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1], _ALONG[again])
+        about = np.clip(about, low, high)
+        if again:
+            low, high = np.maximum(low, about - _FARTHEST[1]), np.minimum(high, about + _FARTHEST[1])
+        x, damping, left = about.copy(), np.full(len(about), 1e-3), np.arange(len(about))
+        own = np.arange(len(unwelcome))
+
+        def cost(off: np.ndarray, rho: np.ndarray, away: np.ndarray) -> np.ndarray:
+            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * away**2).sum(
+                axis=-1
+            )
+
+        for _ in range(_MOST_STEPS):
+            problem, stiff, here, away = self.some(left), rho[left], x[left], x[left] - about[left]
+            off, slopes = problem.forward(here, jacobian=True)
+            flat = slopes.reshape(len(left), -1, len(own))
+            pull = np.swapaxes((stiff @ slopes).reshape(flat.shape), -1, -2)
+            gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + unwelcome * away
+            free = ~((here <= low[left]) & (gradient > 0.0) | (here >= high[left]) & (gradient < 0.0))
+            hessian = (pull @ flat) * (free[:, :, None] & free[:, None, :])
+            hessian[:, own, own] += unwelcome
+            hessian[:, own, own] *= 1.0 + damping[left][:, None]
+            step = np.linalg.solve(hessian, np.where(free, -gradient, 0.0)[..., None])[..., 0]
+            tried = np.clip(here + step, low[left], high[left])
+            costs = cost(off, stiff, away), cost(problem.forward(tried)[0], stiff, tried - about[left])
+            better = costs[1] < costs[0]
+            x[left[better]] = tried[better]
+            damping[left] *= np.where(better, 0.1, 10.0)
+            left = left[np.abs(tried - here).max(axis=1) > _SMALL]
+            if not len(left):
+                break
+        return x

@@ -1,0 +1,355 @@
+"""Captured fingertips that touch do so on characters of other proportions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.anatomy import (
+    anatomical_angles,
+    anatomical_axes,
+    joint_limits,
+    rotmats_from_angles,
+)
+from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL
+from handfit_core.hand_model.surface import PAIRS as PARTS
+from handfit_core.hand_model.surface import surface_of
+from handfit_core.retarget import contacts
+from handfit_core.retarget.contacts import (
+    BLEND,
+    PAIRS,
+    TOUCHING,
+    Fingertips,
+    Kept,
+    finding_touches,
+    keeping_contacts,
+)
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.transfer import TargetHand, mirrored_turns, target_hand
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
+from handfit_core.slices import result_of
+from tests.core.fit.differences import by_each
+from tests.core.retarget.rigs import Built, add_hand, source
+
+PINCHES = {
+    "index": (5, 25, 15, 20, 51, 55, 25),
+    "middle": (0, 41, 13, 27, 47, 70, 23),
+    "ring": (1, 54, 16, 20, 42, 71, 13),
+}
+"""degrees: the thumb's root's spread and bend, the bends of its other joints, and those of the finger's"""
+FPS = 30.0
+HELD = slice(30, 40)
+"""Frames of `pinching` in which tips touch"""
+SEEDS = range(6)
+
+
+def bends(side: Side, finger: str | None) -> np.ndarray:
+    """(15, 3) radians: a half open hand, or one that pinches."""
+    angles = np.zeros((NUM_JOINTS - 1, 3))
+    for other in FINGERS[1:]:
+        angles[np.array(FINGER_JOINTS[other]) - 1, 2] = np.radians([25.0, 30.0, 20.0])
+    angles[np.array(FINGER_JOINTS["thumb"]) - 1, 2] = np.radians([5.0, 10.0, 10.0])
+    if finger is not None:
+        spread, *thumb = np.radians(PINCHES[finger][:4])
+        angles[np.array(FINGER_JOINTS["thumb"]) - 1, 2] = thumb
+        angles[FINGER_JOINTS["thumb"][0] - 1, 1] = spread if side == "right" else -spread
+        angles[np.array(FINGER_JOINTS[finger]) - 1, 2] = np.radians(PINCHES[finger][4:])
+    return angles
+
+
+def turns_of(side: Side, angles: np.ndarray) -> np.ndarray:
+    """(T, 16, 3, 3) of angles (T, 15, 3)."""
+    turns = np.broadcast_to(np.eye(3), (len(angles), NUM_JOINTS, 3, 3)).copy()
+    fingers = rotmats_from_angles(angles, anatomical_axes(load_model(None, side)))
+    turns[:, 1:] = REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T
+    return turns
+
+
+def pinching(side: Side, finger: str) -> np.ndarray:
+    """(70, 16, 3, 3) half open, closed in half a second, held, and opened again."""
+    share = np.interp(np.arange(70), [15, 30, 39, 54], [0.0, 1.0, 1.0, 0.0])[:, None, None]
+    return turns_of(side, (1.0 - share) * bends(side, None) + share * bends(side, finger))
+
+
+@cache
+def skins(side: Side) -> Fingertips:
+    return Fingertips.of(load_model(None, side), np.zeros(10))
+
+
+def character(side: Side, seed: int, stretch: float = 0.25, bend: float = 0.3, **without) -> TargetHand:
+    """Other proportions, bends at rest and tips."""
+    built = Built()
+    names = {joint: f"{side}{joint}" for joint in range(NUM_JOINTS)}
+    add_hand(
+        *(built, side, names, np.random.default_rng(seed)), stretch=stretch, bend=bend, tips=True, **without
+    )
+    there = tuple(name if name in built.names else "" for name in names.values())
+    return target_hand(built.bones(), HandMap(side, there), source(side))
+
+
+def kept_on(target: TargetHand, turns: np.ndarray) -> Kept:
+    side = target.hand_map.side
+    times = np.arange(len(turns)) / FPS
+    return result_of(keeping_contacts(target, source(side), skins(side), turns, times))
+
+
+def gaps(target: TargetHand, standing: np.ndarray, finger: str) -> np.ndarray:
+    """(T,) metres of the captured hand between the skins of the thumb and a finger, by many spheres."""
+    side = target.hand_map.side
+    own, tips = source(side), target.points(standing)[1] @ target.aligned / target.scale
+    found = []
+    for f in (0, FINGERS.index(finger)):
+        bone = target.last(FINGERS[f])
+        assert bone is not None
+        turned = target.aligned.T @ standing[:, bone] @ target.rest[bone].T @ target.corrected[bone].T
+        share = np.linspace(0.0, 1.0, 200)[:, None]
+        ends, radii = skins(side).ends[f] - own.tips[f], skins(side).radii[f]
+        centres = (1.0 - share) * ends[0] + share * ends[1]
+        places = tips[:, f, None] + np.einsum("tab,cb->tca", turned @ target.aligned, centres)
+        found.append((places, (1.0 - share) * radii[0] + share * radii[1]))
+    (a, r), (b, s) = found
+    away = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1) - r - s[:, 0]
+    return away.min(axis=(1, 2))
+
+
+def captured_gaps(side: Side, turns: np.ndarray, finger: str) -> np.ndarray:
+    """(T,) metres, by the surface that fits are solved with."""
+    surface = surface_of(load_model(None, side))
+    pose = rotmat_to_rotvec(REST_FROM_MODEL.T @ turns[:, 1:] @ REST_FROM_MODEL).reshape(-1, 45)
+    pair = PARTS.tolist().index([2, 3 * FINGERS.index(finger) + 2])
+    capsules = surface.of(np.zeros((len(turns), 10)), pose)
+    return surface.gaps(capsules, np.arange(len(turns)), np.full(len(turns), pair)).gap
+
+
+def chain_angles(turns: np.ndarray, side: Side) -> np.ndarray:
+    return anatomical_angles(
+        REST_FROM_MODEL.T @ turns[:, 1:] @ REST_FROM_MODEL, anatomical_axes(load_model(None, side))
+    )
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("finger", PINCHES)
+def test_gaps_are_as_captured_on_other_proportions(side, finger):
+    turns = pinching(side, finger)
+    wanted = captured_gaps(side, turns, finger)[HELD]
+    assert np.abs(wanted).max() < 0.001
+    before, after = [], []
+    for seed in SEEDS:
+        target = character(side, seed)
+        kept = kept_on(target, turns)
+        before.append(np.abs(gaps(target, target.standing(turns), finger)[HELD] - wanted).max())
+        off = np.abs(gaps(target, kept.standing, finger)[HELD] - wanted)
+        after.append(off.max())
+        # By spheres half a tenth of a millimetre apart.
+        np.testing.assert_allclose(kept.apart[HELD], off, atol=1e-4)
+        assert kept.turned.max() < np.radians(30.0)
+    assert max(before) > 0.009
+    assert max(after) < 0.002
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_nothing_else_moves(side):
+    turns, target = pinching(side, "middle"), character(side, 1)
+    plain, kept = target.standing(turns), kept_on(target, turns)
+    moved = (kept.standing != plain).any(axis=(2, 3))
+    others = [k for k, joints in enumerate(target.joints) if joints[0] in (1, 2, 3, 7, 8, 9, 10, 11, 12)]
+    assert not moved[:, others].any()
+    own = [k for k in range(len(target.bones)) if k not in others]
+    assert moved[HELD][:, own].all()
+    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCHING[1])
+    # Weights reach twice as far as BLEND, and their mean once more.
+    far = (np.arange(len(turns)) < near[0] - 3 * BLEND * FPS) | (
+        np.arange(len(turns)) > near[-1] + 3 * BLEND * FPS
+    )
+    assert far.sum() > 20
+    assert not moved[far].any()
+    assert (kept.turned[far] == 0.0).all()
+    assert (kept.apart[far] == 0.0).all()
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_hands_that_touch_nothing_keep_every_bit(side):
+    rng = np.random.default_rng(3)
+    angles = np.zeros((40, NUM_JOINTS - 1, 3))
+    angles[..., 2] = rng.uniform(-0.1, 0.3, (40, NUM_JOINTS - 1))
+    turns, target = turns_of(side, angles), character(side, 2)
+    kept = kept_on(target, turns)
+    assert (kept.standing == target.standing(turns)).all()
+    assert not kept.turned.any()
+    assert not kept.apart.any()
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("finger", PINCHES)
+def test_a_hand_of_the_same_proportions_stays(side, finger):
+    turns, target = pinching(side, finger), character(side, 0, stretch=0.0)
+    kept = kept_on(target, turns)
+    np.testing.assert_allclose(kept.standing, target.standing(turns), atol=1e-12)
+    assert kept.apart.max() < 1e-12
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("finger", PINCHES)
+def test_joints_stay_within_their_ranges(side, finger):
+    turns, limits = pinching(side, finger), joint_limits(side)
+    before = chain_angles(turns, side)
+    for seed in SEEDS:
+        target = character(side, seed, stretch=0.4)
+        after = chain_angles(target.turns(target.channels(kept_on(target, turns).standing)), side)
+        assert (after > np.minimum(before, limits.lower) - 1e-6).all()
+        assert (after < np.maximum(before, limits.upper) + 1e-6).all()
+        hinges = np.delete(np.arange(NUM_JOINTS - 1), [j - 1 for j in FINGER_JOINTS["thumb"]])
+        # Fingers bend and spread, and never twist.
+        np.testing.assert_allclose(after[:, hinges, 0], before[:, hinges, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("finger", PINCHES)
+def test_turns_come_and_go_smoothly(finger):
+    turns = pinching("right", finger)
+    for seed in SEEDS:
+        target = character("right", seed)
+        local = target.local(turns)
+        found = target.channels(kept_on(target, turns).standing)
+        extra = rotmat_to_rotvec(np.swapaxes(local, -1, -2) @ found)
+        size = np.linalg.norm(extra, axis=-1).max()
+        steps = np.linalg.norm(np.diff(extra, axis=0), axis=-1).max()
+        jerks = np.linalg.norm(np.diff(extra, n=2, axis=0), axis=-1).max()
+        # They come within six frames or so, and with no jump.
+        assert steps < 0.45 * size
+        assert jerks < 0.5 * size
+
+
+def test_slices_do_not_show(monkeypatch):
+    turns, target = pinching("right", "index"), character("right", 4)
+    whole = kept_on(target, turns)
+    monkeypatch.setattr(contacts, "_AT_ONCE", 5)
+    monkeypatch.setattr(contacts, "_FOUND_AT_ONCE", 9)
+    small = kept_on(target, turns)
+    np.testing.assert_allclose(small.standing, whole.standing, atol=1e-9)
+    steps = list(
+        keeping_contacts(target, source("right"), skins("right"), turns, np.arange(len(turns)) / FPS)
+    )
+    assert len(steps) > 10
+    assert steps == sorted(steps)
+    assert steps[-1] == 1.0
+
+
+def test_a_mirrored_hand_does_the_mirrored_thing():
+    built, names = Built(), tuple(f"b{joint}" for joint in range(NUM_JOINTS))
+    add_hand(
+        *(built, "right", dict(enumerate(names)), np.random.default_rng(6)), bend=0.3, stretch=0.25, tips=True
+    )
+    bones, own, tips, turns = built.bones(), source("right"), skins("right"), pinching("right", "ring")
+    mirrored = replace(bones, heads=bones.heads @ MIRROR_X, tails=bones.tails @ MIRROR_X)
+    found = []
+    for its, hand, skin, does in (
+        (bones, own, tips, turns),
+        (mirrored, own.mirrored(), tips.mirrored(), mirrored_turns(turns)),
+    ):
+        target = target_hand(its, HandMap(hand.side, names), hand)
+        kept = result_of(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
+        found.append((target.points(kept.standing)[1], kept.apart))
+    np.testing.assert_allclose(found[1][0], found[0][0] @ MIRROR_X, atol=1e-9)
+    np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-9)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_fewer_bones_and_fingers_touch_too(side):
+    for joints in ((14, 2, 5, 8, 11), (3, 6, 9, 12, 15), (7, 8, 9, 10, 11, 12)):
+        turns, target = pinching(side, "index"), character(side, 3, without=joints)
+        kept = kept_on(target, turns)
+        wanted = captured_gaps(side, turns, "index")[HELD]
+        before = np.abs(gaps(target, target.standing(turns), "index")[HELD] - wanted).max()
+        after = np.abs(gaps(target, kept.standing, "index")[HELD] - wanted).max()
+        assert after < min(0.002, before)
+
+
+def test_a_bone_of_two_fingers_meets_the_thumb():
+    built, side = Built(), "right"
+    names = {joint: f"b{joint}" for joint in range(NUM_JOINTS)}
+    add_hand(built, side, names, np.random.default_rng(8), stretch=0.2, tips=True, without=(7, 8, 9))
+    for little, ring in zip(FINGER_JOINTS["little"], FINGER_JOINTS["ring"], strict=True):
+        names[little] = names[ring]
+    target = target_hand(built.bones(), HandMap(side, tuple(names.values())), source(side))
+    turns = pinching(side, "ring")
+    kept, wanted = kept_on(target, turns), captured_gaps(side, turns, "ring")[HELD]
+    before = np.abs(gaps(target, target.standing(turns), "ring")[HELD] - wanted)
+    after = np.abs(gaps(target, kept.standing, "ring")[HELD] - wanted)
+    # It bends as the mean of the two does, and the little finger does not.
+    assert before.min() > 0.01
+    assert after.max() < 0.003
+
+
+def test_what_cannot_be_reached_is_told():
+    built, side, finger = Built(), "right", "ring"
+    names = tuple(f"b{joint}" for joint in range(NUM_JOINTS))
+    add_hand(built, side, dict(enumerate(names)), np.random.default_rng(0), tips=True)
+    bones = built.bones()
+    thumb = [bones.index[name] for name in ("b13", "b14", "b15", "b15_tip")]
+    bones.heads[thumb] = bones.heads[thumb[0]] + 0.4 * (bones.heads[thumb] - bones.heads[thumb[0]])
+    target = target_hand(bones, HandMap(side, names), source(side))
+    turns = pinching(side, finger)
+    kept, wanted = kept_on(target, turns), captured_gaps(side, turns, finger)
+    off = np.abs(gaps(target, kept.standing, finger) - wanted)[HELD]
+    assert off.min() > 0.005
+    np.testing.assert_allclose(kept.apart[HELD], off, atol=1e-4)
+    # It is nearer all the same.
+    assert off.max() < np.abs(gaps(target, target.standing(turns), finger) - wanted)[HELD].max()
+
+
+def test_weights_are_one_where_tips_touch_and_smooth_beside():
+    turns = pinching("right", "index")
+    times = np.arange(len(turns)) / FPS
+    found = result_of(finding_touches(source("right"), skins("right"), turns, times))
+    pair = PAIRS.tolist().index([0, 1])
+    weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
+    np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
+    assert (found.now[:, pair] == (gap <= TOUCHING[0])).all()
+    assert (weights[found.now[:, pair]] == 1.0).all()
+    assert (found.weights[:, np.arange(len(PAIRS)) != pair] == 0.0).all()
+    assert np.abs(np.diff(weights)).max() < 0.35
+    near = np.flatnonzero(gap < TOUCHING[1])
+    reach = int(2 * BLEND * FPS)
+    assert (weights[: near[0] - reach] == 0.0).all()
+    assert (weights[near[-1] + reach + 1 :] == 0.0).all()
+    # A pause of the touch that is shorter than the blend is none.
+    short = np.concatenate([turns[:35], turns[20:22], turns[35:]])
+    again = result_of(finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS))
+    assert again.weights[35:37, pair].min() > 0.7
+
+
+def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
+    side = "right"
+    angles = np.zeros((2, NUM_JOINTS - 1, 3))
+    angles[0, [0, 3], 1] = np.radians([-6.0, 6.0])
+    # The middle finger lies over the index finger's back.
+    angles[1, [0, 3], 1] = np.radians([-12.0, 12.0])
+    angles[1, 0, 2] = np.radians(8.0)
+    found = []
+    for one in angles:
+        turns = turns_of(side, one[None])
+        found.append(result_of(finding_touches(source(side), skins(side), turns, np.zeros(1))))
+    pair = PAIRS.tolist().index([1, 2])
+    assert found[0].gap[0, pair] < TOUCHING[0]
+    assert found[0].weights[0, pair] == 0.0
+    assert found[1].gap[0, pair] < TOUCHING[0]
+    assert found[1].weights[0, pair] > 0.9
+
+
+@pytest.mark.parametrize("finger", PINCHES)
+def test_slopes_are_those_of_differences(finger):
+    rng = np.random.default_rng(9)
+    turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
+    found = result_of(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
+    chains = contacts._Chains.of(target, source("right"), skins("right"))
+    problem = chains.problem(target.standing(turns), found, np.arange(2))
+    x = rng.normal(scale=0.2, size=(2, len(chains.bones)))
+    _, slopes = problem.forward(x, jacobian=True)
+    every = by_each(lambda at: problem.forward(at)[0], x).reshape(*slopes.shape[:3], 2, -1)
+    for row in range(2):
+        np.testing.assert_allclose(slopes[row], every[row, :, :, row], atol=1e-8)
