@@ -438,8 +438,8 @@ def _from_quats(
     start = _values_at(parts, getattr(bone, _rotation_path(bone)), np.array([earlier]))
     if bone.rotation_mode == "QUATERNION":
         turned = unflip_quats(np.concatenate([start, quats]))[1:]
-        # Keys that lie far apart may be more than half a turn from each other: the sign of one that exists stays
-        # if it turns much the same way, and so does that of what is keyed as the curve has it already.
+        # Keys that lie far apart may be more than half a turn from each other: the sign of one that exists
+        # stays if it turns much the same way, and so does that of what is keyed as the curve has it already.
         there = _values_at(parts, getattr(bone, _rotation_path(bone)), frames)
         alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
         same = _contains(co[:, 0].astype(np.float64), frames)
