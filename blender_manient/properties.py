@@ -202,6 +202,11 @@ class ManientSettings(bpy.types.PropertyGroup):
         options={"HIDDEN"},
     )
     pose_correctives: BoolProperty(**POSE_CORRECTIVES)  # type: ignore
+    add_controls: BoolProperty(  # type: ignore
+        name="Controls",
+        description="Give new hands controls to animate them with by hand (Shape and Pose > Add Controls)",
+        default=False,
+    )
     target: EnumProperty(  # type: ignore
         name="Output",
         description="What becomes of the captured hands",
