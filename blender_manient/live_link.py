@@ -46,13 +46,15 @@ class _Link:
 
     def __init__(self, armature: bpy.types.Object) -> None:
         self.armature = Remembered.of("objects", armature)
-        self.changed: float | None = time.monotonic()
+        self.changed: float | None = time.monotonic() - _CALM
         """When a change was last seen that is not keyed yet"""
         self.shows = False
         """Whether the pose is to be shown at once"""
         self.written: list[BoneKeys] | None = None
         """What the link has keyed last; None where it does not know any more"""
         self.steps: Iterator[float] | None = None
+        """What is being keyed, and since when"""
+        self.began = 0.0
 
 
 _links: dict[int, _Link] = {}
@@ -93,14 +95,17 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
     if link.shows:
         link.shows = False
         _show(armature)
-    if link.changed is None or time.monotonic() - link.changed < _CALM:
-        return
     if link.steps is None:
-        link.steps = _keying(link, armature)
+        if link.changed is None or time.monotonic() - link.changed < _CALM:
+            return
+        link.steps, link.began = _keying(link, armature), time.monotonic()
     for _ in link.steps:
         if is_over():
             return
-    link.steps, link.changed = None, None
+    # Writing keys may itself look like a change: the next pass finds nothing to write then.
+    link.steps = None
+    if link.changed is None or link.changed < link.began:
+        link.changed = None
 
 
 def _show(armature: bpy.types.Object) -> None:
@@ -136,7 +141,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
         raise OptionError(
             "this character has another action now: switch the link off and on to key a new one"
         )
-    elif link.written is not None or _digest(computed.keys) != character.linked:
+    elif _digest(computed.keys) != character.linked:
         for one in computed.keys:
             before = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
             yield from writing([one if before is None else _changed(before, one)])
@@ -177,7 +182,8 @@ def _digest(keys: Sequence[BoneKeys]) -> str:
 @bpy.app.handlers.persistent
 def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """Something in the scene has changed; changes of the frame alone do not come here."""
-    changed = {update.id.original.session_uid for update in depsgraph.updates}
+    moved = (u for u in depsgraph.updates if u.is_updated_geometry or u.is_updated_transform)
+    changed = {update.id.original.session_uid for update in moved}
     for link in _links.values():
         armature = link.armature.find()
         if armature is None:
@@ -185,7 +191,7 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         character = armature.manient.character
         sources = [s for s in (character.left.source, character.right.source) if s is not None]
         if any({s.session_uid, s.data.session_uid} & changed for s in sources):
-            link.shows, link.changed, link.steps = True, time.monotonic(), None
+            link.shows, link.changed = True, time.monotonic()
             _wake()
 
 

@@ -356,7 +356,7 @@ def solved(ready: Ready) -> np.ndarray:
     wanted = np.clip(_angles(ready), limits.lower, limits.upper)
     spots = np.array([[_vertex(spot) for spot in touch] for touch in ready.touches], dtype=int).reshape(-1, 2)
     sigmas = np.broadcast_to(_SIGMAS, (15, 3)).copy()
-    moving = {*ready.last, "thumb", *(t.finger for pair in ready.touches for t in pair)}
+    moving = {*ready.last, "thumb", *(first.finger for first, _ in ready.touches)}
     for finger, joints in FINGER_JOINTS.items():
         rows = [j - 1 for j in joints]
         sigmas[rows[1:], :2] = np.radians(1.0)

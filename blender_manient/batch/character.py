@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
-from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of
+from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
@@ -99,7 +100,7 @@ class Character:
                 raise OptionError(f"--{given[0]} is about a character: name its file with --apply-to")
             return None
         for side, wanted in said.items():
-            if side not in SIDES or not (wanted in (*SIDES, "none") or (wanted.isdecimal() and int(wanted))):
+            if side not in SIDES or not re.fullmatch("left|right|none|[1-9][0-9]{0,3}", wanted):
                 raise OptionError(
                     "--hands says which captured hand the character's left and right hand get: left, right, "
                     f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
@@ -178,13 +179,13 @@ class Character:
         reference = self.reference
         if reference is None:
             reference = max(float(motion.frames[0]) for _, motion in hands)
-        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
-        for entry, one in zip(told, applied, strict=True):
-            entry |= {"bones": one.bones, "frames": one.frames}
-            warnings += one.left_alone
         scene = bpy.context.scene
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
+        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
+        for entry, one in zip(told, applied, strict=True):
+            entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
+        warnings += shortcomings(applied)
         scene.frame_set(int(take.frame_numbers[0]))
         if bpy.app.autoexec_fail_message.startswith("Driver"):
             warnings.append(
@@ -241,6 +242,6 @@ def _track(take: Take, wanted: str) -> HandTrack:
 def _file_and_armature(text: str) -> tuple[Path, str]:
     """FILE.blend[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
     for at in (len(text), *(i for i, letter in enumerate(text) if letter == ":")):
-        if is_file(Path(text[:at]).expanduser()):
-            return Path(text[:at]).expanduser(), text[at + 1 :]
+        if is_file(text[:at]):
+            return Path(text[:at]), text[at + 1 :]
     raise OptionError(f"{shown(text)}: there is no such character's file")

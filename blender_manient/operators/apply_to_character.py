@@ -12,7 +12,7 @@ from handfit_core.slices import result_of, slice_clock
 from ..remembered import Remembered
 from ..scene.build import Watch
 from ..scene.characters import active_character, hands_to_move, why_not_reachable
-from ..scene.onto_character import Applied, Onto, putting
+from ..scene.onto_character import Applied, Onto, putting, shortcomings
 from ..wording import capitalised, counted
 from .needs_hand import Refuses, Waits, errors_reported
 
@@ -124,16 +124,8 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     def _finished(self, context, applied: list[Applied]):
         scene = context.scene
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        for sentence in dict.fromkeys(s for one in applied for s in one.left_alone):
+        for sentence in shortcomings(applied):
             self.report({"WARNING"}, sentence[:1].upper() + sentence[1:])
-        missed = max(one.missed for one in applied)
-        if missed:
-            self.report(
-                {"WARNING"},
-                f"In {counted(missed, 'frame')} fingertips that touch do not meet as captured, by up to "
-                f"{1000.0 * max(one.apart for one in applied):.0f} mm of your hand's size: this character's "
-                "fingers are too long or too short for it",
-            )
         bones = sum(one.bones for one in applied)
         frames = max(one.frames for one in applied)
         self.report({"INFO"}, f"Keyed {counted(bones, 'bone')} in {counted(frames, 'frame')}")

@@ -31,6 +31,7 @@ from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
+from ..wording import counted
 from .animation import computing_keys
 from .characters import why_not_reachable
 from .editable import is_tweaked
@@ -115,6 +116,19 @@ class Applied:
     worst"""
     missed: int = 0
     """In how many frames that is more than `APART`"""
+
+
+def shortcomings(applied: Sequence[Applied]) -> list[str]:
+    """What is not as captured, in sentences that begin with a small letter."""
+    found = list(dict.fromkeys(sentence for one in applied for sentence in one.left_alone))
+    missed = max(one.missed for one in applied)
+    if missed:
+        found.append(
+            f"in {counted(missed, 'frame')} fingertips that touch do not meet as captured, by up to "
+            f"{1000.0 * max(one.apart for one in applied):.0f} mm of your hand's size: this character's "
+            "fingers are too long or too short for it"
+        )
+    return found
 
 
 def reading_motion(

@@ -16,14 +16,15 @@ import numpy as np
 
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.geometry.rotations import rotmat_to_quat
 from handfit_core.hand_model.drawing import colored, drawn_pose
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.poses import Pose, ready_poses
+from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES
+from handfit_core.slices import result_of
 
 from ..blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
@@ -33,7 +34,7 @@ from .controls import rotations_now
 from .corrections import correct_frames, corrections_of, timing_of
 from .editable import why_not_keyable, why_not_readable
 from .keys import PoseKeys, displayed_pose, keyed_bones, set_pose, write_pose_keys
-from .onto_character import check_own_keys, prepared, within_locks
+from .onto_character import Motion, Onto, check_own_keys, computing
 from .sampling import rotations_of
 from .store import CapturedHand, active_hand, hand_of
 
@@ -70,7 +71,7 @@ class PosableHand(ABC):
 
     @abstractmethod
     def _quats(self, pose: Pose) -> np.ndarray:
-        """(B, 4) the bones' rotations in the pose."""
+        """(B, 4) the bones' rotations in the pose; NaN for bones that cannot be keyed."""
 
     @abstractmethod
     def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
@@ -142,9 +143,9 @@ class _OfCharacter(PosableHand):
     """A character's hand."""
 
     def __init__(self, armature: bpy.types.Object, hand_map: HandMap) -> None:
-        source = SourceHand.of(kept_model(OPEN_HAND, hand_map.side).shaped(), hand_map.side)
-        self._armature, self._source = armature, source
-        self._target = target_hand(bones_of(armature), hand_map, source)
+        self._armature, self._model = armature, kept_model(OPEN_HAND, hand_map.side)
+        self._source = SourceHand.of(self._model.shaped(), hand_map.side)
+        self._target = target_hand(bones_of(armature), hand_map, self._source)
         rig = CharacterBones(armature, self._target.bones)
         super().__init__(rig, list(self._target.joints), {*rig.bones, *hand_map.bones, hand_map.moved_by})
 
@@ -159,19 +160,22 @@ class _OfCharacter(PosableHand):
         return Pose.of_turns(self._source.side, turns)
 
     def _quats(self, pose: Pose) -> np.ndarray:
-        local = self._target.local(pose.turns(self._source.side)[None])
-        return within_locks(self._armature, self._target.bones, rotmat_to_quat(local))[0]
+        skins = Fingertips.of(self._model, np.zeros(NUM_BETAS))
+        turns = pose.turns(self._source.side)[None]
+        motion = Motion(self._source, np.zeros(1), turns, np.zeros((1, 3)), skins)
+        onto = Onto("ACTION", contacts=self._armature.manient.character.contacts)
+        (found,) = result_of(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
+        return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
         check_own_keys(self._armature, present=True)
         frames = np.array([context.scene.frame_current_final])
-        _, free, _ = prepared(self._armature, self._target.hand_map, self._source, fingers_only=True)
-        moved = free & np.isfinite(quats[:, 0])
+        moved = np.isfinite(quats[:, 0])
         keys = PoseKeys(
             frames, np.nan_to_num(quats)[None], np.zeros((1, 3)), moved[None], np.zeros(1, dtype=bool)
         )
         write_pose_keys(self.rig, keys)
-        set_pose(self.rig, np.where(moved[:, None], quats, np.nan))
+        set_pose(self.rig, quats)
 
 
 def posed_by(context: bpy.types.Context) -> CapturedHand | bpy.types.Object | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -12,7 +13,8 @@ import pytest
 from blender_manient import command
 from blender_manient.batch.character import Character
 from blender_manient.scene.characters import keep_map
-from blender_manient.scene.onto_character import motion_of
+from blender_manient.scene.onto_character import APART, motion_of
+from handfit_core.hand_model.poses import ready_poses
 from handfit_core.retarget.hand_map import to_preset
 from handfit_core.retarget.transfer import globally
 from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, other_side
@@ -160,6 +162,27 @@ def test_a_hand_that_was_not_captured_is_left_alone_and_other_inputs_go_on(
     (entry,) = report(tmp_path)
     assert entry["warnings"] == ["the character's right hand was left alone: no right hand was captured"]
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_contacts_are_kept_unless_it_is_told_otherwise(make_take, hero, tmp_path):
+    take = make_take(sides=("right",)).take
+    pose = np.tile(ready_poses()["Pinch"].pose.on("right"), (len(take.frame_numbers), 1))
+    take = replace(take, hands=(replace(take.hands[0], hand_pose=pose),))
+    clip, gaps = take.save(tmp_path / "pinch.take.npz"), {}
+    for options in ((), ("--no-contacts",)):
+        assert apply(tmp_path, clip, "--to", hero, "--overwrite", *options) == 0
+        (entry,) = report(tmp_path)
+        (hand,) = entry["character"]["hands"]
+        told = any("fingertips that touch do not meet" in warning for warning in entry["warnings"])
+        assert told == (hand["tips_apart"] > APART)
+        armature = opened(tmp_path / "out" / "pinch" / "pinch.blend")
+        bpy.context.scene.frame_set(8)
+        bones = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
+        ends = [bones[joint_name(FINGER_JOINTS[finger][2], "right")].tail for finger in ("thumb", "index")]
+        gaps[options] = (ends[0] - ends[1]).length
+    _, tips = (motion := motion_of(take, take.hands[0])).source.points(motion.turns[:1])
+    wanted = np.linalg.norm(tips[0, 0] - tips[0, 1])
+    assert abs(gaps[()] - wanted) < 0.5 * abs(gaps["--no-contacts",] - wanted)
 
 
 @pytest.mark.parametrize(

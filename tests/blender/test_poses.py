@@ -282,6 +282,7 @@ def character(side, seed=3, **fields):
     armature = build_armature(hand_specs(side, rng, **fields))
     placed(armature, rng, 0.1)
     keep_map(armature, map_of(side))
+    armature.manient.character.contacts = False
     return armature
 
 
@@ -329,6 +330,23 @@ def test_a_ready_pose_points_a_characters_fingers_as_ours(name, side):
     read = hand.read()
     assert read.side == side
     np.testing.assert_allclose(read.on("right"), pose.on("right"), atol=1e-4)
+
+
+def test_a_pinch_of_a_character_is_closed_where_contacts_are_kept():
+    armature = character("right", bend=0.2, stretch=0.1)
+    gaps = []
+    for contacts in (False, True):
+        armature.manient.character.contacts = contacts
+        bpy.ops.manient.apply_pose(pose="Pinch")
+        bpy.context.view_layer.update()
+        bones = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
+        thumb, index = (bones[joint_name(FINGER_JOINTS[f][2], "right")].tail for f in ("thumb", "index"))
+        gaps.append((thumb - index).length / target_of(armature).scale)
+    model, still = load_model(None, "right"), np.zeros(3)
+    points = model.keypoints(None, still, ready_poses()["Pinch"].pose.hand_pose, still)
+    captured = np.linalg.norm(points[4] - points[8])
+    assert abs(gaps[1] - captured) < 0.003
+    assert abs(gaps[0] - captured) > 0.006
 
 
 def test_a_characters_fingers_by_selected_bones_and_half_of_the_way():

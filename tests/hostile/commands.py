@@ -82,6 +82,38 @@ def cases() -> Iterator[Case]:
             return {"argv": [*inputs, "-o", "result", "--format", "glb"], "code": 1}
 
         yield Case(f"batch-{name}", "blender.batch", batch)
+    for name, data in (
+        ("words", b"words"),
+        ("nothing", b""),
+        ("header", b"BLENDER-v405REND" + bytes(range(256)) * 40),
+        ("huge-block", b"BLENDER-v402DNA1\xff\xff\xff\x7f" + b"\0" * 64),
+        ("zstd", b"\x28\xb5\x2f\xfd" + bytes(range(256)) * 40),
+    ):
+
+        def character(place: Place, data=data) -> dict[str, Any]:
+            place.write("a.blend", data)
+            return {"argv": ["kept.npz", "-o", "result", "--apply-to", "a.blend"], "code": 2}
+
+        yield Case(f"batch-character-{name}", "blender.batch", character)
+    for name, to, options in (
+        ("device", "/dev/zero", []),
+        ("nul", "a\0b.blend", []),
+        ("surrogate", "\udcff.blend", []),
+        ("long", "x" * 5000, []),
+        ("colons", ":" * 5000, []),
+        ("hands", "a.blend", ["--hands", "left=" + "9" * 5000]),
+        ("hand", "a.blend", ["--hands", "\u202e=left"]),
+        ("sides", "a.blend", ["--hands", "=,=,,"]),
+        ("preset-device", "a.blend", ["--bones", "/dev/zero"]),
+        ("preset-words", "a.blend", ["--bones", "a.blend"]),
+        ("preset-nul", "a.blend", ["--bones", "a\0b"]),
+    ):
+
+        def told(place: Place, to=to, options=options) -> dict[str, Any]:
+            place.write("a.blend", b"words")
+            return {"argv": ["kept.npz", "-o", "result", "--apply-to", to, *options], "code": 2}
+
+        yield Case(f"batch-onto-{name}", "blender.batch", told)
     for name, argv, code in (
         ("no-input", ["nowhere.npz", "-o", "result"], 1),
         ("into-a-file", ["kept.npz", "-o", "kept.npz"], 2),

@@ -23,4 +23,13 @@ def test_motion_on_a_rigify_character(blender, make_long_take, tmp_path):
     assert min(applied[1:]) > 0.1
 
 
+def test_a_character_follows_a_drag_by_the_live_link(blender, make_clip):
+    played = blender.play("character.linked", source=make_clip(60), timeout=300).value
+    assert played["trouble"] is None
+    # The last move has been waited for; those before it may lag behind by a fit.
+    assert played["behind"][-1] < 0.02
+    assert {28, 30, 32} <= set(played["moved"]) <= {28, 30, 32}
+    assert played["off"] < 1e-3
+
+
 NAMES = ("thumb", "f_index", "f_middle", "f_ring", "f_pinky")

@@ -7,7 +7,8 @@ import importlib
 import addon_utils
 import bpy
 
-from scenarios.capturing import keys_of, part
+from scenarios import refine
+from scenarios.capturing import capture, hands, keys_of, part
 from scenarios.panels import opened_by_default
 
 OTHER = "f_pinky.02.L"
@@ -51,6 +52,85 @@ def applied(stage, take, blend):
         seen["keys"].append(_keys())
         seen["kept"].append(_kept())
     return seen
+
+
+def linked(stage, source, steps=12):
+    """A fingertip of a captured hand dragged while another armature follows it by the live link."""
+    yield from capture(stage, source)
+    (armature,) = hands()
+    follower = _copied(armature)
+    with opened_by_default("MANIENT_PT_character"):
+        yield from stage.open_sidebar()
+        yield 0.5
+        yield from press(stage, "manient.character.live")
+        yield from stage.until(lambda: keys_of(follower) > 0, 30.0, "the follower's keys")
+        yield from stage.screenshot("live-linked")
+    before = _index_turns(follower)
+    follower.select_set(False)
+    armature.select_set(True)
+    bpy.context.view_layer.objects.active = armature
+    yield from stage.look_through_camera()
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(
+        lambda: refine.places() and not refine.state()["warming"], refine.WARM, "a warm worker"
+    )
+    bpy.context.scene.frame_set(30)
+    yield 0.5
+    start = refine.places()[refine.INDEX_TIP]
+    yield from stage.move_to(start)
+    yield 0.1
+    x, y = stage.mouse
+    stage.window.event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=y)
+    yield from stage.until(lambda: refine.state()["dragged"] is not None, 3.0, "the point to be taken")
+    behind = []
+    for number in range(1, steps + 1):
+        yield from stage.move_to((start[0] + 60 * number / steps, start[1] + 10))
+        yield 0.15
+        behind.append(_behind(armature, follower))
+    yield from stage.screenshot("live-dragged")
+    x, y = stage.mouse
+    stage.window.event_simulate(type="LEFTMOUSE", value="RELEASE", x=x, y=y)
+    yield from stage.until(lambda: refine.state()["dragged"] is None, 10.0, "the last fit")
+    yield from stage.key("RET")
+    yield 2.0
+    after, ours = _index_turns(follower), _index_turns(armature)
+    return {
+        "behind": behind,
+        "moved": [frame for frame in before if abs(before[frame] - after[frame]) > 0.01],
+        "off": max(abs(after[frame] - ours[frame]) for frame in ours),
+        "trouble": part("live_link").trouble(follower),
+    }
+
+
+def _copied(armature):
+    """The same hand beside it, that is no captured one."""
+    follower = armature.copy()
+    follower.data = armature.data.copy()
+    follower.animation_data_clear()
+    follower.name = "Follower"
+    follower.manient.is_hand = False
+    follower.location.x += 0.25
+    bpy.context.scene.collection.objects.link(follower)
+    armature.select_set(False)
+    follower.select_set(True)
+    bpy.context.view_layer.objects.active = follower
+    return follower
+
+
+def _index_turns(armature) -> dict[int, float]:
+    """Frame -> how far the index finger's first bone is turned by the keys."""
+    now, found = bpy.context.scene.frame_current, {}
+    for frame in (10, 28, 30, 32, 50):
+        bpy.context.scene.frame_set(frame)
+        found[frame] = armature.pose.bones["index_proximal.R"].matrix_basis.to_quaternion().angle
+    bpy.context.scene.frame_set(now)
+    return found
+
+
+def _behind(armature, follower) -> float:
+    """Radians by which the follower's index finger is turned otherwise now."""
+    first, second = (o.pose.bones["index_proximal.R"].rotation_quaternion for o in (armature, follower))
+    return first.rotation_difference(second).angle
 
 
 def stood_beside(stage, take):

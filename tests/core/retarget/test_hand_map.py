@@ -1,0 +1,132 @@
+"""Tables of a hand's bones, and the JSON that armatures and preset files keep of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from handfit_core.errors import HandModelError
+from handfit_core.retarget.hand_map import HandMap, empty_map, from_preset, read_preset, to_preset
+from handfit_core.skeleton import JOINT_NAMES, NUM_JOINTS, SIDES
+
+PLAIN = HandMap("left", tuple(f"b{j}" for j in range(NUM_JOINTS)))
+ODD = HandMap(
+    "right",
+    ("右手首", "", "b'2\"", "親指０", *(f"mixamorig1:x.{j}\n" for j in range(4, 15)), "b2"),
+    ("", "palm\\02", "", "palm.04.L"),
+    control="hand_ik.R",
+    rig="Auto-Rig Pro",
+    thumb_roll=-12.5,
+    keep_rest=True,
+    fold=0.25,
+)
+
+
+@pytest.mark.parametrize("hand_map", [PLAIN, ODD, empty_map("left"), empty_map("right")])
+def test_json_says_all_of_it(hand_map):
+    assert HandMap.from_json(hand_map.to_json()) == hand_map
+    assert from_preset(to_preset([hand_map])) == [hand_map]
+
+
+def test_json_is_readable():
+    data = json.loads(ODD.to_json())
+    assert data["bones"]["wrist"] == "右手首"
+    assert data["palm"]["middle"] == "palm\\02"
+    assert "右手首" in ODD.to_json()
+
+
+def test_what_is_left_out_has_its_default():
+    short = json.dumps({"side": "left", "bones": {"wrist": "hand", "index_proximal": "f1"}})
+    found = HandMap.from_json(short)
+    assert found == replace(empty_map("left"), bones=("hand", "f1", *[""] * 14))
+
+
+def changed(**values) -> str:
+    return json.dumps({**json.loads(PLAIN.to_json()), **values})
+
+
+HOSTILE = {
+    "no JSON": "{",
+    "nothing": "",
+    "nested": "[" * 100_000,
+    "half a surrogate pair": changed(rig="\ud800"),
+    "a list": "[]",
+    "a number": "1e400",
+    "null": "null",
+    "no side": json.dumps({"bones": {}}),
+    "another side": changed(side="middle"),
+    "a list for a side": changed(side=["left"]),
+    "no bones": json.dumps({"side": "left"}),
+    "a list of bones": changed(bones=["a"] * 16),
+    "another joint": changed(bones={"tail": "b"}),
+    "a number for a bone": changed(bones={"wrist": 1}),
+    "null for a bone": changed(bones={"wrist": None}),
+    "a long name": changed(bones={"wrist": "b" * 257}),
+    "another palm": changed(palm={"thumb": "b"}),
+    "a text for a palm": changed(palm="palm"),
+    "a number for a control": changed(control=1),
+    "a long rig": changed(rig="r" * 257),
+    "a text for a roll": changed(thumb_roll="30"),
+    "a truth for a roll": changed(thumb_roll=True),
+    "an endless roll": changed(thumb_roll=float("inf")),
+    "no roll": changed(thumb_roll=float("nan")),
+    "a large roll": changed(thumb_roll=361),
+    "a huge roll": changed(thumb_roll=0).replace('"thumb_roll": 0', '"thumb_roll": 1' + "0" * 400),
+    "a number for a truth": changed(keep_rest=1),
+    "a list for a fold": changed(fold=[0.5]),
+}
+
+
+@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
+def test_other_texts_are_refused(text):
+    for read, wrapped in ((HandMap.from_json, text), (from_preset, f"[{text}]"), (from_preset, text)):
+        with pytest.raises(HandModelError) as caught:
+            read(wrapped)
+        assert len(str(caught.value)) < 400
+
+
+def test_a_preset_has_each_hand_once(tmp_path):
+    right = replace(PLAIN, side="right")
+    assert from_preset(to_preset([PLAIN, right])) == [PLAIN, right]
+    for hands in ([], [PLAIN, PLAIN], [PLAIN, right, right]):
+        with pytest.raises(HandModelError, match="one table for a hand"):
+            from_preset(to_preset(hands))
+    path = tmp_path / "preset.json"
+    path.write_text(to_preset([right]), encoding="utf-8")
+    assert read_preset(path) == [right]
+    for data in (b"\xff\xfe", b"[" + b" " * 1_000_001 + b"]"):
+        path.write_bytes(data)
+        with pytest.raises(HandModelError, match=r"preset\.json: "):
+            read_preset(path)
+    with pytest.raises(HandModelError, match=r"gone\.json: "):
+        read_preset(tmp_path / "gone.json")
+
+
+def test_bones_are_keyed_once_and_parents_first():
+    toon = replace(PLAIN, bones=(*PLAIN.bones[:7], *PLAIN.bones[10:13], *PLAIN.bones[10:]))
+    assert toon.keyed == tuple(dict.fromkeys(toon.bones[1:]))
+    assert len(toon.keyed) == 12
+    palms = replace(PLAIN, palm=("p1", "p2", "p3", "p4"))
+    assert palms.keyed == PLAIN.keyed
+    assert replace(palms, fold=0.5).keyed == ("p3", "p4", *PLAIN.keyed)
+    assert PLAIN.moved_by == "b0"
+    assert ODD.moved_by == "hand_ik.R"
+    assert PLAIN.fingers == ("thumb", "index", "middle", "ring", "little")
+    assert replace(PLAIN, bones=("b0", *[""] * 14, "b15")).fingers == ("thumb",)
+    assert PLAIN.mapped == {j: f"b{j}" for j in range(1, NUM_JOINTS)}
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_bones_that_are_not_there_are_named(side):
+    PLAIN.check(set(PLAIN.bones))
+    with pytest.raises(HandModelError, match="no bone 'b7'"):
+        PLAIN.check(set(PLAIN.bones) - {"b7"})
+    with pytest.raises(HandModelError, match="no bone 'ik'"):
+        replace(PLAIN, control="ik").check(set(PLAIN.bones))
+    with pytest.raises(HandModelError, match=f"stands for the {side} hand itself"):
+        empty_map(side).check(set())
+    with pytest.raises(HandModelError, match=f"a finger of the {side} hand"):
+        replace(empty_map(side), bones=("hand", *[""] * 15)).check({"hand"})
+    assert len(JOINT_NAMES) == len(empty_map(side).bones)

@@ -1,0 +1,354 @@
+"""From captured rotations to a character's bones and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import HandModelError
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model import axes, load_model
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
+from handfit_core.retarget.transfer import (
+    SourceHand,
+    TargetHand,
+    finger_end,
+    globally,
+    mirrored_turns,
+    palm_frame,
+    swing,
+    target_hand,
+)
+from handfit_core.skeleton import (
+    FINGER_JOINTS,
+    FINGERS,
+    JOINT_NAMES,
+    NUM_JOINTS,
+    PARENTS,
+    SIDES,
+    Side,
+    other_side,
+)
+from tests.core.retarget.rigs import Built, add_hand, source
+
+NAMES = {**{j: f"b{j}" for j in range(NUM_JOINTS)}, **{16 + i: f"palm{i}" for i in range(4)}}
+
+
+def poses(count: int = 20, seed: int = 0) -> np.ndarray:
+    """(count, 16, 3, 3) joints turned by 40 degrees or so about any axis, the wrist too."""
+    rng = np.random.default_rng(seed)
+    return rotvec_to_rotmat(rng.normal(scale=0.4, size=(count, NUM_JOINTS, 3)))
+
+
+def rig(side: Side, seed: int, *, palms: bool = False, **how) -> Bones:
+    """Random proportions, rest bends, rolls, units, and way to lie in the armature."""
+    rng = np.random.default_rng(seed)
+    built = Built()
+    names = NAMES if palms else {j: NAMES[j] for j in range(NUM_JOINTS)}
+    add_hand(built, side, names, rng, **{"bend": 0.7, "stretch": 0.4, "tips": True, **how})
+    bones = built.bones()
+    turn, place = rotvec_to_rotmat(rng.normal(size=3)), rng.normal(size=3)
+    scale = 10.0 ** rng.uniform(-2.0, 2.0)
+    return replace(
+        bones,
+        heads=scale * (bones.heads @ turn.T) + place,
+        tails=scale * (bones.tails @ turn.T) + place,
+        frames=rotvec_to_rotmat(rng.normal(size=(len(bones.names), 3))),
+    )
+
+
+def table(bones: Bones, side: Side, **fields) -> HandMap:
+    names = tuple(NAMES[j] if NAMES[j] in bones.index else "" for j in range(NUM_JOINTS))
+    palms = (NAMES[16], NAMES[17], NAMES[18], NAMES[19]) if NAMES[16] in bones.index else ("", "", "", "")
+    return HandMap(side, names, palms, **fields)
+
+
+def target(side: Side, seed: int, *, fields: dict | None = None, **how) -> TargetHand:
+    bones = rig(side, seed, **how)
+    return target_hand(bones, table(bones, side, **(fields or {})), source(side))
+
+
+def own_hand(side: Side) -> TargetHand:
+    """The captured hand as the add-on itself builds it."""
+    shaped = load_model(None, side).shaped()
+    bones = Bones(
+        JOINT_NAMES,
+        np.array(PARENTS),
+        axes.points_to_rest(shaped.joints),
+        axes.points_to_rest(axes.bone_tails(shaped)),
+        axes.bone_frames(shaped, side),
+        np.ones(NUM_JOINTS, dtype=bool),
+    )
+    return target_hand(bones, HandMap(side, JOINT_NAMES), source(side))
+
+
+def segments(joints: np.ndarray, tips: np.ndarray) -> np.ndarray:
+    """(T, 5, 3, 3) unit vectors along the three bones of each finger."""
+    points = np.stack(
+        [[joints[:, j] for j in FINGER_JOINTS[f]] + [tips[:, i]] for i, f in enumerate(FINGERS)]
+    )  # (5, 4, T, 3)
+    along = np.diff(points, axis=1).transpose(2, 0, 1, 3)
+    return along / np.linalg.norm(along, axis=-1, keepdims=True)
+
+
+def joints_of(hand: TargetHand, standing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the bones of all joints begin (T, 16, 3), and the tips, in the captured hand's own axes."""
+    heads, tips = hand.points(standing)
+    joints = np.full((len(heads), NUM_JOINTS, 3), np.nan)
+    for k, own in enumerate(hand.joints):
+        joints[:, list(own)] = heads[:, k, None]
+    return joints @ hand.aligned, tips @ hand.aligned
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_our_own_hand_gets_what_its_own_keys_say(side):
+    hand, turns = own_hand(side), poses()
+    np.testing.assert_allclose(hand.aligned, np.eye(3), atol=1e-10)
+    assert hand.scale == pytest.approx(1.0, abs=1e-10)
+    own = axes.bone_frames(load_model(None, side).shaped(), side)
+    expected = np.swapaxes(own, -1, -2) @ turns @ own
+    at = [JOINT_NAMES.index(name) for name in hand.bones]
+    local = hand.local(turns)
+    np.testing.assert_allclose(local, expected[:, at], atol=1e-10)
+    np.testing.assert_allclose(hand.turns(local)[:, 1:], turns[:, 1:], atol=1e-10)
+    joints, tips = joints_of(hand, hand.standing(turns))
+    ours = source(side).points(turns)
+    np.testing.assert_allclose(joints[:, 1:], ours[0][:, 1:], atol=1e-10)
+    np.testing.assert_allclose(tips, ours[1], atol=1e-10)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_captured_points_are_those_of_the_hand_model(side):
+    model, turns = load_model(None, side), poses(4)
+    turns[:, 0] = np.eye(3)
+    joints, tips = source(side).points(turns)
+    pose = rotmat_to_rotvec(axes.REST_FROM_MODEL.T @ turns[:, 1:] @ axes.REST_FROM_MODEL).reshape(4, 45)
+    for row in range(4):
+        posed = model.posed(np.zeros(10), np.zeros(3), pose[row], np.zeros(3))
+        np.testing.assert_allclose(joints[row], axes.points_to_rest(posed.joints), atol=1e-10)
+        # The tips of the model follow several bones, and the flesh between.
+        reach = np.linalg.norm(tips[row] - axes.points_to_rest(posed.keypoints[[4, 8, 12, 16, 20]]), axis=-1)
+        assert reach.max() < 0.005
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("fields", [{}, {"thumb_roll": 35.0}])
+def test_every_segment_points_as_captured(side, fields):
+    turns = poses()
+    ours = segments(*source(side).points(turns))
+    for seed in range(20):
+        hand = target(side, seed, fields=fields, palms=seed % 2 == 0)
+        found = segments(*joints_of(hand, hand.standing(turns)))
+        cosines = np.clip((found * ours).sum(axis=-1), -1.0, 1.0)
+        assert np.degrees(np.arccos(cosines)).max() < 1e-5
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_turns_is_the_inverse_of_local(side):
+    turns = poses()
+    for seed in range(10):
+        hand = target(side, seed, fields={"thumb_roll": 20.0})
+        np.testing.assert_allclose(hand.turns(hand.local(turns))[:, 1:], turns[:, 1:], atol=1e-10)
+        lacking = target(side, seed, without=(2, 5, 14, 7, 8, 9))
+        local = lacking.local(turns)
+        back = lacking.turns(local)
+        np.testing.assert_allclose(lacking.local(back), local, atol=1e-10)
+        still = back[:, [2, 5, 14, 7, 8, 9]]
+        np.testing.assert_allclose(still, np.broadcast_to(np.eye(3), still.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_channels_are_what_parents_leave_to_do(side):
+    """Put together again as Blender does: the parent's pose, the rest relative to it, the channel."""
+    hand = target(side, 3, palms=True, fields={"fold": 0.6})
+    standing = hand.standing(poses())
+    channels = hand.channels(standing)
+    built = np.empty_like(standing)
+    for k, parent in enumerate(hand.parents):
+        above, rest = (np.eye(3), np.eye(3)) if parent < 0 else (built[:, parent], hand.rest[parent])
+        built[:, k] = above @ rest.T @ hand.rest[k] @ channels[:, k]
+    np.testing.assert_allclose(built, standing, atol=1e-10)
+
+
+def test_a_mirrored_hand_does_the_mirrored_thing():
+    turns = poses()
+    for side in SIDES:
+        own = source(side)
+        joints, tips = own.mirrored().points(mirrored_turns(turns))
+        ours = own.points(turns)
+        np.testing.assert_allclose(joints, ours[0] @ axes.MIRROR_X, atol=1e-12)
+        np.testing.assert_allclose(tips, ours[1] @ axes.MIRROR_X, atol=1e-12)
+        assert own.mirrored().side == other_side(side)
+        # What is captured on one side shows on a character's other one, in its own axes.
+        bones = rig(other_side(side), 5)
+        hand = target_hand(bones, table(bones, other_side(side)), own.mirrored())
+        found = segments(*joints_of(hand, hand.standing(mirrored_turns(turns))))
+        np.testing.assert_allclose(found @ axes.MIRROR_X, segments(*ours), atol=1e-9)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_bone_of_two_fingers_stands_between_them(side):
+    bones = rig(side, 6, without=FINGER_JOINTS["little"])
+    plain = table(bones, side)
+    names = list(plain.bones)
+    for little, ring in zip(FINGER_JOINTS["little"], FINGER_JOINTS["ring"], strict=True):
+        names[little] = names[ring]
+    shared = target_hand(bones, replace(plain, bones=tuple(names)), source(side))
+    turns = poses()
+    # Where both do the same, so does the bone.
+    turns[:, FINGER_JOINTS["little"]] = turns[:, FINGER_JOINTS["ring"]]
+    k = shared.bones.index(names[FINGER_JOINTS["ring"][2]])
+    whole = globally(turns)[:, FINGER_JOINTS["ring"][2]]
+    expected = shared.aligned @ whole @ shared.aligned.T @ shared.corrected[k] @ shared.rest[k]
+    np.testing.assert_allclose(shared.standing(turns)[:, k], expected, atol=1e-10)
+    # Else it is as far from one as from the other.
+    turns = poses(seed=1)
+    turned = shared.standing(turns)[:, k] @ (shared.corrected[k] @ shared.rest[k]).T
+    turned = shared.aligned.T @ turned @ shared.aligned
+    away = [
+        np.linalg.norm(
+            rotmat_to_rotvec(np.swapaxes(globally(turns)[:, FINGER_JOINTS[f][2]], -1, -2) @ turned), axis=-1
+        )
+        for f in ("ring", "little")
+    ]
+    np.testing.assert_allclose(away[0], away[1], atol=1e-9)
+    tips = shared.points(shared.standing(turns))[1]
+    np.testing.assert_allclose(tips[:, 3], tips[:, 4])
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_fingers_that_are_not_there_have_no_tips(side):
+    hand = target(side, 7, without=(*FINGER_JOINTS["index"], *FINGER_JOINTS["thumb"]))
+    tips = hand.points(hand.standing(poses()))[1]
+    assert np.isnan(tips[:, :2]).all()
+    assert np.isfinite(tips[:, 2:]).all()
+    assert hand.last("thumb") is None
+    assert hand.last("ring") == hand.bones.index("b12")
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_folded_metacarpals_keep_directions(side):
+    turns = poses()
+    flat, folded = (target(side, 8, palms=True, fields={"fold": fold}) for fold in (0.0, 1.0))
+    assert set(folded.bones) - set(flat.bones) == {NAMES[18], NAMES[19]}
+    found = [segments(*joints_of(hand, hand.standing(turns))) for hand in (flat, folded)]
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    # The palm is cupped by a share of what the finger's first joint turns; the little finger's more.
+    channels, shares = folded.channels(folded.standing(turns)), []
+    for i, finger in enumerate(PALM_FINGERS[2:], start=2):
+        k = folded.bones.index(NAMES[16 + i])
+        bend = np.linalg.norm(rotmat_to_rotvec(turns[:, FINGER_JOINTS[finger][0]]), axis=-1)
+        share = np.linalg.norm(rotmat_to_rotvec(channels[:, k]), axis=-1) / bend
+        assert np.ptp(share) < 1e-9
+        shares.append(share[0])
+    assert 0.0 < shares[0] < shares[1] < 0.5
+    still = np.broadcast_to(np.eye(3), (1, NUM_JOINTS, 3, 3))
+    np.testing.assert_allclose(folded.local(still)[:, :2], flat.local(still)[:, :2], atol=1e-10)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_who_keeps_its_rest_rests_where_the_captured_hand_is_flat(side):
+    hand = target(side, 9, fields={"keep_rest": True})
+    still = np.broadcast_to(np.eye(3), (1, NUM_JOINTS, 3, 3))
+    local = hand.local(still)
+    np.testing.assert_allclose(local, np.broadcast_to(np.eye(3), local.shape), atol=1e-12)
+    assert np.abs(target(side, 9).local(still) - np.eye(3)).max() > 0.1
+
+
+def test_size_is_that_of_the_palm():
+    own = source("right")
+    names = tuple(JOINT_NAMES)
+    for factor in (0.01, 1.0, 250.0):
+        heads = factor * own.joints
+        frames, inherits = np.tile(np.eye(3), (NUM_JOINTS, 1, 1)), np.ones(NUM_JOINTS, dtype=bool)
+        bones = Bones(names, np.array(PARENTS), heads, heads + 0.01 * factor, frames, inherits)
+        hand = target_hand(bones, HandMap("right", names), own)
+        assert hand.scale == pytest.approx(factor)
+        np.testing.assert_allclose(hand.wrist, heads[0])
+
+
+def test_palms_that_face_nowhere_are_refused():
+    bones = rig("right", 10)
+    joints = {name: bones.index[name] for name in (NAMES[j] for j in range(NUM_JOINTS))}
+
+    def refused(heads: np.ndarray, hand_map: HandMap, sentence: str) -> None:
+        with pytest.raises(HandModelError, match=sentence):
+            target_hand(replace(bones, heads=heads), hand_map, source("right"))
+
+    line = bones.heads.copy()
+    knuckles = [joints[NAMES[j]] for j in (1, 4, 7, 10)]
+    line[knuckles] = bones.heads[0] + np.array([1.0, 2.0, 3.0]) * np.arange(1, 5)[:, None]
+    refused(line, table(bones, "right"), "on one line or in one place")
+    place = bones.heads.copy()
+    place[knuckles] = bones.heads[0]
+    refused(place, table(bones, "right"), "on one line or in one place")
+    index_alone = HandMap("right", tuple(NAMES[j] if j in (0, 1, 2, 3) else "" for j in range(NUM_JOINTS)))
+    refused(bones.heads, index_alone, "two fingers or more")
+    thumb_alone = HandMap("right", tuple(NAMES[j] if j in (0, 13, 14, 15) else "" for j in range(NUM_JOINTS)))
+    refused(bones.heads, thumb_alone, "two fingers or more")
+    same = bones.heads.copy()
+    same[joints[NAMES[5]]] = same[joints[NAMES[4]]]
+    refused(same, table(bones, "right"), "begin in the same place")
+    gone = replace(table(bones, "right"), bones=("elsewhere", *table(bones, "right").bones[1:]))
+    refused(bones.heads, gone, "no bone 'elsewhere'")
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_palms_third_axis_comes_out_of_its_back(side):
+    own = source(side)
+    frame, size = palm_frame(own.joints[0], {f: own.joints[FINGER_JOINTS[f][0]] for f in FINGERS[1:]}, side)
+    assert frame[2, 2] > 0.9
+    assert frame[1, 1] < -0.9  # the index finger's side is the thumb's, -Y
+    assert size == pytest.approx(np.linalg.norm(own.joints[4] - own.joints[0]))
+
+
+def test_where_fingers_end():
+    def bones(heads, tails, parents):
+        count = len(heads)
+        return Bones(
+            tuple(map(str, range(count))),
+            np.array(parents),
+            np.array(heads, dtype=float),
+            np.array(tails, dtype=float),
+            np.tile(np.eye(3), (count, 1, 1)),
+            np.ones(count, dtype=bool),
+        )
+
+    chain = [[0, 0, 0], [3, 0, 0], [5, 0, 0]]
+    good, junk = [[3, 0, 0], [5, 0, 0], [6, 1, 0]], [[370, 0, 0], [0, 370, 0], [0, 0, 370]]
+    # A bone behind the last one says it, whatever the tails are.
+    tip = bones([*chain, [6, 0, 1]], [*junk, [9, 9, 9]], [-1, 0, 1, 2])
+    np.testing.assert_allclose(finger_end(tip, [0, 1, 2]), [6, 0, 1])
+    # Two of them say nothing; then tails do where they mean something, else the bone before.
+    two = [[6, 0, 1], [6, 1, 1]]
+    np.testing.assert_allclose(
+        finger_end(bones([*chain, *two], [*good, *two], [-1, 0, 1, 2, 2]), [0, 1, 2]), [6, 1, 0]
+    )
+    np.testing.assert_allclose(finger_end(bones(chain, good, [-1, 0, 1]), [0, 1, 2]), [6, 1, 0])
+    np.testing.assert_allclose(finger_end(bones(chain, junk, [-1, 0, 1]), [0, 1, 2]), [6.6, 0, 0])
+
+
+def test_the_smallest_rotation_between_two_directions():
+    rng = np.random.default_rng(11)
+    for start, end in rng.normal(size=(50, 2, 3)):
+        start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
+        # Beside opposite ones, any axis will do.
+        for to, near in ((end, 1e-9), (start, 1e-9), (-start, 1e-9), (-start + 1e-6 * end, 1e-5)):
+            to = to / np.linalg.norm(to)
+            turn = swing(start, to)
+            np.testing.assert_allclose(turn @ start, to, atol=near)
+            np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+            angle = np.linalg.norm(rotmat_to_rotvec(turn))
+            assert angle == pytest.approx(
+                np.arctan2(np.linalg.norm(np.cross(start, to)), start @ to), abs=1e-5
+            )
+
+
+def test_sources_keep_their_side():
+    own = source("left")
+    assert isinstance(own, SourceHand)
+    assert own.mirrored().mirrored().side == "left"
+    np.testing.assert_array_equal(own.mirrored().mirrored().tips, own.tips)
