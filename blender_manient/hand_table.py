@@ -14,7 +14,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap, empty_map
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES
 
 from .scene.characters import active_character, keep_map, table_of, why_not_reachable
 
@@ -105,3 +105,17 @@ ManientHandTable.__annotations__ |= {
         **_field("fold"),
     ),
 }
+
+
+@bpy.app.handlers.persistent
+def _read_linked(*_args) -> None:
+    """Read the settings of linked characters that have overrides. That makes those that their file does not
+    have, without which Blender 5.2 saves the overrides' own settings in a way that it cannot load."""
+    for obj in bpy.data.objects:
+        override = obj.override_library
+        if obj.type == "ARMATURE" and override is not None and override.reference is not None:
+            for side in SIDES:
+                getattr(override.reference.manient.character, side).hand_map  # noqa: B018
+
+
+HANDLERS = {"save_pre": _read_linked}

@@ -34,8 +34,9 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import points_to_rest
 from handfit_core.hand_model.nails import nail_polygons
 from handfit_core.hand_model.poses import Pose, ready_poses
+from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
-from handfit_core.skeleton import SIDES, Side
+from handfit_core.skeleton import NUM_BETAS, SIDES, Side
 from handfit_core.slices import result_of
 
 POSES: Final = (
@@ -153,12 +154,13 @@ def following(
     hand_map = found_hand(armature, side).hand_map
     if roll is not None:
         hand_map = replace(hand_map, thumb_roll=roll)
-    source = SourceHand.of(load_model(None, side).shaped(), side)
+    model = load_model(None, side)
+    source, skins = SourceHand.of(model.shaped(), side), Fingertips.of(model, np.zeros(NUM_BETAS))
     target = target_hand(bones_of(armature), hand_map, source)
     meshes = [o for o in bpy.context.scene.objects if o.type == "MESH" and _moves_with(o, armature)]
     found = []
     for pose in wanted:  # each for itself: from one to the next nothing is smooth
-        motion = Motion(source, np.ones(1), pose.turns(side)[None], np.zeros((1, 3)))
+        motion = Motion(source, np.ones(1), pose.turns(side)[None], np.zeros((1, 3)), skins)
         result_of(applying(armature, [(hand_map, motion)], Onto(into="ACTION", contacts=contacts)))
         bpy.context.scene.frame_set(1)
         found.append(_skin(meshes, armature, target))

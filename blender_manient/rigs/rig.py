@@ -19,6 +19,11 @@ from ..plugins import failed
 from ..wording import capitalised
 
 
+def bone_path(name: str) -> str:
+    """The data path of a pose bone, as curves and drivers have it, whatever its name holds."""
+    return f'pose.bones["{bpy.utils.escape_identifier(name)}"]'
+
+
 class PosedBones(ABC):
     """Some bones of an armature that have, or get, keys."""
 

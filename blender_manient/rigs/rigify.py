@@ -15,6 +15,7 @@ from handfit_core.skeleton import FINGER_JOINTS, Side
 
 from ..blender_versions import action_slot, channels
 from .character import Character, driven_bones
+from .rig import bone_path
 
 
 class RigifyCharacter(Character):
@@ -48,11 +49,11 @@ class RigifyCharacter(Character):
             master, chain = pose.get(_derived(first, "_master")), pose.get(_derived(first, "_ik"))
             if master is not None and (
                 not np.allclose(master.matrix_basis, np.eye(4), atol=1e-4)
-                or _moving(armature, f'pose.bones["{master.name}"].')
+                or _moving(armature, f"{bone_path(master.name)}.")
             ):
                 masters.append(master.name)
             if chain is not None and (
-                chain.get("FK_IK", 0.0) or _moving(armature, f'pose.bones["{chain.name}"]["FK_IK"]', 0.0)
+                chain.get("FK_IK", 0.0) or _moving(armature, f'{bone_path(chain.name)}["FK_IK"]', 0.0)
             ):
                 chains.append(chain.name)
         said = []
@@ -72,7 +73,7 @@ class RigifyCharacter(Character):
             acting, idle = (
                 _derived(core, suffix) for suffix in (("_fk", "_ik") if value else ("_ik", "_fk"))
             )
-            if 0.0 < value < 1.0 or _moving(armature, f'pose.bones["{switch.name}"]["IK_FK"]', value):
+            if 0.0 < value < 1.0 or _moving(armature, f'{bone_path(switch.name)}["IK_FK"]', value):
                 said.append(
                     f"the arm changes between IK and FK: set IK-FK of {switch.name} to 0 (IK) or 1 (FK), and "
                     "delete its keys"

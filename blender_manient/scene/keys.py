@@ -27,7 +27,7 @@ from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
 from handfit_core.hand_model.axes import RestPose
 
 from ..blender_versions import action_slot, assign_action, channels
-from ..rigs.rig import PosedBones
+from ..rigs.rig import PosedBones, bone_path
 from .editable import is_tweaked, strip_below
 
 SAME_FRAME = 0.01
@@ -363,7 +363,7 @@ class _Curves:
         return self._parts(bone, "location", 3, make)
 
     def _parts(self, bone: str, path: str, count: int, make: bool) -> list[Any]:
-        path = f'pose.bones["{bone}"].{path}'
+        path = f"{bone_path(bone)}.{path}"
         parts = [self._found.get((path, i)) for i in range(count)]
         if make and self._holder is not None and any(part is None for part in parts):
             present = self._armature.path_resolve(path)

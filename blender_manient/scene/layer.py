@@ -15,6 +15,7 @@ from handfit_core.slices import result_of
 
 from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.character import CharacterBones
+from ..rigs.rig import bone_path
 from .editable import BELOW, check_keyable, is_tweaked, strip_below
 from .keys import (
     PoseKeys,
@@ -101,7 +102,7 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
             f"the layer of {armature.name!r} is not added as it was made: set its blending to Combine and "
             "the whole influence of both, or bake it (Pose > Animation > Bake Action)"
         )
-    names = {f'pose.bones["{bone.name}"].': bone.name for bone in armature.pose.bones}
+    names = {f"{bone_path(bone.name)}.": bone.name for bone in armature.pose.bones}
     bones: dict[str, None] = {}
     for curve in top.fcurves:
         start, dot, attribute = curve.data_path.partition("].")
@@ -121,7 +122,7 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
         mode = armature.pose.bones[bone].rotation_mode
         keyed = np.isin(frames, both)
         rotated, located = (second.rotation_keyed.any(), second.location_keyed.any())
-        path = f'pose.bones["{bone}"].'
+        path = f"{bone_path(bone)}."
         tracks = []
         if rotated:
             kind = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}

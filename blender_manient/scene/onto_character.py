@@ -31,6 +31,7 @@ from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
+from ..rigs.rig import bone_path
 from ..wording import counted
 from .animation import computing_keys
 from .characters import why_not_reachable
@@ -412,7 +413,7 @@ def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
         return True
     holder = channels(data.action, action_slot(data)) if data.action is not None else None
     curves = [*data.drivers, *(holder.fcurves if holder is not None else ())]
-    starts = tuple(f'pose.bones["{name}"].' for name in above)
+    starts = tuple(f"{bone_path(name)}." for name in above)
     return not len(data.nla_tracks) and not any(curve.data_path.startswith(starts) for curve in curves)
 
 
@@ -444,7 +445,7 @@ def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
         if constraint.type in _TURNING and constraint.enabled and constraint.influence > 0.0:
             return f"the bone {name} is turned by its constraint {constraint.name}: it was left alone"
     data = armature.animation_data
-    start = f'pose.bones["{name}"].rotation'
+    start = f"{bone_path(name)}.rotation"
     if data is not None and any(driver.data_path.startswith(start) for driver in data.drivers):
         return f"the bone {name} is turned by a driver: it was left alone"
     if all(bone.lock_rotation) and (bone.lock_rotation_w or bone.rotation_mode != "QUATERNION"):

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
 
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
+from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.onto_character import Onto, applying, putting, reading_motion
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS, other_side
 from handfit_core.slices import result_of
+from tests.core.retarget.pinches import bends
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed
 from .conftest import action_curves
@@ -138,6 +146,17 @@ def test_only_mapped_bones_are_touched_and_the_present_action_goes_on(make_take)
     assert [tuple(k.co) for c in action_curves(body) for k in c.keyframe_points] == values
     bones = shown(target, 5)
     assert bones[wrist.name].matrix_basis.to_euler().x == pytest.approx(1.0, abs=1e-5)
+
+
+def test_bones_with_quotes_in_their_names(make_take):
+    hand = captured(make_take)
+    names = {j: f'b"{j}\\"' for j in range(16)}
+    target = build_armature(hand_specs("right", np.random.default_rng(18), bend=0.3, names=names))
+    result_of(putting(target, [(map_of("right", names), hand)], PLAIN))
+    error = angles(
+        directions(target, list(names.values()), 5), directions(hand.armature, bone_names("right"), 5)
+    )
+    assert error.max() < 0.1
 
 
 def test_a_strip_above_all_others(make_take):
@@ -308,3 +327,66 @@ def test_both_hands_are_in_one_action(make_take):
     keyed = {c.data_path.split('"')[1] for c in action_curves(target.animation_data.action)}
     assert len(keyed) == 30
     assert other_side("left") == "right"
+
+
+def pinched(make_take, side):
+    """A captured hand whose thumb and index finger touch in every frame."""
+    made = make_take(sides=(side,)).take
+    angles = bends(side, "index")
+    pose = rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(load_model(None, side)))).ravel()
+    track = made.hands[0]
+    shape = np.zeros_like(track.betas)
+    still = replace(track, hand_pose=np.where(np.isnan(track.hand_pose), np.nan, pose), betas=shape)
+    hand = hand_of(build_take(replace(made, hands=(still,))).hands[0].armature)
+    assert hand is not None
+    return hand
+
+
+def tips_apart(target, side, frame):
+    """metres of the captured hand from the thumb's tip to the index finger's, by evaluated bones"""
+    bones, rest = shown(target, frame), target.data.bones
+    ends = [np.array(bones[joint_name(FINGER_JOINTS[f][2], side)].tail) for f in ("thumb", "index")]
+    palm_of = (rest[joint_name(4, side)].head_local - rest[joint_name(0, side)].head_local).length
+    own = SourceHand.of(load_model(None, side).shaped(), side).joints
+    return np.linalg.norm(ends[0] - ends[1]) / palm_of * np.linalg.norm(own[4] - own[0])
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_fingertips_that_touch_do_so_on_the_character(make_take, side):
+    hand = pinched(make_take, side)
+    motion = result_of(reading_motion(hand))
+    tips = motion.source.points(motion.turns[:1])[1][0]
+    wanted = np.linalg.norm(tips[0] - tips[1])
+    off = {True: [], False: []}
+    for seed in range(3):
+        for contacts in off:
+            target = build_armature(hand_specs(side, np.random.default_rng(seed), stretch=0.25))
+            (done,) = result_of(putting(target, [(map_of(side), hand)], Onto(contacts=contacts)))
+            off[contacts].append(abs(tips_apart(target, side, 3) - wanted))
+            assert done.apart < 0.002
+            assert done.missed == 0
+    assert min(off[False]) > 0.004
+    assert max(off[True]) < 0.001
+
+
+def test_fingertips_that_cannot_meet_are_told(make_take, capfd):
+    hand = pinched(make_take, "right")
+    specs = hand_specs("right", np.random.default_rng(0))
+    names = [joint_name(joint, "right") for joint in FINGER_JOINTS["thumb"]]
+    root = np.array(next(spec.head for spec in specs if spec.name == names[0]))
+
+    def short(point):
+        return (root + 0.35 * (np.array(point) - root)).tolist()
+
+    specs = [
+        replace(spec, head=short(spec.head), tail=short(spec.tail)) if spec.name in names else spec
+        for spec in specs
+    ]
+    target = build_armature(specs)
+    (done,) = result_of(putting(target, [(map_of("right"), hand)], Onto()))
+    assert done.apart > 0.005
+    assert done.missed == done.frames
+    keep_map(target, map_of("right"))
+    target.manient.character.right.source = hand.armature
+    assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
+    assert f"In {done.frames} frames fingertips that touch do not meet as captured" in capfd.readouterr().out

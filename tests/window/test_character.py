@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 FRAMES = 100
 
 
@@ -21,6 +23,17 @@ def test_motion_on_a_rigify_character(blender, make_long_take, tmp_path):
     applied, opened = seen["pose"]
     assert applied == opened
     assert min(applied[1:]) > 0.1
+
+
+def test_what_keeps_a_character_from_motion_is_said(blender, make_long_take, tmp_path):
+    preset = tmp_path / "rigify.json"
+    edited, mirrored = blender.play(
+        "character.refused", take=make_long_take(FRAMES), preset=preset, timeout=400
+    ).value
+    assert "This character is in Edit Mode: leave it first" in edited[0]
+    assert "This character has a negative scale" in mirrored[0]
+    assert edited[1] == mirrored[1] == 0
+    assert [hand["side"] for hand in json.loads(preset.read_text(encoding="utf-8"))] == ["left", "right"]
 
 
 def test_a_character_follows_a_drag_by_the_live_link(blender, make_clip):

@@ -14,7 +14,6 @@ from handfit_core.hand_model.anatomy import (
     anatomical_angles,
     anatomical_axes,
     joint_limits,
-    rotmats_from_angles,
 )
 from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL
 from handfit_core.hand_model.surface import PAIRS as PARTS
@@ -34,46 +33,11 @@ from handfit_core.retarget.transfer import TargetHand, mirrored_turns, target_ha
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 from handfit_core.slices import result_of
 from tests.core.fit.differences import by_each
+from tests.core.retarget.pinches import HELD, PINCHES, pinching, turns_of
 from tests.core.retarget.rigs import Built, add_hand, source
 
-PINCHES = {
-    "index": (5, 25, 15, 20, 51, 55, 25),
-    "middle": (0, 41, 13, 27, 47, 70, 23),
-    "ring": (1, 54, 16, 20, 42, 71, 13),
-}
-"""degrees: the thumb's root's spread and bend, the bends of its other joints, and those of the finger's"""
 FPS = 30.0
-HELD = slice(30, 40)
-"""Frames of `pinching` in which tips touch"""
 SEEDS = range(6)
-
-
-def bends(side: Side, finger: str | None) -> np.ndarray:
-    """(15, 3) radians: a half open hand, or one that pinches."""
-    angles = np.zeros((NUM_JOINTS - 1, 3))
-    for other in FINGERS[1:]:
-        angles[np.array(FINGER_JOINTS[other]) - 1, 2] = np.radians([25.0, 30.0, 20.0])
-    angles[np.array(FINGER_JOINTS["thumb"]) - 1, 2] = np.radians([5.0, 10.0, 10.0])
-    if finger is not None:
-        spread, *thumb = np.radians(PINCHES[finger][:4])
-        angles[np.array(FINGER_JOINTS["thumb"]) - 1, 2] = thumb
-        angles[FINGER_JOINTS["thumb"][0] - 1, 1] = spread if side == "right" else -spread
-        angles[np.array(FINGER_JOINTS[finger]) - 1, 2] = np.radians(PINCHES[finger][4:])
-    return angles
-
-
-def turns_of(side: Side, angles: np.ndarray) -> np.ndarray:
-    """(T, 16, 3, 3) of angles (T, 15, 3)."""
-    turns = np.broadcast_to(np.eye(3), (len(angles), NUM_JOINTS, 3, 3)).copy()
-    fingers = rotmats_from_angles(angles, anatomical_axes(load_model(None, side)))
-    turns[:, 1:] = REST_FROM_MODEL @ fingers @ REST_FROM_MODEL.T
-    return turns
-
-
-def pinching(side: Side, finger: str) -> np.ndarray:
-    """(70, 16, 3, 3) half open, closed in half a second, held, and opened again."""
-    share = np.interp(np.arange(70), [15, 30, 39, 54], [0.0, 1.0, 1.0, 0.0])[:, None, None]
-    return turns_of(side, (1.0 - share) * bends(side, None) + share * bends(side, finger))
 
 
 @cache

@@ -10,6 +10,7 @@ import bpy
 from scenarios import refine
 from scenarios.capturing import capture, hands, keys_of, part
 from scenarios.panels import opened_by_default
+from scenarios.words import texts
 
 OTHER = "f_pinky.02.L"
 """A bone that is chosen for the last bone of the left ring finger"""
@@ -52,6 +53,42 @@ def applied(stage, take, blend):
         seen["keys"].append(_keys())
         seen["kept"].append(_kept())
     return seen
+
+
+def refused(stage, take, preset):
+    """What the panel says in Edit Mode and with a negative scale, in which its button does nothing; then a
+    preset saved by the file browser."""
+    yield from stood_beside(stage, take)
+    said = []
+    with opened_by_default("MANIENT_PT_character"):
+        yield from stage.open_sidebar()
+        yield 0.5
+        yield from stage.move_to(stage.region())
+        yield from stage.key("TAB")
+        yield 0.5
+        yield from _told(stage, said, "character-edit-mode")
+        yield from stage.leave_popups()
+        yield from stage.key("TAB")
+        yield 0.5
+        _rig().scale.x = -1.0
+        yield 0.3
+        yield from _told(stage, said, "character-negative-scale")
+        _rig().scale.x = 1.0
+        yield 0.3
+        bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+        yield from press(stage, "bpy.ops.manient.save_hand_preset(")
+        yield from stage.choose_file(preset, "character-preset")
+        yield 0.5
+    return said
+
+
+def _told(stage, said, shot):
+    """All that the panel says now, and how many keys there are once its button was pressed."""
+    with texts() as shown:
+        yield from stage.screenshot(shot)
+    yield from press(stage, "bpy.ops.manient.apply_to_character(")
+    yield 1.0
+    said.append([" ".join(shown), _keys()])
 
 
 def linked(stage, source, steps=12):

@@ -21,7 +21,7 @@ def long_names(stage, source, broken):
     first = [(job.name, job.state, job.message) for job in jobs()]
     yield from capture(stage, source)
     yield from stage.leave_popups()
-    with _texts() as shown:
+    with texts() as shown:
         yield from stage.screenshot("words-long-names")
     (armature,) = hands()
     return {
@@ -35,7 +35,7 @@ def long_names(stage, source, broken):
 
 
 @contextmanager
-def _texts():
+def texts():
     """A list that gets all texts and properties which the sections draw, each once, in their order."""
     shown: list[str] = []
 
@@ -73,6 +73,6 @@ def shapes(stage, source):
         yield from stage.move_to((region.x + region.width / 2, region.y + region.height / 2))
         for _ in range(40):
             yield from stage.key("WHEELDOWNMOUSE")
-        with _texts() as shown:
+        with texts() as shown:
             yield from stage.screenshot("words-shapes")
     return shown
