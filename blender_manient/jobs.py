@@ -30,6 +30,7 @@ from .cache import folder_path, temporary_take
 from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import BuildOptions, building
+from .scene.controls import add_controls
 from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
@@ -52,6 +53,7 @@ class Building:
     frame: float = 1.0
     """The scene frame of POSE, and of new hands in a scene that keeps its time"""
     pose_correctives: bool = True
+    controls: bool = False
     render_setup: bool = True
     matching: Choice = "AUTO"
     camera: Remembered | None = None
@@ -351,6 +353,8 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         camera=plan.camera.find() if plan.camera else None,
     )
     built = yield from building(take, how)
+    for hand in filter(None, (hand_of(h.armature) for h in built.hands if plan.controls)):
+        add_controls(hand)
     _pack_cached_pictures(take)
     warnings += built.warnings
     if not job.bare:

@@ -223,6 +223,7 @@ def new_job(
             hand=Remembered.of("objects", hand.armature) if hand else None,
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
+            controls=settings.add_controls,
             matching=settings.matching,
             render_setup=settings.render_setup,
             camera=Remembered.of("objects", camera) if camera else None,

@@ -127,3 +127,4 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
         column.active = settings.target == "NEW"
         column.prop(settings, "render_setup")
         column.prop(settings, "pose_correctives")
+        column.prop(settings, "add_controls")

@@ -281,7 +281,9 @@ def _follow_keys(armature: bpy.types.Object, wrist: str, bone: str) -> None:
     for path, count in (channels | {"rotation_axis_angle": 4}).items():
         for index in range(count):
             part = -1 if count == 1 else index
-            driver = armature.pose.bones[bone].driver_add(path, part).driver
+            curve = armature.pose.bones[bone].driver_add(path, part)
+            curve.keyframe_points.clear()  # from Blender 5.0 on it begins as a line, with steps at its points
+            driver = curve.driver
             driver.type = "AVERAGE"
             target = driver.variables.new().targets[0]
             target.id = armature

@@ -176,6 +176,8 @@ def correct_frames(
     there = np.abs(places[:, None] - present.frames) <= SAME_FRAME
     rotated, located = there @ present.rotation_keyed, there @ present.location_keyed
     turns, moves = np.isfinite(quats[..., 0]), np.asarray(np.isfinite(locations).all(axis=1))
+    if is_smooth(rig):
+        _key_ends(armature, chosen, max(spread, 1.0), np.any(turns, axis=0), bool(moves.any()))
     write_pose_keys(rig, PoseKeys(places, now_quats, now_locations, turns & ~rotated, moves & ~located))
     quats = np.where(turns[..., None], quats, now_quats)
     locations = np.where(moves[:, None], locations, now_locations)
@@ -359,6 +361,26 @@ def _replacing(
         keys = PoseKeys(places, quats, locations, keyed, np.full(count, joint == 0))
         write_pose_keys(rig_of(armature), keys)
         yield (joint + 1) / NUM_JOINTS
+
+
+def _key_ends(
+    armature: bpy.types.Object, frames: Sequence[float], spread: float, turns: np.ndarray, moves: bool
+) -> None:
+    """Key the present pose where corrections of source frames will have faded out, on bones (16,) that they
+    turn, between keys: on curves with few keys they would else reach to the next one, however far it is."""
+    rig = rig_of(armature)
+    ends = np.unique([[frame - spread, frame + spread] for frame in frames])
+    places = np.sort(timing_of(armature).scene_frames(ends))
+    keys = read_pose_keys(rig)
+    quats, locations = pose_at(rig, places)
+    there = np.abs(places[:, None] - keys.frames) <= SAME_FRAME
+    within = [
+        (places > own.min(initial=np.inf)) & (places < own.max(initial=-np.inf))
+        for own in (keys.frames[keyed] for keyed in (*keys.rotation_keyed.T, keys.location_keyed))
+    ]
+    rotated = np.stack(within[:-1], axis=-1) & turns & ~(there @ keys.rotation_keyed)
+    located = within[-1] & moves & ~(there @ keys.location_keyed)
+    write_pose_keys(rig, PoseKeys(places, quats, locations, rotated, located))
 
 
 def _snapped(places: np.ndarray, frames: np.ndarray) -> np.ndarray:

@@ -438,15 +438,22 @@ def _from_quats(
     start = _values_at(parts, getattr(bone, _rotation_path(bone)), np.array([earlier]))
     if bone.rotation_mode == "QUATERNION":
         turned = unflip_quats(np.concatenate([start, quats]))[1:]
-        # Keys that lie far apart may be more than half a turn away from each other: there the sign is that of
-        # what is there already, if it is much the same rotation.
+        # Keys that lie far apart may be more than half a turn from each other: the sign of one that exists
+        # stays if it turns much the same way, and so does that of what is keyed as the curve has it already.
         there = _values_at(parts, getattr(bone, _rotation_path(bone)), frames)
         alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
         same = _contains(co[:, 0].astype(np.float64), frames)
-        told = np.abs(alike) > np.where(same, 0.7, 0.99)
+        told = np.abs(alike) > np.where(same, 0.7, 1.0 - 1e-6)
+        told &= (frames > co[:, 0].min(initial=np.inf) - SAME_FRAME) & (
+            frames < co[:, 0].max(initial=-np.inf) + SAME_FRAME
+        )
         last = np.maximum.accumulate(np.where(told, np.arange(len(frames)), -1))
         sign = np.where((last >= 0) & (alike[last] < 0.0), -1.0, 1.0)
-        return (turned * sign[:, None]).T
+        # Between keys, curves are of length one only nearly: what is to stay is not made so.
+        turned *= sign[:, None]
+        length = np.linalg.norm(there, axis=-1, keepdims=True)
+        stays = np.linalg.norm(turned * length - there, axis=-1, keepdims=True) < 1e-6
+        return np.where(stays, there, turned).T
     if bone.rotation_mode == "AXIS_ANGLE":
         turned = [Quaternion(q).to_axis_angle() for q in quats.tolist()]
         return np.array([(angle, *axis) for axis, angle in turned]).T

@@ -200,7 +200,7 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
             before, behind = spline.handles(one.frames)
             replace_keys(one.hand.rig, joint, one.frames[spline.rows], spline.values, before, behind)
     if dense is not present:
-        bpy.data.actions.remove(present)
+        _remove_unused(present)
     dense.use_fake_user = True
     dense.name = f"{note['name']} (all keys)"
     action.name = note["name"]
@@ -263,10 +263,16 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
         present.use_fake_user = True
         forget_all_keys(present)
     else:
-        bpy.data.actions.remove(present)
+        _remove_unused(present)
     dense.name = note["name"]
     dense.update_tag()
     return present if changed else None
+
+
+def _remove_unused(action: bpy.types.Action) -> None:
+    """Remove an action, unless another object or a strip uses it, too."""
+    if action.users - action.use_fake_user == 0:
+        bpy.data.actions.remove(action)
 
 
 def forget_all_keys(action: bpy.types.Action) -> None:

@@ -15,6 +15,7 @@ from blender_manient import jobs, shared_worker  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
 from handfit_core.errors import HandfitError  # noqa: E402
+from handfit_core.skeleton import FINGERS  # noqa: E402
 from tests.capturing import needs_capture  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -48,6 +49,18 @@ def test_photo(photo, settings):
     assert bpy.context.scene.camera == hand.camera
     (job,) = jobs.jobs()
     assert (job.state, job.message) == ("done", "1 hand in 1 frame")
+
+
+@needs_capture
+def test_new_hands_have_controls_where_that_is_asked_for(photo, settings):
+    settings.source, settings.add_controls = str(photo), True
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    (hand,) = _hands()
+    assert set(FINGERS) < set(hand.rig.controls)
+    bpy.ops.manient.remove_controls()
+    settings.add_controls = False
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    assert not any(hand.rig.controls for hand in _hands())
 
 
 @needs_capture

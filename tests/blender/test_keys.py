@@ -19,7 +19,7 @@ from blender_manient.scene.keys import (
     set_pose,
     write_pose_keys,
 )
-from handfit_core.geometry.rotations import quat_to_rotmat
+from handfit_core.geometry.rotations import quat_multiply, quat_to_rotmat, rotvec_to_quat
 
 from .conftest import FRAMES, UNSEEN, action_curves
 
@@ -219,3 +219,19 @@ def test_set_pose(armature):
     bpy.context.view_layer.update()
     same_rotation(displayed_pose(rig_of(armature)), wanted)
     assert tuple(armature.pose.bones[names[0]].location) == (1.0, 2.0, 3.0)
+
+
+def test_motion_on_other_keys_keeps_its_sign_from_row_to_row(armature):
+    """Also where it comes by what was there before, after a full turn, with the other sign."""
+    rig = rig_of(armature)
+    remove_pose_keys(rig, 5, 15)
+    frames = np.arange(5.0, 15.0, 0.25)
+    turns = np.linspace(0.0, 4.0 * np.pi, len(frames))
+    still, _ = pose_at(rig, np.full(len(frames), 10.0))
+    quats = quat_multiply(still, rotvec_to_quat(np.tile([[0.0, 0.0, 1.0]], (16, 1)) * turns[:, None, None]))
+    write_pose_keys(rig, PoseKeys.everywhere(frames, quats))
+    written = np.stack(
+        [[curve_of(armature, bone, i).evaluate(f) for i in range(4)] for bone in range(16) for f in frames]
+    ).reshape(16, len(frames), 4)
+    assert (np.sum(written[:, 1:] * written[:, :-1], axis=-1) > 0.9).all()
+    same_rotation(np.swapaxes(written, 0, 1), quats)

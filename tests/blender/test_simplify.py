@@ -143,6 +143,21 @@ def test_changes_since_are_kept_when_all_keys_come_back(armature):
     assert kept.get(DENSE) is None
 
 
+def test_actions_that_others_use_stay(armature):
+    before = contents(armature)
+    simplify()
+    other = armature.copy()
+    bpy.context.collection.objects.link(other)
+    simplify(Bounds(5.0, 9.0))
+    shared = other.animation_data.action
+    assert shared != armature.animation_data.action
+    assert kept_action(other) == kept_action(armature)
+    restore(armature)
+    assert other.animation_data.action == shared
+    restore(other)
+    assert contents(other) == contents(armature) == before
+
+
 def test_all_keys_come_back_after_saving(armature, tmp_path):
     before, name = contents(armature), armature.name
     simplify()
@@ -229,8 +244,11 @@ def test_a_correction_after_simplify_is_taken_out_again(armature):
     simplify(Bounds(2.0, 2.0, "FINGER"))
     places = np.arange(1.0, 80.0, 0.5)
     before = pose_at(rig_of(armature), places)[0]
-    correct(armature, frame=33)
-    assert apart(pose_at(rig_of(armature), places)[0], before) > 5.0
+    correct(armature, frame=33, spread=6.0)
+    corrected = pose_at(rig_of(armature), places)[0]
+    assert apart(corrected, before) > 5.0
+    beyond = np.abs(places - 33) >= 6
+    assert apart(corrected[beyond], before[beyond]) < 0.05
     corrections.clear_corrections(armature)
     assert (
         apart(pose_at(rig_of(armature), places)[0], before) < 0.5

@@ -28,6 +28,30 @@ pytestmark = pytest.mark.skipif(
     not CHROOT, reason="HANDFIT_BLENDER_CHROOT does not name a chroot with Blender in it"
 )
 
+HERO = """
+import bpy
+data = bpy.data.armatures.new("Hero")
+hero = bpy.data.objects.new("Hero", data)
+bpy.context.collection.objects.link(hero)
+bpy.context.view_layer.objects.active = hero
+bpy.ops.object.mode_set(mode="EDIT")
+
+def bone(name, parent, *places):
+    made = data.edit_bones.new("mixamorig:LeftHand" + name)
+    made.head, made.tail = places
+    made.parent = parent
+    return made
+
+hand = bone("", None, (0, 0, 0), (1, 0, 0))
+for number, finger in enumerate(("Thumb", "Index", "Middle", "Ring", "Pinky")):
+    above, x, y = hand, 0.2 if finger == "Thumb" else 1.0, 0.3 * (2 - number)
+    for joint in range(3):
+        above = bone(f"{finger}{joint + 1}", above, (x + 0.3 * joint, y, 0), (x + 0.3 * joint + 0.3, y, 0))
+bpy.ops.object.mode_set(mode="OBJECT")
+bpy.ops.wm.save_as_mainfile(filepath="hero.blend")
+"""
+"""Makes a character with a left hand, as in the photo"""
+
 STEPS = """
 run() {
   step=$1; shift
@@ -42,6 +66,8 @@ run check manient check
 run capture manient capture photo.jpg clip.mp4 nowhere.jpg --output results --format blend,glb,fbx \
   --frames 1-20 --preview --timeout 200
 run again manient capture results/photo/photo.take.npz --output again --format bvh
+blender -b -P hero.py
+run apply manient apply results/photo/photo.take.npz --to hero.blend --output applied --format blend,fbx
 
 blender --command manient capture clip.mp4 photo.jpg --output stopped >stopped.out 2>stopped.err &
 while [ ! -e stopped/report.json ]; do sleep 0.1; done
@@ -96,6 +122,7 @@ def commands(zipped: Path, samples: Path, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp("command")
     shutil.copy(samples / "photos" / "thumb_up.jpg", folder / "photo.jpg")
     shutil.copy(samples / "videos" / "asl_hand.mp4", folder / "clip.mp4")
+    (folder / "hero.py").write_text(HERO)
     mark = uuid.uuid4().hex
     done = subprocess.run(
         [*without_network(), str(ROOT / "scripts" / "chroot_blender.sh"), str(Path(CHROOT or "").resolve()),
@@ -153,6 +180,14 @@ def test_a_take_is_exported_again(commands):
     assert commands["again"].code == 0
     (entry,) = commands.report("again")
     assert entry["files"] == ["photo/photo.take.npz", "photo/photo.bvh"]
+
+
+def test_a_take_goes_onto_a_character(commands):
+    assert commands["apply"].code == 0, commands["apply"].err
+    (entry,) = commands.report("applied")
+    assert entry["files"] == [f"photo/photo{ending}" for ending in (".take.npz", ".blend", ".fbx")]
+    (hand,) = entry["character"]["hands"]
+    assert (hand["side"], hand["rig"], hand["bones"], hand["frames"]) == ("left", "Mixamo", 15, 1)
 
 
 def test_ctrl_c_keeps_what_was_finished_and_ends_the_worker(commands):

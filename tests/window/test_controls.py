@@ -9,6 +9,7 @@ TAKE = ROOT / "samples" / "rendered_hand" / "truth.take.npz"
 
 def test_a_finger_is_grabbed_and_curled_by_mouse(blender):
     played = blender.play("controls.animated", take=TAKE).value
+    assert played["bones"] == [16, 24]
     assert played["picked"] == "index.R"
     assert played["curled"] > 0.01
     assert played["undone"] < 1e-6

@@ -24,6 +24,9 @@ def animated(stage, take):
         bpy.ops.pose.select_all(action="DESELECT")
         bpy.ops.ed.undo_push(message="Pose Mode")
     yield from stage.invoke("manient.add_controls")
+    yield from stage.undo()
+    without = len(hands()[0].data.bones)
+    yield from stage.redo()
     (armature,) = hands()
     yield from stage.screenshot("controls-in-camera")
     _look_at_back(stage, armature)
@@ -61,6 +64,7 @@ def animated(stage, take):
     fingers.rotation_euler = (-0.1, 0.0, 0.3)
     yield from stage.screenshot("controls-fan")
     return {
+        "bones": (without, len(armature.data.bones)),
         "picked": picked,
         "curled": float(np.abs(curled - rest).max()),
         "undone": float(np.abs(undone - rest).max()),
