@@ -23,7 +23,7 @@ from . import (
     source_info,
 )
 from .panels import preferences as preferences_panel
-from .scene import confidence, controls, overrides, render_setup, reshape, see_through
+from .scene import confidence, controls, render_setup, reshape, see_through
 
 _KINDS = (
     bpy.types.AddonPreferences,
@@ -91,7 +91,6 @@ _MODULES = (
     preferences,
     hand_table,
     properties,
-    overrides,
     cache,
     reshape,
     controls,
