@@ -52,6 +52,14 @@ POSE_CORRECTIVES: Any = {
     "description": "Shape keys that fill out bent joints, for hand models that have them",
     "default": True,
 }
+BLEND: Any = {
+    "name": "Blend",
+    "description": "How far from the present pose to the chosen one",
+    "default": 1.0,
+    "min": 0.0,
+    "max": 1.0,
+    "subtype": "FACTOR",
+}
 
 listeners: dict[str, Callable[[Any], None]] = {}
 """Name of what is followed -> what is called with the group that has changed; the parts' FOLLOWS"""
@@ -227,14 +235,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     pose: EnumProperty(  # type: ignore
         name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
     )
-    pose_blend: FloatProperty(  # type: ignore
-        name="Blend",
-        description="How far from the present pose to the chosen one",
-        default=1.0,
-        min=0.0,
-        max=1.0,
-        subtype="FACTOR",
-    )
+    pose_blend: FloatProperty(**BLEND)  # type: ignore
 
     # Refine
     spread: IntProperty(  # type: ignore

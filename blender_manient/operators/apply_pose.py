@@ -7,6 +7,7 @@ import bpy
 from handfit_core.hand_model.poses import Pose
 
 from ..blender_versions import property_group
+from ..properties import BLEND
 from ..scene.poses import (
     PROPERTY,
     forget_previews,
@@ -34,16 +35,6 @@ class _PutsPose(Refuses):
         return {"FINISHED"}
 
 
-_BLEND = {
-    "name": "Blend",
-    "description": "How far from the present pose to the chosen one",
-    "default": 1.0,
-    "min": 0.0,
-    "max": 1.0,
-    "subtype": "FACTOR",
-}
-
-
 class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
     bl_idname = "manient.apply_pose"
     bl_label = "Apply Pose"
@@ -56,7 +47,7 @@ class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
     pose: bpy.props.StringProperty(  # type: ignore
         name="Pose", description="A ready pose, or a pose asset of this file", options={"SKIP_SAVE"}
     )
-    blend: bpy.props.FloatProperty(**_BLEND)  # type: ignore
+    blend: bpy.props.FloatProperty(**BLEND)  # type: ignore
 
     @errors_reported
     def execute(self, context):
@@ -72,7 +63,7 @@ class MANIENT_OT_apply_pose_asset(_PutsPose, bpy.types.Operator):
         "bones are called; the other side's is mirrored"
     )
 
-    blend: bpy.props.FloatProperty(**_BLEND)  # type: ignore
+    blend: bpy.props.FloatProperty(**BLEND)  # type: ignore
 
     @classmethod
     def lacks(cls, context):
