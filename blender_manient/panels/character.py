@@ -112,23 +112,23 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         assert armature is not None
         table = context.scene.manient.hand_table
         layout.row().prop(table, "side", expand=True)
-        column = split(layout.column())
+        column = layout.column()
         column.enabled = why_not_reachable(armature) is None
-        rows = column.column(align=True)
-        for name in ("hand", "control"):
-            rows.prop_search(table, name, armature.data, "bones")
-        for finger in FINGERS:
-            rows = column.column(align=True)
-            for joint in (1, 2, 3):
-                text = f"{finger.capitalize()} 1" if joint == 1 else str(joint)
-                rows.prop_search(table, f"{finger}_{joint}", armature.data, "bones", text=text)
+        rows = {"Hand": ("hand",), "Moved By": ("control",)}
+        rows |= {finger.capitalize(): [f"{finger}_{joint}" for joint in (1, 2, 3)] for finger in FINGERS}
+        for text, names in rows.items():  # names of bones are long: they get all of the width
+            block = column.column(align=True)
+            block.label(text=text)
+            for name in names:
+                block.prop_search(table, name, armature.data, "bones", text="")
+        split(column)
         column.prop(table, "thumb_roll")
         column.prop(table, "keep_rest")
-        rows = column.column(align=True)
+        block = column.column(align=True)
         for finger in PALM_FINGERS:
             text = "Metacarpals" if finger == PALM_FINGERS[0] else finger.capitalize()
-            rows.prop_search(table, f"{finger}_palm", armature.data, "bones", text=text)
-        rows.prop(table, "fold", slider=True)
+            block.prop_search(table, f"{finger}_palm", armature.data, "bones", text=text)
+        block.prop(table, "fold", slider=True)
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
