@@ -31,7 +31,7 @@ from scripts.benchmark.poses import DIP, FAN, LONG
 Bend = tuple[float, float] | tuple[float, float, float]
 """Degrees of knuckle and middle joint; the last joint follows them unless it is given"""
 
-STRAIGHT, CURLED, ROUND, ROD, LOOSE = (0.0, 3.0), (82.0, 98.0), (42.0, 46.0), (62.0, 86.0), (52.0, 62.0)
+STRAIGHT, CURLED, ROD, LOOSE = (0.0, 3.0), (82.0, 98.0), (62.0, 86.0), (52.0, 62.0)
 TUCKED = (84.0, 80.0)
 """Over a thumb"""
 

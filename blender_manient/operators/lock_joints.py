@@ -6,6 +6,7 @@ import bpy
 
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
+from ..rigs.controls import with_moved
 from ..scene.store import CapturedHand
 from .needs_hand import OnHand, hand_in
 
@@ -62,4 +63,6 @@ class MANIENT_OT_lock_joints(OnHand, bpy.types.Operator):
         if self.joints == "ALL" or context.mode != "POSE":
             return list(range(NUM_JOINTS))
         selected = {bone.name for bone in context.selected_pose_bones or () if bone.id_data == hand.armature}
-        return [joint for joint, name in enumerate(hand.rig.bones) if name in selected]
+        bones = hand.rig.bones
+        meant = with_moved(hand.armature, bones, selected)
+        return [joint for joint, name in enumerate(bones) if name in meant]

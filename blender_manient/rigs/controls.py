@@ -57,6 +57,13 @@ def control_bones(armature: bpy.types.Object) -> dict[str, str]:
     return {role: marked[role] for role in ROLES if role in marked}
 
 
+def with_moved(armature: bpy.types.Object, bones: list[str], selected: set[str]) -> set[str]:
+    """Names of selected bones, and of those of the 16 `bones` that selected controls move."""
+    moved = {"hand": [0], "fingers": range(1, NUM_JOINTS), **FINGER_JOINTS}
+    chosen = [role for role, name in control_bones(armature).items() if name in selected]
+    return selected | {bones[joint] for role in chosen for joint in moved.get(role, ())}
+
+
 def place_controls(edit_bones: Any, bones: list[str], controls: dict[str, str]) -> None:
     """Lay the controls where the 16 `bones` lie, both in edit mode."""
     for role, name in controls.items():

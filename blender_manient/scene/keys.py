@@ -444,16 +444,17 @@ def _from_quats(
         alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
         same = _contains(co[:, 0].astype(np.float64), frames)
         told = np.abs(alike) > np.where(same, 0.7, 1.0 - 1e-6)
-        told &= (frames > co[:, 0].min(initial=np.inf) - SAME_FRAME) & (
+        among = (frames > co[:, 0].min(initial=np.inf) - SAME_FRAME) & (
             frames < co[:, 0].max(initial=-np.inf) + SAME_FRAME
         )
+        told &= among
         last = np.maximum.accumulate(np.where(told, np.arange(len(frames)), -1))
         sign = np.where((last >= 0) & (alike[last] < 0.0), -1.0, 1.0)
         # Between keys, curves are of length one only nearly: what is to stay is not made so.
         turned *= sign[:, None]
         length = np.linalg.norm(there, axis=-1, keepdims=True)
-        stays = np.linalg.norm(turned * length - there, axis=-1, keepdims=True) < 1e-6
-        return np.where(stays, there, turned).T
+        stays = among & (np.linalg.norm(turned * length - there, axis=-1) < 1e-6)
+        return np.where(stays[:, None], there, turned).T
     if bone.rotation_mode == "AXIS_ANGLE":
         turned = [Quaternion(q).to_axis_angle() for q in quats.tolist()]
         return np.array([(angle, *axis) for axis, angle in turned]).T

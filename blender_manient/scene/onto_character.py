@@ -260,7 +260,9 @@ def computing(
         kept = None
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)
-            kept = yield from keeping_contacts(target, motion.source, motion.skins, motion.turns, times)
+            kept = yield from keeping_contacts(
+                target, motion.source, motion.skins, motion.turns, times, keyed
+            )
         quats = np.empty((len(motion.frames), len(target.bones), 4))
         for start in range(0, len(quats), _CHUNK):
             some = slice(start, start + _CHUNK)

@@ -28,6 +28,7 @@ from handfit_core.slices import result_of
 
 from ..blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
+from ..rigs.controls import with_moved
 from ..rigs.rig import PosedBones
 from .characters import character_of, kept_map, recognised, why_not_reachable
 from .controls import rotations_now
@@ -81,7 +82,8 @@ class PosableHand(ABC):
         if context.mode != "POSE":
             return set()
         bones = context.selected_pose_bones or ()
-        return {bone.name for bone in bones if bone.id_data == self.rig.armature} & self._own
+        names = {bone.name for bone in bones if bone.id_data == self.rig.armature}
+        return with_moved(self.rig.armature, self.rig.bones, names) & self._own
 
     def _chosen(self, context: bpy.types.Context) -> np.ndarray:
         """(B,) bool"""

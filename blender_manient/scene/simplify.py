@@ -190,11 +190,11 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
         check_unlocked(
             one.hand.rig, joints=[j for j in one.chosen if j is not None], location=None in one.chosen
         )
-    present = armature.animation_data.action
-    dense, slot = _source(armature)
+    data = armature.animation_data
+    present, (dense, _) = data.action, _source(armature)
     note = _note(present) if dense is not present else _first_note(armature, dense)
-    action = dense.copy()
-    _use(armature, action, slot)
+    action = present.copy()  # other parts may have been simplified before
+    _use(armature, action, action_slot(data))
     for one in thinned:
         for joint, spline in zip(one.chosen, one.result.splines, strict=True):
             before, behind = spline.handles(one.frames)
@@ -205,7 +205,7 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
     dense.name = f"{note['name']} (all keys)"
     action.name = note["name"]
     action[DENSE] = dense
-    action[_NOTE] = {**note, "digest": _digest(action, action_slot(armature.animation_data))}
+    action[_NOTE] = {**note, "digest": _digest(action, action_slot(data))}
 
 
 def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:

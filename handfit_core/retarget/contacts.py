@@ -154,12 +154,17 @@ def finding_touches(
 
 
 def keeping_contacts(
-    target: TargetHand, source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
+    target: TargetHand,
+    source: SourceHand,
+    skins: Fingertips,
+    turns: np.ndarray,
+    times: np.ndarray,
+    keyed: np.ndarray | None = None,
 ) -> Generator[float, None, Kept]:
     """Have a character's fingertips touch where captured ones do, in steps that tell how much is done, 0..1.
 
     `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
-    seconds, rising.
+    seconds, rising. `keyed` (K,) bool: the bones that may turn more than captured; None: all.
     """
     standing, apart = np.empty((len(turns), len(target.bones), 3, 3)), np.zeros(len(turns))
     for start in range(0, len(turns), _FOUND_AT_ONCE):
@@ -167,13 +172,13 @@ def keeping_contacts(
         yield 0.0
     times = np.asarray(times, dtype=np.float64)
     found = yield from retold(finding_touches(source, skins, turns, times), lambda: 0.0)
-    chains = _Chains.of(target, source, skins)
+    chains = _Chains.of(target, source, skins, np.ones(len(target.bones), bool) if keyed is None else keyed)
     x = np.zeros((len(turns), len(chains.bones)))
     for some, done in _slices(found.weights[:, chains.told].max(axis=1, initial=0.0)):
         x[some] = chains.problem(standing[some], found, some).solve(x[some], 0)
         yield 0.5 * done
     x = _mean(x, times)
-    for some, done in _slices(np.abs(x).max(axis=1)):
+    for some, done in _slices(np.abs(x).max(axis=1, initial=0.0)):
         problem = chains.problem(standing[some], found, some)
         x[some] = problem.solve(x[some], 1)
         standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
@@ -263,7 +268,7 @@ class _Chains:
     """(P,) which of `PAIRS` have two last bones"""
 
     @classmethod
-    def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips) -> _Chains:
+    def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips, keyed: np.ndarray) -> _Chains:
         flat = axes_of(source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL, source.side)
         flat, limits = REST_FROM_MODEL @ flat, joint_limits(source.side)
         laid = target.aligned.T @ target.corrected  # from the character's segments to ours
@@ -286,10 +291,11 @@ class _Chains:
             cost = (_THUMB if finger == "thumb" else _FINGER)[FINGER_JOINTS[finger].index(lent[-1])]
             rows = np.array(lent) - 1
             for axis, unwelcome in enumerate(cost):
-                if np.isfinite(unwelcome):
+                if keyed[k] and np.isfinite(unwelcome):
                     low, high = limits.lower[rows, axis].sum(), limits.upper[rows, axis].sum()
                     angles.append((k, axis, unwelcome, float(low), float(high)))
-        bones, which, unwelcome, lower, upper = (np.array(column) for column in zip(*angles, strict=True))
+        bones, which, unwelcome, lower, upper = np.reshape(angles, (-1, 5)).T
+        bones, which = bones.astype(int), which.astype(int)
 
         last = np.full(len(FINGERS), -1)
         ends, carries = np.zeros((len(FINGERS), 2, 3)), np.zeros((len(FINGERS), len(bones)), dtype=bool)
@@ -304,7 +310,7 @@ class _Chains:
                 carries[f] |= bones == bone
                 bone = target.parents[bone]
         first, second = last[PAIRS].T
-        told = np.flatnonzero((first >= 0) & (second >= 0) & (first != second))
+        told = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
         return cls(
             *(target, axes, starts, last, skins.radii, ends, carries),
             *(bones, which, unwelcome, lower, upper, told),

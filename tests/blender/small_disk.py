@@ -16,11 +16,13 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import bpy
 import numpy as np
 
 from blender_manient.exporters import EXPORTERS
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import export_take
+from blender_manient.scene.characters import CharacterObjects
+from blender_manient.scene.export import Stage, export_hands, export_take
 from blender_manient.scene.preview import write_png
 from handfit_core.errors import HandfitError
 from handfit_core.take import Take
@@ -38,6 +40,9 @@ def main(source: Path, folder: Path, results: Path, kind: str) -> None:
         for name, exporter in EXPORTERS.items()
         if exporter.writes != "captured" and not exporter.why_not()
     }
+    whole = CharacterObjects(built.hands[0].armature, (built.hands[0].mesh,))
+    stage = Stage.of_scene(bpy.context.scene)
+    writers["character"] = lambda: export_hands([whole], stage, folder, "hand", "blend")
     writers["take"] = lambda: take.save(folder / "hand.take.npz")
     writers["preview"] = lambda: write_png(noise, folder / "hand.preview.png")
     with results.open("w", encoding="utf-8") as lines:

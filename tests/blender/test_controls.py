@@ -474,3 +474,16 @@ def test_renamed_controls_are_still_controls(hand):
     assert hand.data.bones["my index"][MARK] == "index"
     assert bpy.ops.manient.remove_controls() == {"FINISHED"}
     assert len(hand.data.bones) == 16
+
+
+def test_a_selected_control_means_the_joints_that_it_moves(hand):
+    bpy.ops.object.mode_set(mode="POSE")
+    for bone in hand.pose.bones:
+        chosen = bone if hasattr(bone, "select") else bone.bone  # up to Blender 4.5
+        chosen.select = bone.name == rig_of(hand).controls["index"]
+    assert bpy.ops.manient.lock_joints() == {"FINISHED"}
+    assert np.flatnonzero(hand.manient.locked).tolist() == list(FINGER_JOINTS["index"])
+    before = bends(hand)
+    assert bpy.ops.manient.apply_pose(pose="Fist") == {"FINISHED"}
+    changed = np.flatnonzero(np.abs(bends(hand) - before) > 1.0) + 1
+    assert changed.tolist() == list(FINGER_JOINTS["index"])

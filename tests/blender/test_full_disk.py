@@ -45,6 +45,7 @@ def test_nothing_good_is_lost(make_take, tmp_path, kind):
     assert done.returncode == 0, (done.returncode, found[-1:], done.stderr[-3000:])
     tried = {name for name, *_ in found}
     assert tried == {name for name, e in EXPORTERS.items() if e.writes != "captured" and not e.why_not()} | {
+        "character",
         "take",
         "preview",
     }

@@ -175,6 +175,14 @@ def test_only_the_chosen_fingers_lose_keys(armature):
     fewer = {path for path, _ in before if len(after[path, _]) < len(before[path, _])}
     assert {path.split('"')[1] for path in fewer} == {n for n in bone_names("right") if n.startswith("thumb")}
     assert all(after[k] == before[k] for k in before if k[0] not in fewer)
+    simplify(Bounds(6.0, 9.0, parts=frozenset({"index"})))
+    both = contents(armature)
+    assert all(both[k] == after[k] for k in before if k[0] in fewer)
+    assert {k[0].split('"')[1] for k in before if len(both[k]) < len(after[k])} == {
+        n for n in bone_names("right") if n.startswith("index")
+    }
+    restore(armature)
+    assert contents(armature) == before
 
 
 def test_bones_in_euler_angles(armature):

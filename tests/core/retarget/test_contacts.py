@@ -249,6 +249,22 @@ def test_a_bone_of_two_fingers_meets_the_thumb():
     assert after.max() < 0.003
 
 
+def test_bones_that_are_left_alone_stay():
+    turns, target = pinching("right", "index"), character("right", 4)
+    times, plain = np.arange(len(turns)) / FPS, target.standing(turns)
+    thumb = np.array([joints[0] in FINGER_JOINTS["thumb"] for joints in target.joints])
+    apart = []
+    for keyed in (~thumb, thumb):
+        kept = result_of(keeping_contacts(target, source("right"), skins("right"), turns, times, keyed))
+        assert (kept.standing[:, ~keyed] == plain[:, ~keyed]).all()
+        assert (kept.standing[HELD][:, keyed] != plain[HELD][:, keyed]).any()
+        apart.append(kept.apart[HELD].max())
+    assert max(apart) < 0.001
+    none = np.zeros(15, dtype=bool)
+    kept = result_of(keeping_contacts(target, source("right"), skins("right"), turns, times, none))
+    assert (kept.standing == plain).all()
+
+
 def test_what_cannot_be_reached_is_told():
     built, side, finger = Built(), "right", "ring"
     names = tuple(f"b{joint}" for joint in range(NUM_JOINTS))
@@ -310,7 +326,7 @@ def test_slopes_are_those_of_differences(finger):
     rng = np.random.default_rng(9)
     turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
     found = result_of(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
-    chains = contacts._Chains.of(target, source("right"), skins("right"))
+    chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
     problem = chains.problem(target.standing(turns), found, np.arange(2))
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))
     _, slopes = problem.forward(x, jacobian=True)
