@@ -26,24 +26,14 @@ BONES: dict[str, tuple[str, int]] = {
 """A property's name -> the HandMap's field that holds the bone's name, and where in it"""
 
 
-class ManientHandTable(bpy.types.PropertyGroup):
-    """Scene.manient.hand_table: one property for every bone that a HandMap can name, and for what else it
-    says."""
-
-    side: EnumProperty(  # type: ignore
-        name="Side",
-        items=(("left", "Left", "The left hand's bones"), ("right", "Right", "The right hand's bones")),
-    )
-
-
 def _of(get: Callable[[HandMap], Any], changes: Callable[[HandMap, Any], dict[str, Any]]) -> dict[str, Any]:
     """A property's functions: what a table says, and which of its fields another value changes."""
 
-    def read(table: ManientHandTable) -> Any:
+    def read(table: Any) -> Any:
         armature = active_character(bpy.context)
         return get(empty_map(table.side) if armature is None else table_of(armature, table.side))
 
-    def write(table: ManientHandTable, value: Any) -> None:
+    def write(table: Any, value: Any) -> None:
         armature = active_character(bpy.context)
         if armature is not None and why_not_reachable(armature) is None:
             shown = table_of(armature, table.side)
@@ -52,34 +42,40 @@ def _of(get: Callable[[HandMap], Any], changes: Callable[[HandMap, Any], dict[st
     return {"get": read, "set": write}
 
 
-def _bone(field: str, index: int) -> dict[str, Any]:
+def _bone(name: str) -> Any:
+    """The property of one bone's name."""
+    field, index = BONES[name]
+
     def changes(shown: HandMap, value: str) -> dict[str, Any]:
         names = list(getattr(shown, field))
         names[index] = value
         return {field: tuple(names)}
 
-    return _of(lambda shown: getattr(shown, field)[index], changes)
+    return StringProperty(
+        name=name.replace("_", " ").title(),
+        description="The bone that stands for it; empty: the character has none",
+        **_of(lambda shown: getattr(shown, field)[index], changes),
+    )
 
 
 def _field(name: str) -> dict[str, Any]:
     return _of(lambda shown: getattr(shown, name), lambda _shown, value: {name: value})
 
 
-ManientHandTable.__annotations__ |= {
-    **{
-        name: StringProperty(
-            name=name.replace("_", " ").title(),
-            description="The bone that stands for it; empty: the character has none",
-            **_bone(*place),
-        )
-        for name, place in BONES.items()
-    },
-    "control": StringProperty(
+class ManientHandTable(bpy.types.PropertyGroup):
+    """Scene.manient.hand_table: one property for every bone that a HandMap can name, and for what else it
+    says."""
+
+    side: EnumProperty(  # type: ignore
+        name="Side",
+        items=(("left", "Left", "The left hand's bones"), ("right", "Right", "The right hand's bones")),
+    )
+    control: StringProperty(  # type: ignore
         name="Moved By",
         description="The bone that moves the whole hand; empty: the hand's own",
         **_field("control"),
-    ),
-    "thumb_roll": FloatProperty(
+    )
+    thumb_roll: FloatProperty(  # type: ignore
         name="Thumb Roll",
         description="Turns the thumb's bones about themselves, in degrees, where the thumb's skin bends "
         "sideways; positive turns its nail towards the back of the hand",
@@ -89,22 +85,25 @@ ManientHandTable.__annotations__ |= {
         max=180.0,
         precision=0,
         **_field("thumb_roll"),
-    ),
-    "keep_rest": BoolProperty(
+    )
+    keep_rest: BoolProperty(  # type: ignore
         name="Keep Rest",
         description="Fingers differ from the captured ones as the character's rest pose does, instead of "
         "pointing as these do: for hands that are drawn relaxed",
         **_field("keep_rest"),
-    ),
-    "fold": FloatProperty(
+    )
+    fold: FloatProperty(  # type: ignore
         name="Palm Fold",
         description="How much of ring and little finger's bend their metacarpal bones take over",
         subtype="FACTOR",
         min=0.0,
         max=1.0,
         **_field("fold"),
-    ),
-}
+    )
+
+
+# Texts, as the annotations above are: properties that live on when Python ends make Blender 4.2 crash then.
+ManientHandTable.__annotations__ |= {name: f"_bone({name!r})" for name in BONES}
 
 
 @bpy.app.handlers.persistent
