@@ -6,6 +6,8 @@ bones a `HandMap` names.
 
 from __future__ import annotations
 
+from typing import cast
+
 import bpy
 
 from handfit_core.errors import HandModelError
@@ -52,7 +54,11 @@ def found_hand(armature: bpy.types.Object, side: Side) -> Found:
 def troubles(armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
     """What would make keys on a character's hand useless, a sentence each."""
     kind = next((kind for kind in CHARACTERS if kind.label == hand_map.rig), None)
-    return kind.troubles(armature, hand_map) if kind is not None else []
+    try:
+        return kind.troubles(armature, hand_map) if kind is not None else []
+    except Exception as error:  # panels ask at every redraw
+        tell_once(failed(cast(type, kind), error))
+        return []
 
 
 def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:

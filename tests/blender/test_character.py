@@ -9,8 +9,10 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient import rigs
 from blender_manient.operators.character_hands import opposite
 from blender_manient.panels.character import MANIENT_PT_character, MANIENT_PT_character_bones
+from blender_manient.rigs.character import Character
 from blender_manient.scene import characters
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import active_character, hand_map_of, keep_map, kept_map, table_of
@@ -283,6 +285,27 @@ def test_bones_that_something_else_turns_are_named_before(make_take):
     apply()
     keyed = {c.data_path.split('"')[1] for c in action_curves(armature.animation_data.action)}
     assert len(keyed) == 28
+
+
+def test_a_plug_in_that_fails_keeps_no_panel_from_being_drawn(make_take, monkeypatch, capsys):
+    captured(make_take)
+    select(mixamo())
+
+    class Broken(Character):
+        label = "Mixamo"
+
+        @classmethod
+        def find(cls, armature, bones, side):  # noqa: ARG003
+            return None
+
+        @classmethod
+        def troubles(cls, armature, hand_map):  # noqa: ARG003
+            raise ZeroDivisionError
+
+    monkeypatch.setattr(rigs, "CHARACTERS", [*rigs.CHARACTERS, Broken])
+    assert said().count("Mixamo, for sure") == 2
+    assert "failed in Broken (ZeroDivisionError" in capsys.readouterr().err
+    assert apply() == {"FINISHED"}
 
 
 def test_marking_a_frame():
