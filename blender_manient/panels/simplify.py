@@ -44,6 +44,7 @@ class MANIENT_PT_keys(Section, bpy.types.Panel):
             column.prop(settings, "keys_pixels")
         layout.prop(settings, "keys_together")
         grid = layout.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
+        grid.use_property_split = False
         for part in PARTS:
             grid.prop_enum(settings, "keys_parts", part.upper())
         found = key_preview.preview(context)

@@ -107,6 +107,8 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
     for curve in top.fcurves:
         start, dot, attribute = curve.data_path.partition("].")
         bone = names.get(start + dot)
+        if attribute == "scale" and all(abs(key.co[1] - 1.0) < 1e-5 for key in curve.keyframe_points):
+            continue  # keyed along with the rest
         if bone is None or not attribute.startswith(("rotation", "location")):
             raise OptionError(
                 f"the layer animates {curve.data_path}, which is neither a bone's rotation nor its location: "
@@ -121,7 +123,7 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
         frames = frames_between(both)
         mode = armature.pose.bones[bone].rotation_mode
         keyed = np.isin(frames, both)
-        rotated, located = (second.rotation_keyed.any(), second.location_keyed.any())
+        rotated, located = bool(second.rotation_keyed.any()), bool(second.location_keyed.any())
         path = f"{bone_path(bone)}."
         tracks = []
         if rotated:
@@ -133,11 +135,12 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
                 tracks.append(Channels(unflip_quats(both_turned), mode))
             else:
                 tracks.append(Channels(values + change, mode))
+        values, change = (_evaluated(h, path + "location", "LOCATION", frames) for h in (below, top))
+        located = located and bool(np.abs(change).max(initial=0.0) > 1e-6)
         if located:
-            values, change = (_evaluated(h, path + "location", "LOCATION", frames) for h in (below, top))
             arm = max(float(armature.data.bones[bone].length), 1e-6)
             tracks.append(Channels(values + change, "LOCATION", arm=arm))
-        check_unlocked(rig, joints=[0] if rotated else [], location=bool(located))
+        check_unlocked(rig, joints=[0] if rotated else [], location=located)
         quats = channels_to_quat(tracks[0].values, mode) if rotated else np.zeros((len(frames), 4))
         keys = PoseKeys(
             frames,

@@ -406,11 +406,33 @@ def test_a_layer_is_added_and_merged_or_taken_away(armature, simplified):
     assert name not in bpy.data.actions
 
 
+def test_a_layer_with_keys_on_everything_is_merged_without_what_changes_nothing(armature):
+    bone = armature.pose.bones[bone_names("right")[2]]
+    paths = set(contents(armature))
+    add_layer(armature)
+    for frame, bend in ((20, 0.0), (40, 0.4), (60, 0.0)):
+        bpy.context.scene.frame_set(frame)
+        turned = quat_multiply(np.array(bone.rotation_quaternion), rotvec_to_quat(np.array([bend, 0.0, 0.0])))
+        bone.rotation_quaternion = turned
+        for path in ("location", "rotation_quaternion", "scale"):
+            bone.keyframe_insert(path, frame=frame)
+    frames = np.array([20.0, 33.0, 40.0, 52.0])
+    shown = evaluated(armature, frames, [bone.name])
+    end_layer(armature, merge=True)
+    assert set(contents(armature)) == paths
+    assert apart(evaluated(armature, frames, [bone.name]), shown) < 0.05
+
+
 def test_a_layer_that_cannot_be_merged_says_so(armature):
     assert bpy.ops.manient.add_key_layer() == {"FINISHED"}
     assert not bpy.ops.manient.simplify_keys.poll()
     strip = armature.animation_data.nla_tracks[0].strips[0]
     key_change(armature, bone_names("right")[1], 20.0, (0.3, 0, 0))
+    bone = armature.pose.bones[0]
+    bone.scale = (2.0, 2.0, 2.0)
+    bone.keyframe_insert("scale", frame=20)
+    with pytest.raises(OptionError, match="neither a bone's rotation nor its location"):
+        end_layer(armature, merge=True)
     strip.frame_start += 5.0
     with pytest.raises(OptionError, match="another time"):
         end_layer(armature, merge=True)

@@ -134,6 +134,10 @@ OPERATORS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("mirror_hand", {}),
     ("save_pose_asset", {}),
     ("clear_corrections", {"scope": "ALL"}),
+    ("restore_keys", {}),
+    ("simplify_keys", {}),
+    ("add_key_layer", {}),
+    ("end_key_layer", {"merge": True}),
     ("export_hand", {"filepath": "result/hand.npz"}),
 )
 

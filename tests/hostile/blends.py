@@ -72,6 +72,8 @@ def cases() -> Iterator[Case]:
                 yield _blend(f"{owner}-{name}-raw-{raw}", (owner, f"[manient][{name}]", value))
     for raw, value in RAW.items():
         yield _blend(f"marks-{raw}", ("action", "[manient_corrections]", value))
+        for name in ("manient_all_keys", "manient_simplified", "manient_below"):
+            yield _blend(f"{name}-{raw}", ("action", f"[{name}]", value))
         yield _blend(f"pose-{raw}", ("pose", "[manient_pose]", value))
         for name in ("side", "hand_pose"):
             yield _blend(f"pose-{name}-{raw}", ("pose", f"[manient_pose][{name}]", value))
