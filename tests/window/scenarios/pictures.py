@@ -102,12 +102,13 @@ def onto_a_character(stage, folder, source, frame=8):
         yield from stage.screenshot("character")
 
 
-def _hold_beside(rig, armature, side="right"):
+def _hold_beside(rig, armature):
     """Turn and scale the character so that its hand stands to the left of the captured one as that does now,
     and show the bones of that hand alone."""
-    hand, table = part("scene.store").hand_of(armature), part("scene.characters").table_of(rig, side)
+    hand = part("scene.store").hand_of(armature)
+    table = part("scene.characters").table_of(rig, hand.side)
     bones = part("rigs.character").bones_of(rig)
-    target = target_hand(bones, table, SourceHand.of(hand.shaped(), side))
+    target = target_hand(bones, table, SourceHand.of(hand.shaped(), hand.side))
     wrist = armature.pose.bones[hand.rig.bones[0]]
     turn = Matrix((wrist.matrix @ wrist.bone.matrix_local.inverted()).to_3x3() @ Matrix(target.aligned.T))
     there = _wrist(armature) + Vector((-0.2, 0.0, 0.0))
