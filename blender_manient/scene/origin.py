@@ -18,7 +18,7 @@ from handfit_core.errors import OptionError
 
 from ..blender_versions import channels, used_actions
 from .corrections import corrections_of, keep_turned
-from .editable import check_editable
+from .editable import check_editable, is_layered, is_tweaked
 from .keys import own_action
 from .own_scene import object_mode
 from .sampling import shown_now
@@ -73,6 +73,8 @@ def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> No
     data = armature.animation_data
     strips = [strip for track in data.nla_tracks for strip in track.strips] if data is not None else []
     added = {strip.action for strip in strips if strip.blend_type != "REPLACE"}
+    if data is not None and is_layered(armature) and not is_tweaked(armature):  # tweaked, it is a strip's
+        added.add(data.action)
     for action, slot in used_actions(armature):
         holder = channels(action, slot)
         for curve in holder.fcurves if holder is not None and action not in added else ():
