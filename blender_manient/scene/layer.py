@@ -16,6 +16,7 @@ from handfit_core.slices import result_of
 from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
+from ..wording import with_note
 from .editable import BELOW, check_keyable, is_tweaked, strip_below
 from .keys import (
     PoseKeys,
@@ -47,7 +48,7 @@ def add_layer(armature: bpy.types.Object) -> bpy.types.Action:
     name = motion.name
     data.action = None
     add_strip(data, motion, slot)
-    layer = bpy.data.actions.new(f"{name} changes")
+    layer = bpy.data.actions.new(with_note(name, "changes"))
     assign_action(armature, layer)
     layer[BELOW] = motion
     data.action_blend_type, data.action_extrapolation, data.action_influence = "COMBINE", "HOLD", 1.0
@@ -97,6 +98,11 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
     moved = abs(strip.frame_start - strip.action_frame_start) > 1e-3
     if moved or abs(strip.scale - 1.0) > 1e-6 or abs(strip.repeat - 1.0) > 1e-6 or strip.use_reverse:
         raise OptionError(f"the strip {strip.name!r} lies at another time than its keys: put it back first")
+    if any(strip in list(track.strips) and track.mute for track in data.nla_tracks) or not _whole(strip):
+        raise OptionError(
+            f"the strip {strip.name!r} is not shown as its keys are: it is muted, trimmed, faded, or not "
+            "blended by Replace. Undo that, or bake the motion (Pose > Animation > Bake Action)"
+        )
     if data.action_blend_type != "COMBINE" or data.action_influence < 1.0 or strip.use_animated_influence:
         raise OptionError(
             f"the layer of {armature.name!r} is not added as it was made: set its blending to Combine and "
@@ -151,6 +157,14 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
         )
         found.append((rig, keys, tracks))
     return found
+
+
+def _whole(strip: Any) -> bool:
+    """Whether a strip shows all keys of its action."""
+    first, last = strip.action.curve_frame_range
+    within = strip.action_frame_start - 1e-3 <= first and last <= strip.action_frame_end + 1e-3
+    faded = strip.blend_in > 0.0 or strip.blend_out > 0.0
+    return within and not faded and not strip.mute and strip.blend_type == "REPLACE"
 
 
 def _write(rig: CharacterBones, keys: PoseKeys, tracks: list[Channels]) -> None:

@@ -489,7 +489,7 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
 
 def add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
     """Put an action on a new track on top of the NLA, where its keys are."""
-    first, last = action.frame_range
+    first, last = action.curve_frame_range  # frame_range may be what an artist says
     track = data.nla_tracks.new()
     track.name = action.name
     strip = track.strips.new(action.name, int(np.floor(first)), action)
