@@ -39,9 +39,10 @@ def bounds_of(scene: bpy.types.Scene) -> Bounds:
 def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
     """What Simplify would do: for each hand, or a sentence why it cannot; None where that is being found."""
     global _key, _steps, _found
-    key = _key_of(context)
+    hands = hands_to_simplify(context)
+    key = _key_of(context.scene, hands)
     if key != _key:
-        _key, _steps, _found = key, None, None
+        _key, _steps, _found = key, _finding(hands, bounds_of(context.scene)), None
         if not bpy.app.timers.is_registered(_continue):
             bpy.app.timers.register(_continue, first_interval=_AFTER_CHANGE)
     return _found
@@ -50,9 +51,10 @@ def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
 def found_now(context: bpy.types.Context) -> list[Thinned]:
     """What Simplify does: what the preview has found already, else it is found here. Raises what `thinning`
     raises."""
-    if _key == _key_of(context) and isinstance(_found, list):
+    hands = hands_to_simplify(context)
+    if _key == _key_of(context.scene, hands) and isinstance(_found, list):
         return _found
-    return result_of(_finding(hands_to_simplify(context), bounds_of(context.scene)))
+    return result_of(_finding(hands, bounds_of(context.scene)))
 
 
 def _finding(hands: list[Hand], bounds: Bounds) -> Generator[None, None, list[Thinned]]:
@@ -83,23 +85,27 @@ def _quietly(steps: Generator[int, None, Thinned]) -> Generator[None, None, Thin
         yield
 
 
-def _key_of(context: bpy.types.Context) -> tuple[Any, ...]:
-    armatures = [hand.rig.armature for hand in hands_to_simplify(context)]
-    users = [a.animation_data for a in armatures]
-    actions = [user.action.name if user is not None and user.action is not None else "" for user in users]
-    return (_changes, bounds_of(context.scene), *(a.session_uid for a in armatures), *actions)
+def _key_of(scene: bpy.types.Scene, hands: list[Hand]) -> tuple[Any, ...]:
+    key: list[Any] = [_changes, bounds_of(scene)]
+    for hand in hands:
+        armature, bones = hand.rig.armature, tuple(hand.rig.bones)
+        user, pose = armature.animation_data, armature.pose.bones
+        action = user.action.name if user is not None and user.action is not None else ""
+        modes = tuple(pose[bone].rotation_mode for bone in bones if bone in pose)
+        key.append((armature.session_uid, action, bones, hand.parts, modes))
+    return tuple(key)
 
 
 def _continue() -> float | None:
-    """Blender's timer: a slice."""
-    global _steps, _found
-    context = bpy.context
-    if _key != _key_of(context):
-        return None  # the next redraw begins anew
+    """Blender's timer: a slice. A timer knows no window, and so not which hand the panel shows: it goes on
+    with the hands of the last redraw, unless something was changed since."""
+    global _key, _steps, _found
+    if _steps is None or _key is None or _key[0] != _changes:
+        _key = _steps = None
+        _redraw()  # which begins anew
+        return None
     over = slice_clock()
     try:
-        if _steps is None:
-            _steps = _finding(hands_to_simplify(context), bounds_of(context.scene))
         while not over():
             next(_steps)
         return _PAUSE
@@ -107,6 +113,8 @@ def _continue() -> float | None:
         _found = stop.value
     except HandfitError as error:
         _found = capitalised(str(error))
+    except ReferenceError:  # the hand was deleted
+        _key = None
     _steps = None
     _redraw()
     return None

@@ -55,6 +55,11 @@ def named_after(stem: str, part: str) -> str:
     return f"{shortened_name(stem, NAME_BYTES - len(' right hand mesh.001'))} {part}"
 
 
+def with_note(name: str, note: str) -> str:
+    """A name and what tells this one from its like, with room for the number that `named_after` leaves."""
+    return f"{shortened_name(name, NAME_BYTES - len(f' {note}.001'.encode()))} {note}"
+
+
 def _with_gap(text: str, kept: int) -> str:
     """The first and last letters, `kept` of them in all."""
     return text[: kept // 2] + _GAP + text[len(text) - (kept - kept // 2) :]

@@ -25,6 +25,7 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 from ..blender_versions import action_slot, channels, property_group
 from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
+from ..wording import with_note
 from . import corrections
 from .characters import active_character, kept_map, recognised
 from .editable import check_keyable
@@ -201,8 +202,9 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
             replace_keys(one.hand.rig, joint, one.frames[spline.rows], spline.values, before, behind)
     if dense is not present:
         _remove_unused(present)
+    elif dense.users == dense.use_fake_user:  # nobody else has it, who would miss its name
+        dense.name = with_note(note["name"], "(all keys)")
     dense.use_fake_user = True
-    dense.name = f"{note['name']} (all keys)"
     action.name = note["name"]
     action[DENSE] = dense
     action[_NOTE] = {**note, "digest": _digest(action, action_slot(data))}
@@ -259,7 +261,7 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
     dense.use_fake_user = note["fake_user"]
     armature.manient.corrections = note["corrections"]
     if changed:
-        present.name = f"{note['name']} (fewer keys)"
+        present.name = with_note(note["name"], "(fewer keys)")
         present.use_fake_user = True
         forget_all_keys(present)
     else:

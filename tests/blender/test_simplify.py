@@ -158,6 +158,31 @@ def test_actions_that_others_use_stay(armature):
     assert contents(other) == contents(armature) == before
 
 
+def test_an_action_that_another_object_has_keeps_its_name(armature):
+    dense = armature.animation_data.action
+    name = dense.name
+    bpy.data.objects.new("another", None).animation_data_create().action = dense
+    for _ in range(2):
+        simplify()
+        assert dense.name == name
+        assert kept_action(armature) == dense != armature.animation_data.action
+    assert restore(armature) is None
+    assert armature.animation_data.action == dense
+    assert [action.name for action in bpy.data.actions] == [name]
+
+
+def test_actions_with_long_names_can_be_told_apart(armature):
+    name = f"{'x' * 44} the hand on the right"
+    name = armature.animation_data.action.name = name[:60]
+    simplify()
+    dense = kept_action(armature)
+    assert dense.name.endswith(" (all keys)")
+    curves_of(armature)[5].keyframe_points[0].co[1] += 0.2
+    assert restore(armature).name.endswith(" (fewer keys)")
+    assert dense.name == name
+    assert add_layer(armature).name.endswith(" changes")
+
+
 def test_all_keys_come_back_after_saving(armature, tmp_path):
     before, name = contents(armature), armature.name
     simplify()
@@ -347,6 +372,47 @@ def test_the_preview_says_what_the_operator_does_and_follows_the_sliders(armatur
     assert not bpy.ops.manient.restore_keys.poll()
 
 
+@pytest.mark.parametrize("what", ["rotation mode", "table"])
+def test_a_preview_of_other_bones_is_not_written(what):
+    armature = chosen(build_armature(hand_specs("left", np.random.default_rng(1), bend=0.3)))
+    names = [joint_name(joint, "left") for joint in range(NUM_JOINTS)]
+    keep_map(armature, HandMap("left", tuple(names)))
+    swing = 0.7 * np.sin(FRAMES[:, None, None] / 25.0 * np.linspace(0.5, 2.0, 16)[:, None] + np.arange(3.0))
+    (hand,) = hands_to_simplify(bpy.context)
+    write_pose_keys(hand.rig, PoseKeys.everywhere(FRAMES, rotvec_to_quat(swing)))
+    key_preview.preview(bpy.context)
+    while key_preview._continue() is not None:
+        pass
+    found = key_preview.found_now(bpy.context)
+    if what == "rotation mode":
+        armature.pose.bones[names[1]].rotation_mode = "XYZ"
+    else:
+        names[1:7] = names[4:7] + names[1:4]  # the middle finger's bones for the index finger's
+        keep_map(armature, HandMap("left", tuple(names)))
+    assert key_preview.found_now(bpy.context) is not found
+    assert key_preview.preview(bpy.context) is None
+    assert bpy.ops.manient.simplify_keys() == {"FINISHED"}
+    assert not any("rotation_euler" in path for path, _ in contents(armature))
+
+
+def test_the_preview_is_found_for_the_hand_that_the_panel_shows(armature):
+    """Blender's timers know no window, and thus not always the scene and the hand that the panel shows."""
+    other = armature.copy()
+    bpy.context.collection.objects.link(other)
+    with bpy.context.temp_override(active_object=other, selected_objects=[other]):
+        assert key_preview.preview(bpy.context) is None
+    while key_preview._continue() is not None:
+        pass
+    with bpy.context.temp_override(active_object=other, selected_objects=[other]):
+        (found,) = key_preview.preview(bpy.context)
+    assert found.hand.rig.armature == other
+    assert key_preview.preview(bpy.context) is None
+    bpy.data.objects.remove(armature)  # before it was looked at
+    assert key_preview._continue() is None
+    with bpy.context.temp_override(active_object=other, selected_objects=[other]):
+        assert key_preview.preview(bpy.context) is None
+
+
 def key_change(armature, bone: str, frame: float, turn) -> None:
     """Key a rotation in the layer, as an artist does who keys what the bone shows."""
     curves = channels(*layer_of(armature), make=True).fcurves
@@ -421,6 +487,39 @@ def test_a_layer_with_keys_on_everything_is_merged_without_what_changes_nothing(
     end_layer(armature, merge=True)
     assert set(contents(armature)) == paths
     assert apart(evaluated(armature, frames, [bone.name]), shown) < 0.05
+
+
+def test_a_layer_hides_nothing_of_a_motion_with_a_range_set_by_hand(armature):
+    motion, bone = armature.animation_data.action, bone_names("right")[1:2]
+    motion.use_frame_range, motion.frame_start, motion.frame_end = True, 10, 20
+    before = evaluated(armature, FRAMES[::10], bone)
+    add_layer(armature)
+    assert apart(evaluated(armature, FRAMES[::10], bone), before) < 0.01
+
+
+@pytest.mark.parametrize("what", ["strip muted", "track muted", "trimmed", "added", "faded"])
+def test_a_motion_that_is_not_shown_whole_is_not_merged(armature, what):
+    motion = armature.animation_data.action
+    add_layer(armature)
+    key_change(armature, bone_names("right")[1], 20.0, (0.3, 0, 0))
+    track = armature.animation_data.nla_tracks[0]
+    strip = track.strips[0]
+    if what == "strip muted":
+        strip.mute = True
+    elif what == "track muted":
+        track.mute = True
+    elif what == "trimmed":
+        strip.action_frame_end = 8.0
+    elif what == "added":
+        strip.blend_type = "ADD"
+    else:
+        strip.blend_in = 10.0
+    kept = contents(armature)
+    with pytest.raises(OptionError, match="not shown as its keys are"):
+        end_layer(armature, merge=True)
+    assert contents(armature) == kept
+    end_layer(armature, merge=False)
+    assert armature.animation_data.action == motion
 
 
 def test_a_layer_that_cannot_be_merged_says_so(armature):
