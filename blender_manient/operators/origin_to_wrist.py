@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..scene.editable import why_not_editable
-from ..scene.origin import origin_to_wrist, why_moved
+from ..scene.origin import origin_to_wrist, why_not_at_wrist
 from .needs_hand import OnHand, errors_reported, hand_in
 
 
@@ -20,7 +20,7 @@ class MANIENT_OT_origin_to_wrist(OnHand, bpy.types.Operator):
     @staticmethod
     def why_not(armature):
         """The object has to be one that can be moved."""
-        return why_not_editable(armature) or why_moved(armature)
+        return why_not_editable(armature) or why_not_at_wrist(armature)
 
     @errors_reported
     def execute(self, context):

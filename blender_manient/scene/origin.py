@@ -33,7 +33,7 @@ def origin_to_wrist(hand: CapturedHand) -> None:
     changes nothing."""
     armature, wrist = hand.armature, hand.rig.bones[0]
     check_editable(armature)
-    why = why_moved(armature)
+    why = why_not_at_wrist(armature)
     if why is not None:
         raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
     field = corrections_of(armature)  # before anything is changed: they may not be readable
@@ -54,9 +54,11 @@ def origin_to_wrist(hand: CapturedHand) -> None:
     armature.update_tag()
 
 
-def why_moved(armature: bpy.types.Object) -> str | None:
-    """What moves the object itself, in a sentence for a tooltip; None where nothing does."""
+def why_not_at_wrist(armature: bpy.types.Object) -> str | None:
+    """Why its origin cannot go to the wrist, in a sentence for a tooltip; None where it can."""
     data = armature.animation_data
+    if is_tweaked(armature):  # Blender hides the action on top, whose keys would have to follow
+        return "A strip of the NLA is being edited: leave tweak mode first"
     curves = [] if data is None else list(data.drivers)
     for action, slot in used_actions(armature):
         holder = channels(action, slot)
@@ -73,7 +75,7 @@ def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> No
     data = armature.animation_data
     strips = [strip for track in data.nla_tracks for strip in track.strips] if data is not None else []
     added = {strip.action for strip in strips if strip.blend_type != "REPLACE"}
-    if data is not None and is_layered(armature) and not is_tweaked(armature):  # tweaked, it is a strip's
+    if data is not None and is_layered(armature):
         added.add(data.action)
     for action, slot in used_actions(armature):
         holder = channels(action, slot)

@@ -168,6 +168,16 @@ def test_with_a_layer_on_top(hand):
         assert np.abs(one - other).max() < 3e-6
 
 
+def test_no_origin_while_a_strip_is_edited(hand):
+    """The hand would jump when that ends."""
+    add_layer(hand)
+    hand.animation_data.nla_tracks[0].strips[0].select = True
+    hand.animation_data.use_tweak_mode = True
+    assert hand.animation_data.use_tweak_mode
+    with pytest.raises(RuntimeError, match="leave tweak mode"):
+        bpy.ops.manient.origin_to_wrist()
+
+
 def test_an_object_that_moves_itself_is_refused(hand):
     hand.keyframe_insert("location", frame=1)
     with pytest.raises(RuntimeError, match="itself is animated, driven or constrained"):
