@@ -20,6 +20,7 @@ from handfit_core.slices import result_of, slice_clock
 
 from .remembered import Remembered
 from .scene.characters import hands_to_move
+from .scene.editable import check_unlayered
 from .scene.keys import nearest, remove_pose_keys, set_pose
 from .scene.onto_character import (
     BoneKeys,
@@ -76,13 +77,15 @@ def step() -> float | None:
     if bpy.app.is_job_running("RENDER"):
         return _CALM
     is_over = slice_clock()
+    windows = bpy.context.window_manager.windows
     for uid, link in list(_links.items()):
         armature = link.armature.find()
         if armature is None or not armature.manient.character.live:
             del _links[uid]
             continue
         try:
-            _step(link, armature, is_over)
+            with bpy.context.temp_override(window=bpy.context.window or windows[0]):  # timers have none
+                _step(link, armature, is_over)
             if link.changed is None:
                 _troubles.pop(uid, None)
         except (HandfitError, ReferenceError) as error:
@@ -110,6 +113,7 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
 
 def _show(armature: bpy.types.Object) -> None:
     """Put the fingers where the captured hands show them now."""
+    check_unlayered(armature)
     for hand_map, hand in hands_to_move(armature, bpy.context):
         rest, shown = hand.rig.rest, shown_now(hand.armature)
         basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
@@ -126,7 +130,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     """Write what is not what the link has written before."""
     character, hands = armature.manient.character, hands_to_move(armature, bpy.context)
     for _, hand in hands:
-        if not told_by_keys(hand.armature):
+        if not told_by_keys(hand.rig):
             raise OptionError(
                 f"{hand.armature.name} is moved by more than its keys (layers, constraints or controls), so "
                 "that the link only shows its pose: press Apply to Character to key the motion"
@@ -175,7 +179,7 @@ def _digest(keys: Sequence[BoneKeys]) -> str:
     for one in keys:
         sha.update("/".join(one.rig.bones).encode())
         for array in (one.keys.frames, one.keys.quats, one.keys.locations):
-            sha.update(np.round(array, 5).tobytes())
+            sha.update((np.round(array, 5) + 0.0).tobytes())
     return sha.hexdigest()[:16]
 
 
@@ -244,7 +248,7 @@ def _follow() -> None:
 
 def _wake() -> None:
     if not bpy.app.timers.is_registered(step):
-        bpy.app.timers.register(step, first_interval=0.0)
+        bpy.app.timers.register(step, first_interval=0.0, persistent=True)
 
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel)

@@ -82,7 +82,7 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
                 self._end(context)
                 self.report({"INFO"}, "Apply to Character was stopped; nothing was changed")
                 return {"CANCELLED"}
-            if event.type != "TIMER":
+            if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
                 return {"PASS_THROUGH"}
             is_over = slice_clock()
             while not is_over():
@@ -92,8 +92,9 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
                     self._end(context)
                     return self._finished(context, stop.value)
                 self._tell(context, f"Applying to {self._armature.name}  {done:.0%}   Esc: Stop")
-        except HandfitError as error:
-            self.report({"ERROR"}, str(error))
+        except (HandfitError, ReferenceError) as error:
+            gone = "a hand was deleted while its motion was being applied: nothing was changed"
+            self.report({"ERROR"}, gone if isinstance(error, ReferenceError) else str(error))
             self._end(context)
             return {"CANCELLED"}
         except Exception:
@@ -134,5 +135,5 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     def _end(self, context) -> None:
         MANIENT_OT_apply_to_character._running = False
         self._watch.leave()
-        self._steps.close()
         self._wait_no_more(context)
+        self._steps.close()

@@ -28,7 +28,7 @@ from .keys import (
     replace_keys,
     write_pose_keys,
 )
-from .onto_character import add_strip
+from .onto_character import push_down
 
 _DEGREES = 0.5
 """How exactly a layer is merged into motion that was simplified"""
@@ -44,10 +44,8 @@ def add_layer(armature: bpy.types.Object) -> bpy.types.Action:
     if data is None or data.action is None or not len(_holder(data).fcurves):
         raise OptionError(f"{armature.name!r} has no motion that changes could lie on")
     own_action(armature)
-    motion, slot = data.action, action_slot(data)
-    name = motion.name
-    data.action = None
-    add_strip(data, motion, slot)
+    motion, name = data.action, data.action.name
+    push_down(data)
     layer = bpy.data.actions.new(with_note(name, "changes"))
     assign_action(armature, layer)
     layer[BELOW] = motion

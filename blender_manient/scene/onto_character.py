@@ -31,11 +31,12 @@ from ..blender_versions import action_slot, channels, new_slot
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
-from ..rigs.rig import bone_path
+from ..rigs.rig import PosedBones, bone_path
 from ..wording import counted
 from .animation import computing_keys
 from .characters import why_not_reachable
-from .editable import is_tweaked
+from .controls import shown_on
+from .editable import check_unlayered, is_layered, is_tweaked
 from .keys import (
     SAME_FRAME,
     PoseKeys,
@@ -47,7 +48,8 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .sampling import rotations_of, sample
+from .own_scene import object_mode, own_scene, shown_in_pose
+from .sampling import rotations_of
 from .store import CapturedHand
 from .timing import Timing, check_range, frame_rate
 
@@ -64,6 +66,8 @@ _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_
 
 _CHUNK = 250
 """frames that are computed at once, in some milliseconds"""
+_SAMPLED = 20
+"""frames that Blender evaluates at once, where keys do not tell all"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +149,14 @@ def reading_motion(
     wanted = frames_between(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
     if len(wanted) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    if told_by_keys(hand.armature):
+    if told_by_keys(rig):
         quats, locations = pose_at(rig, wanted)
     else:
-        quats, locations = yield from _shown(hand, wanted)
+        shown = []
+        for start in range(0, len(wanted), _SAMPLED):
+            shown.append(shown_on(rig, wanted[start : start + _SAMPLED]))
+            yield
+        quats, locations = (np.concatenate(parts) for parts in zip(*shown, strict=True))
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
     return Motion.of(hand, wanted, turns, rest.wrist + locations @ rest.frames[0].T)
 
@@ -173,30 +181,24 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
 
 
-def told_by_keys(armature: bpy.types.Object) -> bool:
-    """Whether nothing but the present action's keys moves the bones of an armature."""
-    data = armature.animation_data
-    if data is not None and (data.use_tweak_mode or any(not track.mute for track in data.nla_tracks)):
+def told_by_keys(rig: PosedBones) -> bool:
+    """Whether nothing but the present action's keys moves the bones: no layer, strip, constraint, driver or
+    control, and no curve that is muted or modified."""
+    armature, data = rig.armature, rig.armature.animation_data
+    if any(
+        c.enabled and c.influence > 0.0 and not is_own(c) for b in armature.pose.bones for c in b.constraints
+    ):
         return False
-    others = (c for bone in armature.pose.bones for c in bone.constraints if not is_own(c))
-    return not in_use(armature) and not any(c.enabled and c.influence > 0.0 for c in others)
-
-
-def _shown(hand: CapturedHand, frames: np.ndarray) -> Generator[None, None, tuple[np.ndarray, np.ndarray]]:
-    scene = bpy.context.scene
-    now, part = scene.frame_current, scene.frame_subframe
-    quats, locations = [], []
-    try:
-        for frame in frames:
-            sampled = sample(hand.armature, [frame])
-            basis = sampled.basis()[0]
-            chosen = [sampled.names.index(name) for name in hand.rig.bones]
-            quats.append(rotmat_to_quat(rotations_of(basis[chosen])))
-            locations.append(basis[chosen[0], :3, 3])
-            yield
-    finally:
-        scene.frame_set(now, subframe=part)
-    return np.array(quats), np.array(locations)
+    if in_use(armature) or is_layered(armature):
+        return False
+    if data is None:
+        return True
+    if data.use_tweak_mode or any(not track.mute for track in data.nla_tracks):
+        return False
+    holder = channels(data.action, action_slot(data)) if data.action is not None else None
+    changed = [c for c in (holder.fcurves if holder is not None else ()) if c.mute or len(c.modifiers)]
+    starts = tuple(f"{bone_path(name)}." for name in rig.bones)
+    return not any(curve.data_path.startswith(starts) for curve in (*data.drivers, *changed))
 
 
 def putting(
@@ -221,10 +223,12 @@ def applying(
 
     A motion of the other side is mirrored. Raises HandModelError and OptionError, before anything is changed.
     """
-    check_own_keys(armature, present=onto.into == "ACTION")
+    check_own_keys(armature, onto.into)
     computed = yield from computing(armature, hands, onto)
+    if onto.into == "STRIP":
+        _check_uncovered(armature, computed.keys)
     if onto.into == "ACTION":
-        yield from _writing_into_present(armature, computed.keys)
+        _write_into_present(armature, computed.keys)
     else:
         yield from writing_anew(armature, computed.keys, onto.into)
     return computed.applied
@@ -280,9 +284,8 @@ def computing(
     return Computed(keys, applied)
 
 
-def _writing_into_present(
-    armature: bpy.types.Object, keys: Sequence[BoneKeys]
-) -> Generator[float, None, None]:
+def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
+    """In one step: a stop half-way would lose the keys that were there."""
     for one in keys:
         located = bool(one.keys.location_keyed.any())
         check_unlocked(one.rig, joints=np.flatnonzero(one.keyed).tolist(), location=located)
@@ -291,7 +294,7 @@ def _writing_into_present(
         first, last = float(one.keys.frames[0]), float(one.keys.frames[-1])
         located = bool(one.keys.location_keyed.any())
         remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
-    yield from writing(keys)
+    result_of(writing(keys))
 
 
 def writing_anew(
@@ -325,17 +328,22 @@ def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, No
 
 
 def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
-    """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are."""
+    """Rotations (N, K, 4) without what lies about axes that are locked: these stay what they are, for
+    quaternions as Euler angles XYZ, as Blender's own transforms keep them."""
     quats = quats.copy()
     for k, name in enumerate(names):
         bone = armature.pose.bones[name]
-        if not any(bone.lock_rotation) or bone.rotation_mode in {"QUATERNION", "AXIS_ANGLE"}:
+        if not any(bone.lock_rotation):
             continue
-        euler = bone.rotation_euler.copy()
+        order = bone.rotation_mode if bone.rotation_mode not in {"QUATERNION", "AXIS_ANGLE"} else "XYZ"
+        present = bone.rotation_euler if order == bone.rotation_mode else None
+        if present is None:
+            present = bone.matrix_basis.to_euler(order)
+        euler = present.copy()
         for row, quat in enumerate(quats[:, k].tolist()):
-            euler = Quaternion(quat).to_euler(bone.rotation_mode, euler)
+            euler = Quaternion(quat).to_euler(order, euler)
             for axis in np.flatnonzero(bone.lock_rotation):
-                euler[axis] = bone.rotation_euler[axis]
+                euler[axis] = present[axis]
             quats[row, k] = euler.to_quaternion()
     return quats
 
@@ -365,18 +373,14 @@ def _moving(
     at = int(np.argmin(np.abs(motion.frames - onto.reference)))
     own, bone = target.hand_map.bones[0], armature.data.bones[control]
     parent = bone.parent
-    scene = bpy.context.scene
-    now, part = scene.frame_current, scene.frame_subframe
     parents = np.empty((len(motion.frames), 4, 4))
-    try:
-        marked = _posed(armature, motion.frames[at], [own, *([parent.name] if parent else [])])
-        parents[:] = marked[-1]
-        if parent is not None and not _rests(armature, parent):
-            for row, frame in enumerate(motion.frames):
-                parents[row] = _posed(armature, frame, [parent.name])[0]
-                yield 0.5 * row / len(motion.frames)
-    finally:
-        scene.frame_set(now, subframe=part)
+    marked = _posed(armature, motion.frames[[at]], [own, *([parent.name] if parent else [])])[0]
+    parents[:] = marked[-1]
+    if parent is not None and not _rests(armature, parent):
+        for start in range(0, len(parents), _SAMPLED):
+            some = slice(start, start + _SAMPLED)
+            parents[some] = _posed(armature, motion.frames[some], [parent.name])[:, 0]
+            yield 0.5 * start / len(parents)
     rest = np.array(armature.data.bones[own].matrix_local, dtype=np.float64)
     turned = rotations_of(marked[0]) @ rotations_of(rest).T
     space = turned @ target.aligned @ motion.turns[at, 0].T
@@ -397,12 +401,17 @@ def _moving(
     return PoseKeys.everywhere(motion.frames, quats, places if located else None)
 
 
-def _posed(armature: bpy.types.Object, frame: float, names: Sequence[str]) -> np.ndarray:
-    """(B, 4, 4) bones in the armature's space, as the open scene shows them in a frame."""
-    whole = int(np.floor(frame))
-    bpy.context.scene.frame_set(whole, subframe=float(frame - whole))
-    shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    return np.array([shown.pose.bones[name].matrix for name in names], dtype=np.float64)
+def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
+    found = []
+    with object_mode(), own_scene("character") as scene, shown_in_pose([armature]):
+        scene.collection.objects.link(armature)
+        for frame in frames.tolist():
+            whole = int(np.floor(frame))
+            scene.frame_set(whole, subframe=frame - whole)
+            shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+            found.append([np.array(shown.pose.bones[name].matrix) for name in names])
+    return np.array(found, dtype=np.float64).reshape(-1, len(names), 4, 4)
 
 
 def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
@@ -457,43 +466,88 @@ def why_not_turned(armature: bpy.types.Object, name: str) -> str | None:
     return None
 
 
-def check_own_keys(armature: bpy.types.Object, *, present: bool) -> None:
-    """Raises OptionError where the armature cannot get another action, or its `present` one cannot be
-    changed."""
+def check_own_keys(armature: bpy.types.Object, into: Into) -> None:
+    """Raises OptionError where keys that are put there could not be written, or would not be shown."""
+    check_unlayered(armature)
+    data = armature.animation_data
+    if data is None:
+        return
     if is_tweaked(armature):
         raise OptionError(
             f"{armature.name!r} has an NLA strip in tweak mode: leave it first (Tab in the NLA)"
         )
-    data = armature.animation_data
-    if present and data is not None and data.action is not None and not data.action.is_editable:
+    if into == "ACTION":
+        if data.action is not None and not data.action.is_editable:
+            raise OptionError(
+                f"the action {data.action.name!r} of {armature.name!r} is linked from another file: choose a "
+                "new action, or make it local"
+            )
+        return
+    solo = next((track.name for track in data.nla_tracks if track.is_solo), None)
+    if solo is not None:
         raise OptionError(
-            f"the action {data.action.name!r} of {armature.name!r} is linked from another file: choose a new "
-            "action, or make it local"
+            f"the NLA track {solo!r} of {armature.name!r} is solo, so that nothing else would be shown: "
+            "switch its star off first"
         )
+    if not data.use_nla and (into == "STRIP" or data.action is not None):
+        raise OptionError(
+            f"the NLA of {armature.name!r} is switched off, so that strips would not be shown: switch it "
+            "on, or choose the present action"
+        )
+
+
+def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
+    """Raises OptionError where the present action, which lies above all strips, has curves of these bones."""
+    data = armature.animation_data
+    holder = (
+        channels(data.action, action_slot(data)) if data is not None and data.action is not None else None
+    )
+    paths = {curve.data_path for curve in (holder.fcurves if holder is not None else ())}
+    for one in keys:
+        starts = tuple(f"{bone_path(name)}.rotation" for name in np.array(one.rig.bones)[one.keyed])
+        if any(path.startswith(starts) for path in paths):
+            raise OptionError(
+                f"the present action of {armature.name!r} has keys of these bones too and lies above every "
+                "strip: choose a new action or the present one"
+            )
 
 
 def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into: Into) -> None:
     """Have the armature use a finished action."""
     data = armature.animation_data or armature.animation_data_create()
-    old, old_slot = data.action, action_slot(data)
     if into == "STRIP":
         add_strip(data, action, slot)
         return
-    if old is not None and old is not action:
-        data.action = None
-        add_strip(data, old, old_slot)
+    if data.action is not None:
+        push_down(data)
     data.action = action
     if slot is not None:
         data.action_slot = slot
 
 
-def add_strip(data: bpy.types.AnimData, action: bpy.types.Action, slot: Any) -> None:
-    """Put an action on a new track on top of the NLA, where its keys are."""
-    first, last = action.curve_frame_range  # frame_range may be what an artist says
+def push_down(data: bpy.types.AnimData) -> None:
+    """Put the present action on a new NLA track, where it goes on doing what it did in the scene's range."""
+    action, slot, scene = data.action, action_slot(data), bpy.context.scene
+    how = data.action_blend_type, data.action_influence, data.action_extrapolation
+    data.action = None
+    # Curves may go on beyond their keys, in circles or straight on.
+    strip = add_strip(data, action, slot, (scene.frame_start, scene.frame_end))
+    strip.blend_type, strip.influence, strip.extrapolation = how
+    data.action_blend_type, data.action_influence, data.action_extrapolation = "REPLACE", 1.0, "HOLD"
+
+
+def add_strip(
+    data: bpy.types.AnimData, action: bpy.types.Action, slot: Any, reach: Sequence[float] = ()
+) -> bpy.types.NlaStrip:
+    """Put an action on a new track on top of the NLA, where its keys are, or as far as it is to `reach`."""
+    own = tuple(action.curve_frame_range)  # frame_range may be what an artist says
+    first, last = min(*own, *reach), max(*own, *reach)
     track = data.nla_tracks.new()
     track.name = action.name
     strip = track.strips.new(action.name, int(np.floor(first)), action)
     if slot is not None:
         strip.action_slot = slot
+    strip.use_sync_length = False
     strip.action_frame_start, strip.action_frame_end = first, max(last, first + 1.0)
     strip.frame_start, strip.frame_end = first, max(last, first + 1.0)
+    return strip

@@ -170,7 +170,7 @@ class _OfCharacter(PosableHand):
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
-        check_own_keys(self._armature, present=True)
+        check_own_keys(self._armature, "ACTION")
         frames = np.array([context.scene.frame_current_final])
         moved = np.isfinite(quats[:, 0])
         keys = PoseKeys(

@@ -269,6 +269,113 @@ def test_a_marked_frame_outside_is_refused(make_take):
     assert target.animation_data is None
 
 
+def test_a_stop_loses_no_keys_of_the_present_action(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(19)))
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    action = target.animation_data.action
+    count = sum(len(c.keyframe_points) for c in action_curves(action))
+    steps = putting(target, [(map_of("right"), hand)], Onto(into="ACTION", contacts=False))
+    while True:
+        try:
+            next(steps)
+        except StopIteration:
+            break
+        assert sum(len(c.keyframe_points) for c in action_curves(action)) == count
+
+
+def test_a_cycle_goes_on_below(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(20)))
+    wrist = target.pose.bones[joint_name(0, "right")]
+    for frame, place in ((1, 0.0), (3, 1.0), (5, 0.0)):
+        wrist.location.x = place
+        wrist.keyframe_insert("location", frame=frame)
+    for curve in action_curves(target.animation_data.action):
+        curve.modifiers.new("CYCLES")
+    target.animation_data.action_blend_type = "REPLACE"
+    target.animation_data.action_influence = 0.5
+    frames = (3, 7, 11, 15)
+    before = [shown(target, frame)[wrist.name].location.x for frame in frames]
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    assert [shown(target, frame)[wrist.name].location.x for frame in frames] == pytest.approx(
+        before, abs=1e-5
+    )
+    assert target.animation_data.action_influence == 1.0
+
+
+def _layered(target):
+    target.animation_data.action_blend_type = "COMBINE"
+
+
+def _solo(target):
+    track = target.animation_data.nla_tracks.new()
+    track.is_solo = True
+
+
+def _nla_off(target):
+    target.animation_data.use_nla = False
+
+
+@pytest.mark.parametrize(
+    ("spoil", "into", "said"),
+    [
+        (_layered, "NEW", "layer"),
+        (_layered, "ACTION", "layer"),
+        (_solo, "NEW", "solo"),
+        (_solo, "STRIP", "solo"),
+        (_nla_off, "NEW", "switched off"),
+        (lambda _t: None, "STRIP", "above every strip"),
+    ],
+)
+def test_what_would_not_be_shown_is_refused(make_take, spoil, into, said):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(21)))
+    bone = target.pose.bones[joint_name(5, "right")]
+    bone.keyframe_insert("rotation_quaternion", frame=4)
+    action = target.animation_data.action
+    spoil(target)
+    tracks = len(target.animation_data.nla_tracks)
+    with pytest.raises(HandfitError, match=said):
+        result_of(putting(target, [(map_of("right"), hand)], Onto(into=into, contacts=False)))
+    assert target.animation_data.action == action
+    assert len(target.animation_data.nla_tracks) == tracks
+    assert len(bpy.data.actions) == 2
+
+
+@pytest.mark.parametrize("how", ["driver", "muted", "modifier"])
+def test_what_else_moves_the_captured_hand_counts(make_take, how):
+    hand = captured(make_take)
+    name = bone_names("right")[1]
+    curves = [c for c in action_curves(hand.armature.animation_data.action) if name in c.data_path]
+    if how == "driver":
+        for curve in curves:
+            curve.keyframe_points.clear()
+        hand.armature.pose.bones[name].driver_add("rotation_quaternion", 1).driver.expression = "0.5"
+    for curve in curves:
+        if how == "muted":
+            curve.mute = True
+        if how == "modifier":
+            curve.modifiers.new("NOISE").strength = 0.3
+    target = build_armature(hand_specs("right", np.random.default_rng(22)))
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    names = [joint_name(j, "right") for j in range(16)]
+    error = angles(directions(target, names, 6), directions(hand.armature, bone_names("right"), 6))
+    assert error.max() < 0.1
+
+
+def test_a_single_locked_axis_of_a_quaternion_bone(make_take):
+    hand = captured(make_take)
+    target = build_armature(hand_specs("right", np.random.default_rng(23)))
+    bone = target.pose.bones[joint_name(2, "right")]
+    bone.lock_rotation = (False, True, False)
+    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    for frame in (3, 6, 9):
+        turned = shown(target, frame)[bone.name].matrix_basis.to_euler("XYZ")
+        assert turned.y == pytest.approx(0.0, abs=1e-4)
+        assert abs(turned.x) + abs(turned.z) > 0.01
+
+
 def test_what_is_stopped_leaves_nothing(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(14)))
