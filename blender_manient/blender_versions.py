@@ -61,16 +61,18 @@ def assign_action(owner: bpy.types.Object, action: bpy.types.Action) -> Any:
     return channels(action, data.action_slot, make=True)
 
 
-def used_actions(owner: bpy.types.Object) -> list[tuple[Any, Any]]:
-    """Every (action, slot) that moves an object: the present one and those in its NLA."""
+def used_actions(owner: bpy.types.Object, *, acting: bool = False) -> list[tuple[Any, Any]]:
+    """Every (action, slot) of an object that can be changed: the present one and those in its NLA; or, for
+    `acting`, every one that moves it now: linked ones too, and none that is muted."""
     data = owner.animation_data
     if data is None:
         return []
+    strips = [(track, strip) for track in data.nla_tracks for strip in track.strips]
     used = [(data.action, action_slot(data))]
-    used += [(strip.action, action_slot(strip)) for track in data.nla_tracks for strip in track.strips]
+    used += [(s.action, action_slot(s)) for track, s in strips if not (acting and (track.mute or s.mute))]
     found: dict[Any, tuple[Any, Any]] = {}
     for action, slot in used:
-        if action is not None and action.is_editable:
+        if action is not None and (acting or action.is_editable):
             found[action, slot.handle if slot is not None else 0] = (action, slot)
     return list(found.values())
 

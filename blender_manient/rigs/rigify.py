@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -13,9 +15,18 @@ from handfit_core.retarget.hand_map import Found, HandMap, the_surest
 from handfit_core.retarget.names import named_hands
 from handfit_core.skeleton import FINGER_JOINTS, Side
 
-from ..blender_versions import action_slot, channels
+from ..blender_versions import channels, used_actions
 from .character import Character, driven_bones
 from .rig import bone_path
+
+_AT_REST = {
+    "location": (0.0, 0.0, 0.0),
+    "rotation_euler": (0.0, 0.0, 0.0),
+    "rotation_quaternion": (1.0, 0.0, 0.0, 0.0),
+    "rotation_axis_angle": (0.0,),  # no angle about any axis
+    "scale": (1.0, 1.0, 1.0),
+}
+"""A bone's channels"""
 
 
 class RigifyCharacter(Character):
@@ -42,18 +53,21 @@ class RigifyCharacter(Character):
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
         """Masters and finger IK that turn the fingers on top of their controls, and a hand whose control does
         not act."""
-        pose, core = armature.pose.bones, _core(hand_map)
+        pose, core, curves = armature.pose.bones, _core(hand_map), _curves(armature)
         masters, chains = [], []
         for finger in hand_map.fingers:
             first = next(hand_map.bones[joint] for joint in FINGER_JOINTS[finger] if hand_map.bones[joint])
             master, chain = pose.get(_derived(first, "_master")), pose.get(_derived(first, "_ik"))
             if master is not None and (
-                not np.allclose(master.matrix_basis, np.eye(4), atol=1e-4)
-                or _moving(armature, f"{bone_path(master.name)}.")
+                not np.abs(np.array(master.matrix_basis) - np.eye(4)).max() < 1e-4
+                or any(
+                    _moving(curves, f"{bone_path(master.name)}.{channel}", still)
+                    for channel, still in _AT_REST.items()
+                )
             ):
                 masters.append(master.name)
             if chain is not None and (
-                chain.get("FK_IK", 0.0) or _moving(armature, f'{bone_path(chain.name)}["FK_IK"]', 0.0)
+                chain.get("FK_IK", 0.0) or _moving(curves, f'{bone_path(chain.name)}["FK_IK"]', [0.0])
             ):
                 chains.append(chain.name)
         said = []
@@ -73,7 +87,7 @@ class RigifyCharacter(Character):
             acting, idle = (
                 _derived(core, suffix) for suffix in (("_fk", "_ik") if value else ("_ik", "_fk"))
             )
-            if 0.0 < value < 1.0 or _moving(armature, f'{bone_path(switch.name)}["IK_FK"]', value):
+            if 0.0 < value < 1.0 or _moving(curves, f'{bone_path(switch.name)}["IK_FK"]', [value]):
                 said.append(
                     f"the arm changes between IK and FK: set IK-FK of {switch.name} to 0 (IK) or 1 (FK), and "
                     "delete its keys"
@@ -106,26 +120,21 @@ def _switch(armature: bpy.types.Object, core: str) -> bpy.types.PoseBone | None:
     return None
 
 
-def _moving(armature: bpy.types.Object, path: str, at: float | None = None) -> bool:
-    """Whether drivers, or keys with other values than `at` (None: than at rest), move channels whose paths
-    begin so."""
+def _curves(armature: bpy.types.Object) -> list[Any]:
+    """What holds the curves that move an armature: its drivers, and its actions that are not muted."""
     data = armature.animation_data
-    if data is None:
-        return False
-    actions = [(data.action, action_slot(data))] if data.action is not None else []
-    actions += [
-        (s.action, action_slot(s)) for t in data.nla_tracks if not t.mute for s in t.strips if s.action
-    ]
-    holders = [holder for action, slot in actions if (holder := channels(action, slot)) is not None]
-    for curve in (*data.drivers, *(curve for holder in holders for curve in holder.fcurves)):
-        if not curve.data_path.startswith(path):
-            continue
-        still = at
-        if still is None:
-            of_one = curve.data_path.endswith("scale") or (
-                curve.data_path.endswith("quaternion") and not curve.array_index
-            )
-            still = 1.0 if of_one else 0.0
-        if curve.driver is not None or any(abs(key.co[1] - still) > 1e-4 for key in curve.keyframe_points):
-            return True
-    return False
+    holders = [channels(action, slot) for action, slot in used_actions(armature, acting=True)]
+    return [*([data.drivers] if data else []), *(holder.fcurves for holder in holders if holder is not None)]
+
+
+def _moving(curves: list[Any], path: str, still: Sequence[float]) -> bool:
+    """Whether a driver, or keys with other values than `still`, move a channel of that many parts.
+
+    Panels ask at every redraw: Blender looks curves up faster than we read the paths of a body's thousand.
+    """
+    found = ((held.find(path, index=i), value) for held in curves for i, value in enumerate(still))
+    return any(
+        curve is not None
+        and (curve.driver is not None or any(abs(key.co[1] - value) > 1e-4 for key in curve.keyframe_points))
+        for curve, value in found
+    )

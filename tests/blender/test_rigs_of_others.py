@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.blender_versions import assign_action
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
@@ -311,6 +312,45 @@ def test_rigify_tells_what_would_spoil_the_fingers(generated):
     ):
         arm["IK_FK"] = value
         assert [said in sentence for sentence in troubles(rig, hand)] == [True]
+
+
+def test_what_is_muted_in_the_nla_spoils_nothing(generated):
+    rig = opened(generated, "rig")
+    hand = found_hand(rig, "left").hand_map
+    rig.pose.bones["f_ring.01_master.L"].scale.y = 0.5
+    rig.pose.bones["f_ring.01_master.L"].keyframe_insert("scale", frame=5)
+    rig.pose.bones["f_ring.01_master.L"].scale.y = 1.0
+    data, action = rig.animation_data, rig.animation_data.action
+    data.action = None
+    track = data.nla_tracks.new()
+    strip = track.strips.new("bent", 1, action)
+    assert len(troubles(rig, hand)) == 1
+    for muted in (strip, track):
+        muted.mute = True
+        assert troubles(rig, hand) == []
+        muted.mute = False
+    assert len(troubles(rig, hand)) == 1
+
+
+def test_keys_of_the_body_cost_a_redraw_nothing(generated):
+    rig = opened(generated, "rig")
+    hand = found_hand(rig, "left").hand_map
+    holder = assign_action(rig, bpy.data.actions.new("body"))
+
+    def calls():
+        seen = []
+        sys.setprofile(lambda _frame, event, _: seen.append(event))
+        try:
+            assert troubles(rig, hand) == []
+        finally:
+            sys.setprofile(None)
+        return len(seen)
+
+    few = calls()
+    for bone in rig.pose.bones[:200]:
+        for index in range(3):
+            holder.fcurves.new(f'pose.bones["{bone.name}"].rotation_euler', index=index)
+    assert calls() == few
 
 
 def test_a_switch_of_rigify_is_said_and_refused_before_anything_is_changed(generated, registered, make_take):
