@@ -25,8 +25,9 @@ than ours"""
 
 _LONGEST: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
-_LARGEST_PRESET: Final = 1_000_000
-"""bytes; a preset with 63 bytes for every bone's name has some 4 000"""
+_LARGEST: Final = 1_000_000
+"""bytes of a preset, characters of a table; a preset with 63 bytes for every bone's name has some 4 000"""
+_RANGES: Final = {"thumb_roll": (-360.0, 360.0), "fold": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -105,11 +106,13 @@ class HandMap:
         for name in ("control", "rig", "thumb_roll", "keep_rest", "fold"):
             if name not in data:
                 continue
-            value, kind = data[name], kinds[name]
-            if kind == "float":
-                fits = type(value) in (int, float) and abs(value) <= 360.0
+            value = data[name]
+            if name in _RANGES:
+                lowest, highest = _RANGES[name]
+                fits = type(value) in (int, float) and lowest <= value <= highest
             else:
-                fits = isinstance(value, bool if kind == "bool" else str) and len(str(value)) <= _LONGEST
+                kind = bool if kinds[name] == "bool" else str
+                fits = isinstance(value, kind) and len(str(value)) <= _LONGEST
             if not fits:
                 raise HandModelError(f"{name} of this table of a hand's bones is {shown(str(value)[:40])!r}")
             values[name] = value
@@ -180,7 +183,7 @@ def from_preset(text: str) -> list[HandMap]:
 def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
     """The tables of a preset file. Raises HandModelError, which names it."""
     try:
-        return from_preset(read_file(path, _LARGEST_PRESET).decode("utf-8", "replace"))
+        return from_preset(read_file(path, _LARGEST).decode("utf-8", "replace"))
     except (OSError, ValueError) as error:
         raise HandModelError(f"{shown(path)}: {why(error)}") from error
     except HandModelError as error:
@@ -188,6 +191,8 @@ def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
 
 
 def _json(text: str, what: str) -> Any:
+    if len(text) > _LARGEST:
+        raise HandModelError(f"this is no {what} of a hand's bones: it is too long")
     try:
         data = json.loads(text)
         json.dumps(data, ensure_ascii=False).encode()  # Blender cannot show half a surrogate pair

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.errors import HandModelError
+from handfit_core.files import shown
 from handfit_core.geometry.rotations import (
     quat_to_rotmat,
     rotmat_to_quat,
@@ -182,11 +183,20 @@ class TargetHand:
 
 def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHand:
     """What is needed to have a character's hand follow a captured one of the same side. Raises HandModelError
-    where bones are missing, or lie so that there is no telling where the palm faces."""
+    where bones are missing, where the hand itself or what carries it stands for a finger, or where bones lie
+    so that there is no telling where the palm faces."""
     hand_map.check(bones.index)
     names = sorted(hand_map.keyed, key=bones.index.__getitem__)
     at = [bones.index[name] for name in names]
-    wrist = bones.heads[bones.index[hand_map.bones[0]]]
+    hand = bones.index[hand_map.bones[0]]
+    carrying = {hand, *bones.ancestors(hand), bones.index[hand_map.moved_by]}
+    wrong = next((name for name, bone in zip(names, at, strict=True) if bone in carrying), None)
+    if wrong is not None:
+        raise HandModelError(
+            f"the bone {shown(wrong)!r} moves the whole {hand_map.side} hand, so that it cannot be one of a "
+            "finger: choose another one in the table"
+        )
+    wrist = bones.heads[hand]
     knuckles = _knuckles(bones, hand_map)
     ours = {finger: source.joints[joints].mean(axis=0) for finger, (_, joints) in knuckles.items()}
     theirs, scale = palm_frame(wrist, {f: head for f, (head, _) in knuckles.items()}, hand_map.side)

@@ -76,6 +76,9 @@ HOSTILE = {
     "a huge roll": changed(thumb_roll=0).replace('"thumb_roll": 0', '"thumb_roll": 1' + "0" * 400),
     "a number for a truth": changed(keep_rest=1),
     "a list for a fold": changed(fold=[0.5]),
+    "a fold beyond all": changed(fold=1.01),
+    "a fold backwards": changed(fold=-0.01),
+    "megabytes": PLAIN.to_json() + " " * 1_000_000,
 }
 
 

@@ -297,6 +297,29 @@ def test_palms_that_face_nowhere_are_refused():
 
 
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("above", [False, True])
+def test_what_moves_the_whole_hand_is_no_finger(side, above):
+    bones = rig(side, 10, palms=True)
+    if above:  # an arm, which the hand hangs from
+        bones = Bones(
+            ("arm", *bones.names),
+            np.array([-1, *(bones.parents + 1)]),
+            np.concatenate([bones.heads[:1] - 1.0, bones.heads]),
+            np.concatenate([bones.heads[:1], bones.tails]),
+            np.concatenate([bones.frames[:1], bones.frames]),
+            np.array([True, *bones.inherits]),
+        )
+    good, wrong = table(bones, side, fold=0.5), "arm" if above else NAMES[0]
+    target_hand(bones, good, source(side))
+    finger = replace(good, bones=(NAMES[0], wrong, *good.bones[2:]))
+    palm = replace(good, palm=(*good.palm[:3], wrong))
+    control = replace(good, control=good.bones[5])
+    for hand_map, bone in ((finger, wrong), (palm, wrong), (control, good.bones[5])):
+        with pytest.raises(HandModelError, match=f"the bone '?{bone}'? moves the whole {side} hand"):
+            target_hand(bones, hand_map, source(side))
+
+
+@pytest.mark.parametrize("side", SIDES)
 def test_a_palms_third_axis_comes_out_of_its_back(side):
     own = source(side)
     frame, size = palm_frame(own.joints[0], {f: own.joints[FINGER_JOINTS[f][0]] for f in FINGERS[1:]}, side)
