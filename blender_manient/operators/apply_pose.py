@@ -30,8 +30,10 @@ class _PutsPose(Refuses):
         return why_not_posable(context)
 
     def _put(self, context: bpy.types.Context, pose: Pose, blend: float) -> set[str]:
-        for hand in posable_hands(context):
-            hand.put(context, pose, blend)
+        hands = posable_hands(context)
+        poses = [hand.towards(context, pose, blend) for hand in hands]  # all of them, before one is changed
+        for hand, quats in zip(hands, poses, strict=True):
+            hand.put(context, quats)
         return {"FINISHED"}
 
 

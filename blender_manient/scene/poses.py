@@ -15,13 +15,13 @@ import bpy.utils.previews
 import numpy as np
 
 from handfit_core.edit.corrections import changed_quats, correction_between
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.errors import OptionError
 from handfit_core.hand_model.drawing import colored, drawn_pose
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.poses import Pose, ready_poses
 from handfit_core.retarget.contacts import Fingertips
-from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.hand_map import HandMap, empty_map
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES
 from handfit_core.slices import result_of
@@ -30,11 +30,11 @@ from ..blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import with_moved
 from ..rigs.rig import PosedBones
-from .characters import character_of, kept_map, recognised, why_not_reachable
+from .characters import character_of, table_of, why_not_reachable
 from .controls import rotations_now
 from .corrections import correct_frames, corrections_of, timing_of
 from .editable import why_not_keyable, why_not_readable
-from .keys import PoseKeys, displayed_pose, keyed_bones, set_pose, write_pose_keys
+from .keys import PoseKeys, check_unlocked, displayed_pose, keyed_bones, set_pose, write_pose_keys
 from .onto_character import Motion, Onto, check_own_keys, computing
 from .sampling import rotations_of
 from .store import CapturedHand, active_hand, hand_of
@@ -57,14 +57,15 @@ class PosableHand(ABC):
     def read(self) -> Pose:
         """The pose that it shows."""
 
-    def put(self, context: bpy.types.Context, pose: Pose, blend: float) -> None:
-        """Bring the fingers of selected bones, of none all fingers, towards a pose at the current frame: by
-        `blend`, 0..1, of the way from where they are. Raises HandModelError, OptionError and TakeError."""
+    def towards(self, context: bpy.types.Context, pose: Pose, blend: float) -> np.ndarray:
+        """(B, 4) what brings the fingers of selected bones, of none all fingers, towards a pose: by `blend`,
+        0..1, of the way from where they are; NaN for bones that stay. Changes nothing. Raises HandModelError
+        and OptionError, also where `put` could not key it."""
         chosen = self._chosen(context)
         before = displayed_pose(self.rig)
         way = correction_between(before, self._quats(pose))
         quats = changed_quats(before, np.zeros_like(way), blend * way)
-        self._write(context, np.where(chosen[:, None], quats, np.nan))
+        return np.where(chosen[:, None], quats, np.nan)
 
     def is_selected(self, context: bpy.types.Context) -> bool:
         """Whether any bone of it is, in Pose mode."""
@@ -75,8 +76,8 @@ class PosableHand(ABC):
         """(B, 4) the bones' rotations in the pose; NaN for bones that cannot be keyed."""
 
     @abstractmethod
-    def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
-        """Key and show rotations (B, 4); bones that are NaN stay as they are."""
+    def put(self, context: bpy.types.Context, quats: np.ndarray) -> None:
+        """Key at the current frame, and show, what `towards` returned. Raises OptionError and TakeError."""
 
     def _selected(self, context: bpy.types.Context) -> set[str]:
         if context.mode != "POSE":
@@ -115,7 +116,7 @@ class _Captured(PosableHand):
             0
         ]
 
-    def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
+    def put(self, context: bpy.types.Context, quats: np.ndarray) -> None:
         """Bones that are animated get a key, others only with Auto Keying."""
         armature, moved = self._hand.armature, np.isfinite(quats[:, 0])
         keyed = moved & (keyed_bones(self.rig) | context.scene.tool_settings.use_keyframe_insert_auto)
@@ -169,8 +170,16 @@ class _OfCharacter(PosableHand):
         (found,) = result_of(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
-    def _write(self, context: bpy.types.Context, quats: np.ndarray) -> None:
+    def towards(self, context: bpy.types.Context, pose: Pose, blend: float) -> np.ndarray:
+        """Checked for locks."""
         check_own_keys(self._armature, "ACTION")
+        quats = super().towards(context, pose, blend)
+        moved = np.flatnonzero(np.isfinite(quats[:, 0])).tolist()
+        check_unlocked(self.rig, joints=moved, location=False)
+        return quats
+
+    def put(self, context: bpy.types.Context, quats: np.ndarray) -> None:
+        """All of them get a key."""
         frames = np.array([context.scene.frame_current_final])
         moved = np.isfinite(quats[:, 0])
         keys = PoseKeys(
@@ -215,15 +224,9 @@ def posable_hands(context: bpy.types.Context) -> list[PosableHand]:
 
 
 def _maps(armature: bpy.types.Object) -> list[HandMap]:
-    found = []
-    for side in SIDES:
-        if not getattr(armature.manient.character, side).use:
-            continue
-        try:
-            found.append(kept_map(armature, side) or recognised(armature, side).hand_map)
-        except HandModelError:
-            continue
-    return found
+    """The tables of its hands that are known and used."""
+    tables = (table_of(armature, side) for side in SIDES if getattr(armature.manient.character, side).use)
+    return [table for table in tables if table != empty_map(table.side)]
 
 
 def pose_named(name: str) -> Pose:

@@ -405,6 +405,23 @@ def test_what_a_character_cannot_take_is_said_before_anything_is_changed():
     assert [c.keyframe_points[0].co[1] for c in curves] == values
 
 
+def test_a_hand_that_cannot_take_a_pose_keeps_the_other_from_it():
+    armature = two_hands()
+    bpy.ops.manient.apply_pose(pose="Fist")
+    curves = list(action_curves(armature.animation_data.action))
+    locked = next(c for c in curves if joint_name(4, "right") in c.data_path)
+    locked.lock = True
+    before = [[tuple(p.co) for p in c.keyframe_points] for c in curves]
+    bpy.context.scene.frame_set(7)
+    shown = [tuple(bone.rotation_quaternion) for bone in armature.pose.bones]
+    with pytest.raises(RuntimeError, match="locked"):
+        bpy.ops.manient.apply_pose(pose="Spread")
+    assert [[tuple(p.co) for p in c.keyframe_points] for c in curves] == before
+    assert [tuple(bone.rotation_quaternion) for bone in armature.pose.bones] == shown
+    select_bones(armature, [joint_name(1, "left")])
+    assert bpy.ops.manient.apply_pose(pose="Spread") == {"FINISHED"}
+
+
 # Assets for every rig
 
 
