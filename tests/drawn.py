@@ -15,7 +15,7 @@ class Page:
     notes what it shows."""
 
     def __init__(self, within: Page | None = None) -> None:
-        self.enabled = True
+        self.enabled, self.alert = True, False
         self._within = within
         self._shown: list[tuple[str, Page]] = [] if within is None else within._shown
 
@@ -23,6 +23,11 @@ class Page:
     def said(self) -> str:
         """All texts, and the names of what has none, in a line: sentences are wrapped anywhere."""
         return " ".join(text for text, _ in self._shown if text)
+
+    @property
+    def loud(self) -> str:
+        """What of it is red."""
+        return " ".join(text for text, page in self._shown if page.alert)
 
     @property
     def grey(self) -> list[str]:

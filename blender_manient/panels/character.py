@@ -8,7 +8,7 @@ import bpy
 
 from handfit_core.errors import HandfitError, HandModelError
 from handfit_core.retarget.hand_map import PALM_FINGERS
-from handfit_core.skeleton import FINGERS, SIDES, Side
+from handfit_core.skeleton import FINGERS, SIDES, Side, other_side
 
 from .. import live_link
 from ..rigs import troubles
@@ -19,6 +19,7 @@ from ..scene.characters import (
     kept_map,
     recognised,
     source_of,
+    table_of,
     why_not_reachable,
 )
 from ..scene.onto_character import why_not_turned
@@ -60,8 +61,10 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         if not settings.use:
             return
         box.prop(settings, "source", text="", icon="VIEW_PAN")
+        wanted = True
         try:
             source = source_of(armature, side, context)
+            wanted = source is not None
         except HandfitError as error:
             sentence(box, context, capitalised(str(error)), "ERROR", alert=True)
         else:
@@ -70,7 +73,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             else:
                 text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
             sentence(box, context, text, "BLANK1" if source else "INFO")
-        for text, icon in _told_of(armature, side):
+        for text, icon in _told_of(armature, side, wanted):
             sentence(box, context, text, icon, alert=icon == "ERROR")
 
     def _how(self, context, layout, armature: bpy.types.Object) -> None:
@@ -137,14 +140,19 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         row.operator("manient.save_hand_preset", icon="FILE_TICK")
 
 
-def _told_of(armature: bpy.types.Object, side: Side) -> list[tuple[str, str]]:
-    """What a hand was taken for, and what stands in its way: sentences and their icons."""
+def _told_of(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
+    """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
+    lacks it is no error where nothing would move it, and the other hand is known."""
     told = []
     if is_damaged(armature, side):
         text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
         told.append((text, "ERROR"))
     try:
         hand_map = hand_map_of(armature, side)
+    except HandModelError as error:
+        lacked = not wanted and table_of(armature, other_side(side)).mapped
+        return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
+    try:
         rig = hand_map.rig or "Unknown rig"
         if kept_map(armature, side) is not None:
             told.append((f"{rig}, with your own table", "CHECKMARK"))

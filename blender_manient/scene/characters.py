@@ -163,10 +163,16 @@ def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
 
 def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context) -> CapturedHand | None:
     """Which captured hand a character's hand follows: the chosen one, else a selected one of that side, else
-    the scene's only one of it; None for none. Raises OptionError where there are several."""
+    the scene's only one of it; None for none. Raises OptionError where there are several, and where the
+    chosen one has lost its take."""
     chosen = getattr(armature.manient.character, side).source
-    hand = hand_of(chosen) if chosen is not None else None
-    if hand is not None:
+    if chosen is not None:
+        hand = hand_of(chosen)
+        if hand is None:
+            raise OptionError(
+                f"{chosen.name!r}, chosen for the {side} hand of {armature.name!r}, has no take any more: "
+                "choose another one in the panel"
+            )
         return hand
     hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
     own = [hand for hand in hands if hand.side == side]

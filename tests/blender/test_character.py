@@ -100,6 +100,38 @@ def test_a_hand_that_nobody_captured_and_several_that_were(make_take):
     refused(apply, "several captured right hands")
 
 
+def test_a_chosen_hand_without_its_take_is_not_replaced_by_another(make_take):
+    chosen, _other = captured(make_take, ("left",))["left"].armature, captured(make_take, ("left",))
+    armature = mixamo(("left",))
+    select(armature)
+    armature.manient.character.left.source = chosen
+    assert f"Moves as {chosen.name}" in said()
+    chosen.manient.capture = None
+    assert f"{chosen.name!r}, chosen for the left hand" in drawn(MANIENT_PT_character).loud
+    refused(apply, "has no take any more")
+
+
+def test_a_hand_that_is_lacked_is_an_error_only_where_one_would_move_it(make_take):
+    lacked, hands = "No left hand was found", captured(make_take, ("right",))
+    armature = mixamo(("right",))
+    select(armature)
+    assert lacked in said()
+    assert drawn(MANIENT_PT_character).loud == ""
+    armature.manient.character.left.source = hands["right"].armature
+    assert lacked in drawn(MANIENT_PT_character).loud
+    armature.manient.character.left.source = None
+    captured(make_take, ("left",))
+    select(armature)
+    assert lacked in drawn(MANIENT_PT_character).loud
+    none = build_armature([BoneSpec("root", "", (0, 0, 0), (0, 0, 1))])
+    for hand in list(bpy.data.objects):
+        if hand not in (armature, none):
+            bpy.data.objects.remove(hand)
+    select(none)
+    assert "No captured left hand" in said()
+    assert lacked in drawn(MANIENT_PT_character).loud
+
+
 @pytest.mark.parametrize("sides", [("left",), ("right",)])
 def test_a_character_with_one_hand_gets_its_motion(make_take, sides):
     captured(make_take)
