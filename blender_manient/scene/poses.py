@@ -60,7 +60,7 @@ class PosableHand(ABC):
     def towards(self, context: bpy.types.Context, pose: Pose, blend: float) -> np.ndarray:
         """(B, 4) what brings the fingers of selected bones, of none all fingers, towards a pose: by `blend`,
         0..1, of the way from where they are; NaN for bones that stay. Changes nothing. Raises HandModelError
-        and OptionError, also where `put` could not key it."""
+        and OptionError."""
         chosen = self._chosen(context)
         before = displayed_pose(self.rig)
         way = correction_between(before, self._quats(pose))
@@ -171,7 +171,7 @@ class _OfCharacter(PosableHand):
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def towards(self, context: bpy.types.Context, pose: Pose, blend: float) -> np.ndarray:
-        """Checked for locks."""
+        """The same; raises OptionError also where `put` could not key it."""
         check_own_keys(self._armature, "ACTION")
         quats = super().towards(context, pose, blend)
         moved = np.flatnonzero(np.isfinite(quats[:, 0])).tolist()
