@@ -28,7 +28,7 @@ from handfit_core.hand_model.axes import RestPose
 
 from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.rig import PosedBones, bone_path
-from .editable import is_tweaked, strip_below
+from .editable import BELOW, is_tweaked, strip_below
 
 SAME_FRAME = 0.01
 """Keys nearer than this are one key, as for Blender itself"""
@@ -309,6 +309,9 @@ def own_action(armature: bpy.types.Object, *, nla: bool = False) -> None:
         user.action = copies[action]
         if slot is not None:
             user.action_slot = next(s for s in user.action.slots if s.identifier == slot.identifier)
+    for action, copy in copies.items():
+        if data.action is not None and data.action.get(BELOW) == action:
+            data.action[BELOW] = copy
 
 
 def _used_by_others(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> bool:

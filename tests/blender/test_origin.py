@@ -10,6 +10,7 @@ from mathutils import Matrix
 from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import clear_corrections, correct_frames, displaced
+from blender_manient.scene.editable import BELOW, strip_below
 from blender_manient.scene.keys import pose_at, read_pose_keys
 from blender_manient.scene.layer import add_layer, end_layer
 from blender_manient.scene.retake import retaken
@@ -153,16 +154,20 @@ def test_with_controls(hand):
         assert np.abs(one - other).max() < 3e-6
 
 
-def test_with_a_layer_on_top(hand):
+@pytest.mark.parametrize("shared", [False, True])
+def test_with_a_layer_on_top(hand, shared):
     wrist, along = hand.pose.bones[rig_of(hand).bones[0]], (0.03, 0.02, 0.01)
     add_layer(hand)
     wrist.location = along
     wrist.keyframe_insert("location", frame=int(FRAMES[2]))
+    twin = hand.copy() if shared else None
     before = everywhere(hand)
     assert bpy.ops.manient.origin_to_wrist() == {"FINISHED"}
     np.testing.assert_allclose(origin(hand), before[1][2, 0], atol=1e-6)
     for one, other in zip(before, everywhere(hand), strict=True):
         assert np.abs(one - other).max() < 3e-6
+    if twin is not None:
+        assert strip_below(twin).action == twin.animation_data.action[BELOW] != strip_below(hand).action
     end_layer(hand, merge=True)
     for one, other in zip(before, everywhere(hand), strict=True):
         assert np.abs(one - other).max() < 3e-6
