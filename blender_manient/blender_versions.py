@@ -118,5 +118,10 @@ def property_group(block: bpy.types.ID, name: str) -> dict[str, Any]:
     return value.to_dict() if hasattr(value, "to_dict") else {}
 
 
+def versions() -> tuple[tuple[int, int], tuple[int, int]]:
+    """Of the Blender that saved the open file, and of this one: main and minor version."""
+    return bpy.data.version[:2], bpy.app.version[:2]
+
+
 def _has_slots(action: bpy.types.Action) -> bool:
     return hasattr(action, "slots")

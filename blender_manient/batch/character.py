@@ -18,6 +18,7 @@ from handfit_core.skeleton import SIDES, Side
 from handfit_core.slices import result_of
 from handfit_core.take import HandTrack, Take
 
+from ..blender_versions import versions
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
 from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
@@ -141,8 +142,9 @@ class Character:
         except RuntimeError as error:
             reason = " ".join(str(error).removeprefix("Error: ").split())
             raise InputError(f"{name}: Blender could not open the character's file ({reason})") from error
-        if bpy.data.version[:2] > bpy.app.version[:2]:
-            newer, own = (".".join(map(str, v[:2])) for v in (bpy.data.version, bpy.app.version))
+        newer, own = versions()
+        if newer > own:
+            newer, own = (".".join(map(str, version)) for version in (newer, own))
             raise InputError(
                 f"{name}: the character's file was saved by Blender {newer}, and this is {own}, which would "
                 f"lose what is new in it: use Blender {newer} or later"

@@ -32,6 +32,8 @@ ASKED_ELSEWHERE = {
     "shape_keys": "kinds of objects' data",
     "mode": "kinds of editors",
     "copy": "vectors and plain numbers",
+    "asset": "a member of the context that only asset browsers have",
+    "vrm_addon_extension": "data of another add-on",
 }
 """What modules that know Blender may ask for by name, and why"""
 
