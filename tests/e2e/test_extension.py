@@ -98,6 +98,7 @@ def test_the_core_is_its_source_with_the_models_and_without_evaluation(zipped, t
         "handfit_core/hand_model/data/landmarks.npz",
         "handfit_core/hand_model/data/open_hand_left.npz",
         "handfit_core/hand_model/data/open_hand_right.npz",
+        "handfit_core/hand_model/data/poses.npz",
         "handfit_core/detect/correction/data/landmark_network.npz",
         "handfit_core/fit/data/doubt.npz",
     }
