@@ -37,7 +37,8 @@ DEMO_BPY = BPY["4.5"]
 
 NUMBERS = [
     *("tests/core/fit", "tests/core/edit", "tests/core/detect/correction", "tests/core/geometry"),
-    *("tests/core/paper/test_placement.py", "tests/core/retarget"),
+    *("tests/core/paper/test_placement.py", "tests/core/retarget/test_contacts.py"),
+    *("tests/core/retarget/test_transfer.py", "tests/core/retarget/test_structure.py"),
     *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
 ]
 """Tests of what hangs on sums: they run a second time as on another processor"""
