@@ -86,11 +86,10 @@ def step() -> float | None:
         try:
             with bpy.context.temp_override(window=bpy.context.window or windows[0]):  # timers have none
                 _step(link, armature, is_over)
-            if link.changed is None:
-                _troubles.pop(uid, None)
         except (HandfitError, ReferenceError) as error:
             link.steps, link.changed = None, None
-            _troubles[uid] = str(error)
+            gone = "the captured hand that this character follows was deleted: choose another one"
+            _troubles[uid] = gone if isinstance(error, ReferenceError) else str(error)
     return _TICK if any(link.changed is not None or link.shows for link in _links.values()) else None
 
 
@@ -107,6 +106,7 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
             return
     # Writing keys may itself look like a change: the next pass finds nothing to write then.
     link.steps = None
+    _troubles.pop(armature.session_uid, None)
     if link.changed is None or link.changed < link.began:
         link.changed = None
 

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from handfit_core.edit.simplify import LOCATION, Channels, Sight, Simplified, simplifying
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.retarget.transfer import SourceHand
@@ -27,7 +27,7 @@ from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
 from ..wording import with_note
 from . import corrections
-from .characters import active_character, kept_map, recognised
+from .characters import active_character, table_of
 from .editable import check_keyable
 from .keys import (
     channel_values,
@@ -100,15 +100,8 @@ def hands_to_simplify(context: bpy.types.Context) -> list[Hand]:
             for joint in joints:
                 parts[joint] = finger
         return [Hand(captured.rig, tuple(parts), captured)]
-    hands = []
-    for side in SIDES if armature is not None else ():
-        try:
-            hands.append(
-                _of_character(armature, kept_map(armature, side) or recognised(armature, side).hand_map)
-            )
-        except HandModelError:
-            continue
-    return hands
+    tables = [table_of(armature, side) for side in SIDES] if armature is not None else []
+    return [_of_character(armature, table) for table in tables if table.mapped]
 
 
 def _of_character(armature: bpy.types.Object, hand_map: HandMap) -> Hand:

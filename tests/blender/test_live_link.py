@@ -148,6 +148,23 @@ def test_another_action_is_not_written_to(linked):
     assert values(target) == before
 
 
+def test_one_characters_trouble_stays_while_another_follows(linked):
+    hand, target = linked
+    other = build_armature(hand_specs("right", np.random.default_rng(4)), "Other")
+    keep_map(other, map_of("right"))
+    other.manient.character.contacts = False
+    other.manient.character.live = True
+    settle()
+    target.animation_data.action = bpy.data.actions.new("mine")
+    curl(hand, 5)
+    settle()
+    assert "another action" in live_link.trouble(target)
+    live_link._links[other.session_uid].changed = 0.0
+    settle()
+    assert live_link.trouble(other) is None
+    assert "another action" in live_link.trouble(target)
+
+
 def test_switched_off_it_follows_no_more(linked):
     hand, target = linked
     target.manient.character.live = False
