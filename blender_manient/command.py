@@ -14,17 +14,13 @@ from typing import Any
 import bpy
 
 from . import installation, verification
+from .batch.commands import COMMANDS
 from .batch.console import print_error, show_all_names, stopped_by_signals
 from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 
 NAME = "manient"
 
 _DEFAULT_PYTHON = "the preferences', else $HANDFIT_PYTHON, else Blender's own"
-_BATCHES = {
-    "capture": "fit hands to photos, sequences, videos and folders of them",
-    "apply": "put the motion of takes, or of photos and videos, onto a character",
-}
-"""Commands with the options of a batch, and what help says of them"""
 _handle: Any = None
 """What Blender gave for the registered command"""
 
@@ -33,11 +29,11 @@ def main(argv: Sequence[str]) -> int:
     """Run `manient ARGV`; returns the exit code, raises nothing."""
     show_all_names()
     debug = "--debug" in argv
-    if argv[:1] and argv[0] in _BATCHES and _refused():  # their very options are the core's
+    if argv[:1] and argv[0] in COMMANDS and _refused():  # their very options are the core's
         return EXIT_SOME_FAILED
     try:
         args = _parser(argv).parse_args(argv)
-        return args.run(args)
+        return _check(args) if args.command == "check" else _run_batch(args)
     except SystemExit as ended:  # --help, or wrong options; both have printed what there is to say
         return ended.code if isinstance(ended.code, int) else EXIT_USAGE
     except (ImportError, SyntaxError) as error:  # files that are needed first here are gone or damaged
@@ -53,13 +49,13 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         prog=f"blender --command {NAME}", description="Manient Hand Capture without a window."
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, said in _BATCHES.items():
-        batch = commands.add_parser(name, help=said, description=f"{said[0].upper()}{said[1:]}.")
-        if argv[:1] == [name]:
-            from .batch.arguments import add_arguments
+    if argv[:1] and argv[0] in COMMANDS:
+        from .batch.arguments import add_commands
 
-            add_arguments(batch, default_python=_DEFAULT_PYTHON, onto_character=name == "apply")
-        batch.set_defaults(run=_run_batch)
+        add_commands(commands, argv[:1], default_python=_DEFAULT_PYTHON)
+    else:
+        for name, said in COMMANDS.items():
+            commands.add_parser(name, help=said)
     check = commands.add_parser(
         "check",
         help="check the installation",
@@ -67,7 +63,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     )
     check.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {_DEFAULT_PYTHON})")
     check.add_argument("--debug", action="store_true", help="show tracebacks")
-    check.set_defaults(run=_check)
+    check.set_defaults(command="check")
     return parser
 
 
@@ -75,10 +71,13 @@ def _run_batch(args: argparse.Namespace) -> int:
     from handfit_core.worker.interpreter import PYTHON_VARIABLE
 
     from . import preferences
-    from .batch.run import Host, run
+    from .batch.host import Host
+    from .batch.run import run
 
     chosen = preferences.get()
+    told = sys.argv[1 : sys.argv.index("--command")] if "--command" in sys.argv else []
     host = Host(
+        command=(bpy.app.binary_path, *told, "--command", NAME),
         python=preferences.full_path(chosen.python) or None,
         threads=chosen.threads or None,
         python_is_chosen=f"with --python, in ${PYTHON_VARIABLE} or in the add-on's preferences",

@@ -31,9 +31,21 @@ def main(argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()) 
     """Run the batch; returns the exit code. `default_inputs` are used where none are given."""
     args = parse_arguments(argv, default_inputs)
 
-    from blender_manient.batch.run import Host, run
+    from blender_manient.batch.host import Host
+    from blender_manient.batch.run import run
 
-    return run(args, Host())
+    return run(args, Host(_own_command()))
+
+
+def _own_command() -> tuple[str, ...]:
+    """What starts this script once more: with Python, or with Blender and what it was told before `--`."""
+    import bpy
+
+    if not bpy.app.binary_path:
+        return (sys.executable, str(Path(__file__).resolve()))
+    told = sys.argv[1 : sys.argv.index("--")] if "--" in sys.argv else ["-b", "-P", __file__]
+    full = (str(Path(part).resolve()) if Path(part).is_file() else part for part in told)
+    return (bpy.app.binary_path, *full, "--")
 
 
 def parse_arguments(
@@ -46,16 +58,20 @@ def parse_arguments(
     if argv is None:
         argv = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     parser = argparse.ArgumentParser(
-        prog="batch_fit.py", description="Fit hands to photos, sequences, videos and folders of them."
+        prog="batch_fit.py",
+        description="Fit hands to photos, sequences, videos and folders of them. Without a command: capture.",
     )
     try:
         import bpy  # noqa: F401
     except ImportError:  # without it not even the options can be imported
         parser.exit(2, f"error: {_NO_BPY}\n")
 
-    from blender_manient.batch.arguments import add_arguments
+    from blender_manient.batch.arguments import COMMANDS, add_commands
 
-    add_arguments(parser, default_inputs)
+    if not argv or argv[0] not in (*COMMANDS, "--help", "-h"):
+        argv = ["capture", *argv]
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    add_commands(commands, COMMANDS if argv[0] in COMMANDS else (), default_inputs)
     return parser.parse_args(argv)
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-from handfit_core.options import add_options
+from handfit_core.farm.show import STYLES
+from handfit_core.options import OPTIONS, add_options
+
+from .commands import COMMANDS, SLOT
 
 
 def add_arguments(
@@ -14,13 +18,13 @@ def add_arguments(
     default_inputs: Sequence[str] = (),
     *,
     default_python: str = "this one",
-    onto_character: bool = False,
+    command: str = "capture",
 ) -> None:
     """Add every option of a batch to a parser.
 
     `default_inputs` are taken where none are given; without them at least one must be given.
     `default_python` is what the help says about the Python that captures when nobody names one.
-    `onto_character`: whether a character must be named.
+    `command`: capture, apply, for which a character must be named, or plan, which does nothing yet.
     """
     from ..exporters import EXPORTERS  # which needs Blender
     from .character import add_character_arguments
@@ -36,8 +40,6 @@ def add_arguments(
     formats = ",".join(name for name, e in EXPORTERS.items() if e.writes != "captured")
     parser.add_argument("--format", default="blend,glb", help=f"of {formats} (default: blend,glb)")
     add_options(parser)
-    parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest capture of one input")
     _add_grouping_arguments(parser)
     parser.add_argument("--preview", action="store_true", help="render a preview picture of each input")
     parser.add_argument("--no-picture", action="store_true", help="no picture behind the hands in the .blend")
@@ -46,8 +48,79 @@ def add_arguments(
     parser.add_argument(
         "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
     )
+    if command != "plan":
+        _add_running_arguments(parser, default_python)
+        parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    else:
+        _add_python(parser, default_python)
+    add_character_arguments(parser, required=command == "apply")
+
+
+def add_commands(
+    commands: Any,
+    names: Iterable[str],
+    default_inputs: Sequence[str] = (),
+    *,
+    default_python: str = "this one",
+) -> None:
+    """Add the commands of a batch; only those of these `names` with their options, which need Blender."""
+    for name, said in COMMANDS.items():
+        parser = commands.add_parser(name, help=said, description=f"{said[0].upper()}{said[1:]}.")
+        parser.set_defaults(command=name)
+        if name not in names:
+            continue
+        if name in ("capture", "apply", "plan"):
+            add_arguments(parser, default_inputs, default_python=default_python, command=name)
+            continue
+        if name != SLOT:
+            parser.add_argument(
+                "plan", type=Path, metavar="PLAN", help="a plan's file, or a folder of results for all in it"
+            )
+        if name == "task":
+            parser.add_argument("id", metavar="ID", help="of the task, or its name in the plan")
+        if name in ("task", "work"):
+            _add_running_arguments(parser, default_python)
+            parser.add_argument(
+                "--map",
+                action="append",
+                default=[],
+                metavar="THERE=HERE",
+                help="paths that begin with THERE in the plan begin with HERE on this machine",
+            )
+            option = OPTIONS["processes"]
+            option.add_to(parser)
+        else:
+            _add_debug(parser)
+
+
+def _add_running_arguments(parser: argparse.ArgumentParser, default_python: str) -> None:
+    """Add what says how tasks are done on this machine, which changes nothing in their results."""
+    _add_python(parser, default_python)
+    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
+    parser.add_argument(
+        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
+    )
+    parser.add_argument("--again", action="store_true", help="also do what is done already")
+    parser.add_argument(
+        "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
+    )
+    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError("at least 1 is needed")
+    return number
+
+
+def _add_python(parser: argparse.ArgumentParser, default_python: str) -> None:
+    parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
+    _add_debug(parser)
+
+
+def _add_debug(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--debug", action="store_true", help="show tracebacks and Blender's own messages")
-    add_character_arguments(parser, required=onto_character)
 
 
 def _add_grouping_arguments(parser: argparse.ArgumentParser) -> None:

@@ -106,7 +106,7 @@ class Character:
                     "--hands says which captured hand the character's left and right hand get: left, right, "
                     f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
                 )
-        path, armature = _file_and_armature(args.apply_to)
+        path, armature = file_and_armature(args.apply_to)
         tables = read_preset(args.bones) if args.bones else []
         onto = Onto(
             into=cast(Into, (args.into or "new").upper()),
@@ -241,7 +241,7 @@ def _track(take: Take, wanted: str) -> HandTrack:
     return found[0]
 
 
-def _file_and_armature(text: str) -> tuple[Path, str]:
+def file_and_armature(text: str) -> tuple[Path, str]:
     """FILE.blend[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
     for at in (len(text), *(i for i, letter in enumerate(text) if letter == ":")):
         if is_file(text[:at]):

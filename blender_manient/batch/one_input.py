@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import InputError
+from handfit_core.errors import HandfitError, InputError
+from handfit_core.farm.folder import files_in
+from handfit_core.farm.plan import Task, files_of, fingerprint
+from handfit_core.farm.report import Result
 from handfit_core.take import Take
 from handfit_core.worker.runner import Event, Runner
 
@@ -16,36 +20,78 @@ from ..scene.build import build_take
 from ..scene.export import Stage, export_hands, export_take
 from ..scene.preview import render_preview, spread_frames
 from .console import blender_silenced
-from .inputs import Job
 from .order import Order
-from .report import Result
 
 TAKE_SUFFIX = ".take.npz"
 
 
-def fit(job: Job, result: Result, order: Order, runner: Runner, *, keep_addons: bool) -> None:
+class InputGone(InputError):
+    """An input that was there when the batch was planned; it may come back with its disk."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """One task for this process."""
+
+    task: Task
+    order: Order
+    folder: Path
+    """Where the results go"""
+    finished: Mapping[str, Path]
+    """Results that an earlier attempt has left, by their names"""
+    say: Callable[..., None]
+    """Takes the kind of an event and its fields"""
+
+    def tell(self, path: Path) -> None:
+        """Tell of a result that is there."""
+        name = path.relative_to(self.folder).as_posix()
+        self.say("file", name=name, **files_in(self.folder, [name])[name])
+
+
+def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> None:
     """Make everything that is ordered of one input; fills in `result` as it goes.
 
     The open file is replaced by an empty one. `keep_addons` leaves the add-ons and preferences as they
     are; otherwise they become Blender's factory settings. Raises HandfitError.
     """
-    if job.error:
-        raise InputError(job.error)
-    folder = order.folder(job.name)
-    take_path = folder / f"{job.name}{TAKE_SUFFIX}"
-    if job.take is None:
-        _capture(job, take_path, result, runner, order)
+    task, order, folder = work.task, work.order, work.folder
+    take_path = folder / f"{task.name}{TAKE_SUFFIX}"
+    take = _finished_take(work, take_path.name)
+    if take is None and task.take:
+        _check_input(task)
+        take = Take.load(task.take)
+    if take is None:
+        _check_input(task)
+        _capture(work, take_path, result, runner)
         take = Take.load(take_path)
-    else:
-        take = Take.load(job.take)
-        if not (take_path.exists() and take_path.samefile(job.take)):
-            take.save(take_path)
+        _check_input(task, "while it was read: if it is still being copied, wait until it is complete")
+    elif not (take_path.exists() and task.take and take_path.samefile(task.take)):
+        take.save(take_path)
     result.describe(take)
-    result.files.append(_relative(take_path, order.output))
-
+    work.tell(take_path)
     with blender_silenced(order.debug):
-        for path in _results(take, job, folder, result, order, keep_addons):
-            result.files.append(_relative(path, order.output))
+        for path in _results(take, work, result, keep_addons):
+            work.tell(path)
+
+
+def _finished_take(work: Work, name: str) -> Take | None:
+    """The take that an earlier attempt has left, so that nobody captures twice."""
+    if name not in work.finished:
+        return None
+    with contextlib.suppress(HandfitError):
+        return Take.load(work.finished[name])
+    return None
+
+
+def _check_input(task: Task, when: str = "since the batch was planned") -> None:
+    """Raise InputError where the input's files are not those that the task is for."""
+    files = [Path(task.take)] if task.take else files_of(task.source)
+    if task.made_of == fingerprint(files):
+        return
+    gone = [file for file in files if not file.exists()]
+    if gone or not files:
+        raise InputGone(f"{task.shown}: is gone; bring it back, or start the batch again without it")
+    raise InputError(f"{task.shown}: has changed {when}; then start the batch again")
 
 
 def start_empty(*, keep_addons: bool) -> None:
@@ -57,18 +103,17 @@ def start_empty(*, keep_addons: bool) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
-def _results(
-    take: Take, job: Job, folder: Path, result: Result, order: Order, keep_addons: bool
-) -> Iterator[Path]:
+def _results(take: Take, work: Work, result: Result, keep_addons: bool) -> Iterator[Path]:
     """Write what is made of a take; gives each file that is there."""
-    model = order.model if job.take else None
+    order, folder, name = work.order, work.folder, work.task.name
+    model = order.model if work.task.take else None
     frames = spread_frames(take, 3) if order.preview else []
     start_empty(keep_addons=keep_addons)
     if order.character is not None:
         character, result.character, warnings = order.character.put(take, model)
         result.warnings += warnings
         for fmt in order.formats:
-            yield from export_hands([character], Stage.of_scene(bpy.context.scene), folder, job.name, fmt)
+            yield from export_hands([character], Stage.of_scene(bpy.context.scene), folder, name, fmt)
         if not frames:
             return
         start_empty(keep_addons=keep_addons)
@@ -82,35 +127,25 @@ def _results(
     result.warnings += built.warnings
     if order.character is None:
         for fmt in order.formats:
-            yield from export_take(built, take, folder, job.name, fmt)
+            yield from export_take(built, take, folder, name, fmt)
     if frames:
-        path = folder / f"{job.name}.preview.png"
+        path = folder / f"{name}.preview.png"
         render_preview(
             built, take, frames[len(frames) // 2], path, max_megapixels=order.options.max_megapixels
         )
         yield path
 
 
-def _capture(job: Job, take_path: Path, result: Result, runner: Runner, order: Order) -> None:
-    """Write the take of one input. Raises HandfitError; after the order's timeout WorkerError."""
-    shown = sys.stderr.isatty()
+def _capture(work: Work, take_path: Path, result: Result, runner: Runner) -> None:
+    """Write the take of one input. Raises HandfitError."""
 
     def on_event(event: Event) -> None:
         if event["event"] == "warning":
             result.warnings.append(str(event["message"]))
-        elif shown:
-            line = f"{job.name}: {event['stage']} {event['done']}/{event['total']} "
-            print(f"\r{line}", end="", file=sys.stderr, flush=True)
+            work.say("warning", message=event["message"])
+        else:
+            work.say("progress", stage=event["stage"], done=event["done"], total=event["total"])
 
-    request = runner.submit(
-        "capture", input=list(job.source), output=str(take_path), options=order.options.to_message()
-    )
-    try:
-        runner.wait(request, on_event, order.timeout)
-    finally:
-        if shown:
-            print("\r" + " " * 70 + "\r", end="", file=sys.stderr, flush=True)
-
-
-def _relative(path: Path, base: Path) -> str:
-    return path.relative_to(base).as_posix()
+    source, options = list(work.task.source), work.order.options.to_message()
+    request = runner.submit("capture", input=source, output=str(take_path), options=options)
+    runner.wait(request, on_event)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import OptionError
@@ -13,21 +16,27 @@ from handfit_core.solvers import SOLVERS, get_solver
 from handfit_core.worker.interpreter import find_python, runs_here
 
 from ..exporters import EXPORTERS, find_exporter
-from .character import Character
+from .character import Character, file_and_armature
+
+_MAKING = (
+    *("format", "hands", "preview", "no_picture", "no_correctives", "apply_to", "bones", "wrist"),
+    *("reference", "into", "no_contacts"),
+)
+"""Arguments that decide what is made, beside those of the capture"""
+_FILES = ("model", "landmark_model", "apply_to", "bones")
+"""Arguments that name files"""
+_HERE = ("processes",)
+"""Options of a capture that change nothing in its result: each machine has its own"""
 
 
 @dataclass(frozen=True)
 class Order:
     """What to make of every input."""
 
-    output: Path
     formats: tuple[str, ...]
     options: CaptureOptions
-    timeout: float | None
-    """seconds that the capture of one input may take"""
     model: str | None
     """for takes, instead of the model that they name"""
-    flat: bool
     preview: bool
     picture: bool
     pose_correctives: bool
@@ -39,21 +48,22 @@ class Order:
     def of_arguments(cls, args: argparse.Namespace, python: str | None) -> Order:
         """From parsed arguments (batch/arguments.py); `python` captures, None: as `find_python` chooses.
         Raises OptionError for values that cannot be meant."""
+        args = copy.copy(args)
         formats = _checked_formats(args.format)
         character = Character.of_arguments(args)
-        options = CaptureOptions.of_arguments(args)
+        if isinstance(args, _OfPlan):
+            options = CaptureOptions.of_message(args.capture)
+        else:
+            options = CaptureOptions.of_arguments(args)
         if args.python is None:  # a Python that is named may have solvers and detectors of its own
             SOLVERS.get(options.solver)
             DETECTORS.get(options.detector)
         if runs_here(find_python(python)):  # another may have what a solver needs
             get_solver(options.solver)
         return cls(
-            output=args.output,
             formats=formats,
             options=options,
-            timeout=args.timeout,
             model=options.model,
-            flat=args.flat,
             preview=args.preview,
             picture=not args.no_picture,
             pose_correctives=not args.no_correctives,
@@ -61,9 +71,50 @@ class Order:
             debug=args.debug,
         )
 
-    def folder(self, name: str) -> Path:
-        """Where the results of that name go."""
-        return self.output if self.flat else self.output / name
+    @classmethod
+    def of_plan(cls, options: Mapping[str, Any], **here: Any) -> Order:
+        """From the options of a plan, and from `debug`, `python` and `processes` of this machine. Raises
+        OptionError."""
+        python = here.get("python")
+        capture = {**options["capture"], **{name: here[name] for name in _HERE if here.get(name) is not None}}
+        args = _OfPlan(**options["make"], capture=capture, debug=bool(here.get("debug")), python=python)
+        return cls.of_arguments(args, python)
+
+
+class _OfPlan(argparse.Namespace):
+    """Arguments that were parsed before, of a capture what `CaptureOptions.to_message` made of them."""
+
+
+def options_of(args: argparse.Namespace, order: Order) -> dict[str, Any]:
+    """What of parsed arguments decides the results, as a plan keeps it; paths in full."""
+    capture = order.options.to_message()
+    given: dict[str, Any] = {"hands": args.hands} | {name: getattr(args, name) for name in _MAKING}
+    for name in _FILES:
+        for values in (capture, given):
+            if (path := values.get(name)) and (full := _full(str(path))):
+                values[name] = full
+    return {"capture": {k: v for k, v in capture.items() if k not in _HERE}, "make": given}
+
+
+def files_named(options: Mapping[str, Any]) -> list[str]:
+    """The files that a plan's options name."""
+    named = [values.get(name) for values in options.values() for name in _FILES]
+    found = (_file_of(str(name)) for name in named if name)
+    return [str(path) for path in found if path.is_file()]
+
+
+def _full(text: str) -> str:
+    """A path in full where there is such a file or folder, with what follows its name."""
+    path = _file_of(text)
+    return str(path.absolute()) + text[len(str(path)) :] if path.exists() else ""
+
+
+def _file_of(text: str) -> Path:
+    """The file of a path that may have an armature's name behind it."""
+    try:
+        return file_and_armature(text)[0]
+    except OptionError:
+        return Path(text)
 
 
 def _checked_formats(text: str) -> tuple[str, ...]:

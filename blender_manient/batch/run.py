@@ -1,59 +1,40 @@
-"""A whole batch: every input with one process that captures, and a report that is always up to date."""
+"""The commands of a batch: a plan, its tasks, and what came of them.
+
+The process that runs here stays light: slots (slot.py), which are processes of their own, do the tasks.
+"""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
+import os
 import sys
-import time
-import traceback
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from handfit_core.errors import HandfitError
-from handfit_core.worker.client import Advice
-from handfit_core.worker.interpreter import PYTHON_VARIABLE
-from handfit_core.worker.runner import Runner
+from handfit_core.farm.collect import Report
+from handfit_core.farm.inputs import expand
+from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
+from handfit_core.farm.pool import CURABLE, Pool
+from handfit_core.farm.report import Result
+from handfit_core.farm.show import Shown
+from handfit_core.farm.slot import usable_jobs
+from handfit_core.files import check_writable
 
-from .. import shared_worker
+from . import slot
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
-from .exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
-from .inputs import Job, expand, with_free_names
-from .one_input import fit, start_empty
-from .order import Order
-from .report import Result, line, write_report
-
-
-@dataclass(frozen=True)
-class Host:
-    """Where a batch runs: what differs between the script and the installed add-on."""
-
-    python: str | None = None
-    """Captures where --python names none; None: as `find_python` chooses"""
-    threads: int | None = None
-    """How many a capture may use; None: its own choice"""
-    python_is_chosen: str = f"with --python or in ${PYTHON_VARIABLE}"
-    """Part of a sentence: where the user names the Python that captures"""
-    keep_addons: bool = False
-    """Whether add-ons and preferences stay as they are; else the run is under Blender's factory settings"""
+from .exit_codes import EXIT_INTERRUPTED, EXIT_LATER, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
+from .host import Host
+from .one_input import start_empty
+from .order import Order, files_named, options_of
 
 
 def run(args: argparse.Namespace, host: Host) -> int:
-    """Run the batch that parsed arguments (arguments.py) ask for. Returns the exit code; raises nothing."""
+    """Run the command that parsed arguments (arguments.py) ask for. Returns the exit code; raises nothing."""
     show_all_names()
     with stopped_by_signals():
         try:
-            order = Order.of_arguments(args, args.python or host.python)
-            if order.character is not None:  # before hours of work for nothing
-                with blender_silenced(order.debug):
-                    start_empty(keep_addons=host.keep_addons)
-                    order.character.check()
-            jobs = with_free_names(
-                [job for text in args.inputs for job in expand(text, args.grouping)],
-                order.output,
-                # In a flat folder names only need to differ from each other: results replace older ones.
-                args.overwrite or order.flat,
-            )
-            return _run(jobs, order, args.python, host)
+            return _COMMANDS[args.command](args, host)
         except HandfitError as error:
             print_error(str(error), args.debug)
             return EXIT_USAGE
@@ -65,46 +46,138 @@ def run(args: argparse.Namespace, host: Host) -> int:
             return EXIT_SOME_FAILED
 
 
-def _run(jobs: list[Job], order: Order, python: str | None, host: Host) -> int:
-    """Every job with one worker process, which starts with the first capture and again after a crash."""
-    where = host.python_is_chosen
-    advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
-    with shared_worker.make(python or host.python, host.threads, order.debug, advice) as runner:
-        return _run_with(runner, jobs, order, host.keep_addons)
+def _capture(args: argparse.Namespace, host: Host) -> int:
+    """A plan, its tasks, and the report."""
+    plan = _planned(args, host)
+    if args.dry_run:
+        return _tell(plan)
+    plan.save()  # also finds out now, not after an hour, that nothing can be written
+    return _do(args, host, [plan])
 
 
-def _run_with(runner: Runner, jobs: list[Job], order: Order, keep_addons: bool) -> int:
-    results = [Result(job.shown, job.name) for job in jobs]
-    report = order.output / "report.json"
-    write_report(report, results)  # also finds out now, not after an hour, that it cannot be written
-    reported = True
-    for number, (job, result) in enumerate(zip(jobs, results, strict=True), 1):
-        started = time.perf_counter()
-        try:
-            fit(job, result, order, runner, keep_addons=keep_addons)
-            result.status = "ok"
-        except KeyboardInterrupt:
-            result.status, result.error = "interrupted", "stopped by the user"
-            raise
-        except HandfitError as error:
-            result.status, result.error = "failed", " ".join(str(error).split())
-            if order.debug:
-                traceback.print_exc()
-        except Exception as error:
-            result.status = "failed"
-            result.error = f"unexpected {type(error).__name__}: {' '.join(str(error).split())} (see --debug)"
-            if order.debug:
-                traceback.print_exc()
-        finally:
-            result.seconds = round(time.perf_counter() - started, 3)
-            if not order.flat:
-                with contextlib.suppress(OSError, ValueError):
-                    order.folder(job.name).rmdir()  # only if nothing was written
-            try:
-                write_report(report, results)
-                reported = True
-            except HandfitError as error:  # the inputs that are left may still succeed
-                reported = False
-                print_error(str(error), order.debug)
-            print(f"[{number}/{len(jobs)}] {line(result)}", flush=True)
-    return EXIT_OK if reported and all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
+def _plan(args: argparse.Namespace, host: Host) -> int:
+    """A plan alone; its file's name on stdout."""
+    plan = _planned(args, host)
+    print(plan.save())
+    return EXIT_OK
+
+
+def _work(args: argparse.Namespace, host: Host) -> int:
+    """What is left of a plan, beside whoever else is at it."""
+    return _do(args, host, _plans(args))
+
+
+def _task(args: argparse.Namespace, host: Host) -> int:
+    """One task."""
+    (plan, *others) = _plans(args)
+    for other in others:
+        if args.id in other.by_id:
+            plan = other
+    task = plan.task(args.id)
+    shown = Shown([task], args.progress)
+    with _pool(args, host, 1) as pool:
+        (result,) = pool.run(
+            plan, [task], shown, again=args.again, retry_failed=args.retry_failed, wait=False
+        )
+    shown.close()
+    if result.status == "running" or (result.attempts and result.attempts[-1]["kind"] in CURABLE):
+        return EXIT_OK if result.status == "ok" else EXIT_LATER
+    return EXIT_OK if result.status == "ok" else EXIT_SOME_FAILED
+
+
+def _collect(args: argparse.Namespace, _host: Host) -> int:
+    """The report as it is now."""
+    report = Report(plans_in(args.plan if args.plan.is_dir() else args.plan.absolute().parent.parent))
+    report.look()
+    report.write()
+    counts = {s: sum(r.status == s for r in report.results) for s in ("ok", "failed", "running", "pending")}
+    print(", ".join(f"{count} {status}" for status, count in counts.items() if count) or "nothing to do")
+    return EXIT_OK if counts["ok"] == len(report.results) else EXIT_SOME_FAILED
+
+
+def _slot(_args: argparse.Namespace, host: Host) -> int:
+    """Do tasks for whoever has started this process."""
+    return slot.serve(host)
+
+
+_COMMANDS: dict[str, Callable[[argparse.Namespace, Host], int]] = {
+    "capture": _capture,
+    "apply": _capture,
+    "plan": _plan,
+    "work": _work,
+    "task": _task,
+    "collect": _collect,
+    "slot": _slot,
+}
+
+
+def _planned(args: argparse.Namespace, host: Host) -> Plan:
+    """The plan of the inputs and options of a command line. Raises HandfitError."""
+    order = Order.of_arguments(args, args.python or host.python)
+    if order.character is not None:  # before hours of work for nothing
+        with blender_silenced(order.debug):
+            start_empty(keep_addons=host.keep_addons)
+            order.character.check()
+    options = options_of(args, order)
+    check_writable(args.output / FOLDER / "plan.json")
+    return make_plan(
+        [each for text in args.inputs for each in expand(text, args.grouping)],
+        args.output,
+        options,
+        files=files_named(options),
+        flat=args.flat,
+        overwrite=args.overwrite,
+        command=host.command,
+    )
+
+
+def _plans(args: argparse.Namespace) -> list[Plan]:
+    places = [tuple(text.partition("=")[::2]) for text in args.map]
+    return [plan.mapped(places) for plan in plans_in(args.plan)]
+
+
+def _tell(plan: Plan) -> int:
+    """What would be done."""
+    left = 0
+    for task in plan.tasks:
+        sealed = plan.folder(task).sealed(task.id) is not None
+        left += not sealed
+        print(f"{'done' if sealed else 'to do'}: {task.shown} -> {plan.folder(task).path}")
+    print(f"{left} of {len(plan.tasks)} to do")
+    return EXIT_OK
+
+
+def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
+    """All tasks of some plans that are not sealed. Returns the exit code."""
+    tasks = [(plan, task) for plan in plans for task in plan.tasks]
+    report = Report(plans_in(plans[0].output))
+    report.look()
+    report.write()
+    shown = Shown([task for _, task in tasks], args.progress, report)
+    results: list[Result] = []
+    try:
+        with _pool(args, host, len(tasks)) as pool:
+            for plan in plans:
+                run_here = partial(pool.run, again=args.again, retry_failed=args.retry_failed)
+                results += run_here(plan, plan.tasks, shown)
+    except KeyboardInterrupt:
+        shown.interrupted()
+        raise
+    finally:
+        shown.close()
+    return EXIT_OK if not shown.trouble and all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
+
+
+def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    jobs = max(1, min(args.jobs or usable_jobs(cores), tasks))
+    share = max(1, cores // jobs) if jobs > 1 else None
+    return Pool(
+        host.command,
+        jobs=jobs,
+        timeout=args.timeout,
+        debug=args.debug,
+        python=args.python,
+        threads=host.threads or share,
+        processes=args.processes or share,
+    )

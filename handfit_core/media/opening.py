@@ -80,7 +80,7 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
             return _photo(path, wanted)
         return _open_unknown(path, wanted)
     if is_pattern(str(path)):
-        found, numbers = _matching(path)
+        found, numbers = matching(path)
         if not found:
             raise InputError(f"{shown(path)}: no file matches this pattern")
         return _open_pictures(found, wanted, str(path), numbers)
@@ -141,7 +141,7 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts]
 
 
-def _matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
+def matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
     """The files of a pattern, and the numbers that stand where it has `%04d` or `####`."""
     pieces = _NUMBER_IN_PATTERN.split(pattern.name)
     if len(pieces) == 1:

@@ -19,7 +19,7 @@ from handfit_core.version import __version__
 from handfit_core.worker import protocol
 from handfit_core.worker.interpreter import find_python, runs_here, worker_command, worker_environment
 from handfit_core.worker.process import ChildProcess, out_of_memory_kills
-from handfit_core.worker.runner import Event, Runner, WorkerError
+from handfit_core.worker.runner import Event, MemoryRanOut, Runner, WorkerDied, WorkerError
 
 _START_LIMIT = 60.0
 """seconds until a started process must have said that it is ready"""
@@ -177,8 +177,8 @@ class Worker(Runner):
         if child is None:
             return ""
         code = child.exit_code
-        ending = "" if code is None else f"the process ended {_ending(code)}"
-        return "\n".join(filter(None, (child.last_words().strip(), ending)))
+        how = "" if code is None else f"the process ended {ending(code)}"
+        return "\n".join(filter(None, (child.last_words().strip(), how)))
 
     def _collect(self, wait: float) -> None:
         """Take in what the process said since the last time. Where it has died, every open request gets an
@@ -211,7 +211,7 @@ class Worker(Runner):
                 else f"the Python '{self.python}' is not one; {self._advice.python}"
             )
         elif ended:
-            self._give_up(self._why_it_died(child))
+            self._give_up(self._why_it_died(child), self._kind_of_death(child))
         elif self._hello is None and child.noise > _NOISE_LIMIT:
             self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
         elif self._hello is None and time.monotonic() > self._start_deadline:
@@ -285,6 +285,11 @@ class Worker(Runner):
         """One sentence for a package that does not load although it was brought along."""
         return f"a package that capturing needs does not load ({said}): {self._advice.broken}"
 
+    def _kind_of_death(self, child: ChildProcess) -> str:
+        if ran_out_of_memory(child, self._kills_before):
+            return MemoryRanOut.__name__
+        return (WorkerError if self._hello is None else WorkerDied).__name__
+
     def _why_it_died(self, child: ChildProcess) -> str:
         """One sentence for a process that ended without saying why."""
         code = child.exit_code or 0
@@ -296,11 +301,10 @@ class Worker(Runner):
         said = f", last saying: {last}" if last else ""
         if child.hung:
             return f"the worker process closed its output and did not end{said}; {self._advice.crash}"
-        kills, before, signal_name = out_of_memory_kills(), self._kills_before, _signal_name(code)
-        by_system = signal_name == "SIGKILL" and kills is not None and before is not None and kills > before
-        if by_system or _says_memory_ran_out(child.last_words()):
+        kills, signal_name = out_of_memory_kills(), _signal_name(code)
+        if ran_out_of_memory(child, self._kills_before):
             return (
-                f"memory ran out, and the worker process ended {_ending(code)}{said}; capture fewer frames "
+                f"memory ran out, and the worker process ended {ending(code)}{said}; capture fewer frames "
                 "at a time, or smaller pictures"
             )
         if signal_name and signal_name not in _CRASHES:
@@ -309,16 +313,24 @@ class Worker(Runner):
             return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
         if self._hello is None and not self.runs_here:
             return (
-                f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
+                f"'{self.python}' is not a Python that can capture (it ended {ending(code)}{said}); "
                 f"{self._advice.python}"
             )
-        return f"the worker process ended {_ending(code)}{said}; {self._advice.crash}"
+        return f"the worker process ended {ending(code)}{said}; {self._advice.crash}"
 
 
 def _last_line(words: str) -> str:
     """What a process said last; of a crash, its kind rather than the lines about where it was."""
     lines = [line.strip() for line in words.splitlines() if line.strip()]
     return next((line for line in lines if line.startswith("Fatal Python error")), lines[-1] if lines else "")
+
+
+def ran_out_of_memory(child: ChildProcess, kills_before: int | None) -> bool:
+    """Whether that ended a process: it said so, or the system killed it, and has counted that."""
+    kills = out_of_memory_kills()
+    counted = kills is not None and kills_before is not None and kills > kills_before
+    by_system = counted and _signal_name(child.exit_code or 0) == "SIGKILL"
+    return by_system or _says_memory_ran_out(child.last_words())
 
 
 def _says_memory_ran_out(words: str) -> bool:
@@ -333,7 +345,8 @@ def _signal_name(code: int) -> str:
     return f"{-code}"
 
 
-def _ending(code: int) -> str:
+def ending(code: int) -> str:
+    """How a process ended, by its exit code; part of a sentence."""
     if code < 0:
         return f"by signal {_signal_name(code)}"
     # Windows gives what Unix calls a signal as a large number that is known in hexadecimal.

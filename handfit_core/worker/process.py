@@ -146,9 +146,13 @@ class ChildProcess:
             return
         with contextlib.suppress(OSError):
             if sys.platform == "win32":
-                self._process.kill()
-            else:
+                subprocess.run(
+                    ["taskkill", "/T", "/F", "/PID", str(self.pid)], capture_output=True, check=False
+                )
+            elif os.getpgid(self.pid) == self.pid:
                 os.killpg(self.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
         try:
             self._process.wait(_DEATH)
         except subprocess.TimeoutExpired:
@@ -254,8 +258,14 @@ def _message(line: bytes) -> dict[str, Any] | None:
         return None
 
 
+SAME_GROUP = "HANDFIT_SAME_GROUP"
+"""Set in the environment, processes belong to the group of who starts them, which may be killed as a whole"""
+
+
 def _apart() -> dict[str, Any]:
     """No console window, and no share in a terminal's Ctrl-C: ending the child is up to us."""
+    if os.environ.get(SAME_GROUP):
+        return {}
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}

@@ -54,6 +54,18 @@ class WorkerError(HandfitError):
         self.details = details
 
 
+class WorkerDied(WorkerError):
+    """The process that captures worked, and then died: another one may do better."""
+
+
+class MemoryRanOut(WorkerDied):
+    """There was not enough memory: alone on its machine, it may be enough."""
+
+
+_KINDS: Final = {"WorkerDied": WorkerDied, "MemoryRanOut": MemoryRanOut, "MemoryError": MemoryRanOut}
+"""Errors of `error` events that errors.py does not have"""
+
+
 class Runner(ABC):
     """Does requests one at a time or several at once, and tells of them."""
 
@@ -267,7 +279,7 @@ def as_error(event: Event) -> HandfitError:
     if isinstance(kind, type) and issubclass(kind, HandfitError):
         error = kind(message)
     else:
-        error = WorkerError(message, details)
+        error = _KINDS.get(str(event.get("type")), WorkerError)(message, details)
     if details:
         error.add_note(details)
     return error

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from handfit_core.files import written_whole
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE, mean_expected_error, mean_relative_error
@@ -19,7 +20,7 @@ class Result:
     input: str
     name: str
     status: str = "pending"
-    """pending, ok, failed or interrupted"""
+    """pending, running, ok, failed or interrupted"""
     seconds: float = 0.0
     frames: int = 0
     hands: list[dict[str, Any]] = field(default_factory=list)
@@ -34,6 +35,17 @@ class Result:
     """relative to the report's folder"""
     warnings: list[str] = field(default_factory=list)
     error: str = ""
+    id: str = ""
+    """of the task"""
+    host: str = ""
+    """where it was done"""
+    attempts: list[dict[str, Any]] = field(default_factory=list)
+    """what went wrong before, or at last: per attempt its error, kind, host, seconds and time"""
+
+    @classmethod
+    def of_entry(cls, entry: Mapping[str, Any]) -> Self:
+        """From what `asdict` made of one; what another version has on top is left out."""
+        return cls(**{each.name: entry[each.name] for each in fields(cls) if each.name in entry})
 
     def describe(self, take: Take) -> None:
         """Fill in `frames` and `hands`."""
@@ -52,7 +64,7 @@ class Result:
             )
 
 
-def write_report(path: Path, results: list[Result]) -> None:
+def write_report(path: Path, results: Sequence[Result]) -> None:
     """Write report.json whole. Raises OutputError."""
     report = {"format": "handfit-batch", "version": 1, "inputs": [asdict(r) for r in results]}
     with written_whole(path) as beside:

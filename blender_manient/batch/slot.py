@@ -1,0 +1,146 @@
+"""The process that does tasks: it holds Blender and a worker that captures, and stays warm between them.
+
+handfit_core/farm/slot.py tells what is said; docs/batch.md, who starts it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from handfit_core.errors import HandfitError
+from handfit_core.farm.plan import Task
+from handfit_core.farm.report import Result
+from handfit_core.version import __version__
+from handfit_core.worker.client import Advice
+from handfit_core.worker.protocol import encode
+from handfit_core.worker.runner import Runner
+
+from .. import shared_worker
+from .exit_codes import EXIT_OK
+from .host import Host
+from .one_input import Work, fit
+from .order import Order
+
+_EVERY = 1
+"""seconds between two looks at whether whoever started this process is still there"""
+
+
+def serve(host: Host) -> int:
+    """Do tasks until stdin ends. Returns the exit code."""
+    requests, events = _own_streams()
+    _end_with_parent()
+    with _Doing(host, events) as doing:
+        doing.say("ready", version=__version__, pid=os.getpid())
+        while line := requests.readline():
+            doing.do(json.loads(line))
+    return EXIT_OK
+
+
+@dataclass
+class _Doing:
+    """What stays from task to task: the worker, and what the options mean."""
+
+    host: Host
+    events: BinaryIO
+    runner: Runner | None = None
+    made_for: Any = None
+    orders: dict[str, Order] = field(default_factory=dict)
+
+    def __enter__(self) -> _Doing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.runner is not None:
+            self.runner.__exit__()
+
+    def say(self, kind: str, /, **fields: Any) -> None:
+        """Tell who gave the task; where nobody hears it any more, this process has no reason to go on."""
+        try:
+            self.events.write(encode({"event": kind, **fields}))
+            self.events.flush()
+        except OSError:
+            _end_group()
+
+    def do(self, request: Mapping[str, Any]) -> None:
+        """Do one task; whatever goes wrong is told."""
+        task = Task.of_entry(request["task"])
+        result = Result(task.shown, task.name, id=task.id)
+        started = time.perf_counter()
+        try:
+            finished = {name: Path(path) for name, path in request["finished"].items()}
+            work = Work(task, self._order(request), Path(request["folder"]), finished, self.say)
+            fit(work, result, self._runner(request), keep_addons=self.host.keep_addons)
+        except Exception as error:
+            kind, message = type(error).__name__, " ".join(str(error).split())
+            if not isinstance(error, HandfitError):
+                message = f"unexpected {kind}: {message} (see --debug)"
+            if request["debug"]:
+                traceback.print_exc()
+            result.seconds = round(time.perf_counter() - started, 3)
+            self.say("error", type=kind, message=message, result=asdict(result))
+        else:
+            result.seconds = round(time.perf_counter() - started, 3)
+            self.say("done", result=asdict(result))
+
+    def _order(self, request: Mapping[str, Any]) -> Order:
+        known = json.dumps(request["options"], sort_keys=True)
+        if known not in self.orders:
+            here = {name: request.get(name) for name in ("debug", "python", "processes")}
+            self.orders = {known: Order.of_plan(request["options"], **here)}
+        return self.orders[known]
+
+    def _runner(self, request: Mapping[str, Any]) -> Runner:
+        """The worker, which starts with the first capture and again after a crash."""
+        made_for = request["python"] or self.host.python, request["threads"], request["debug"]
+        if self.runner is None or made_for != self.made_for:
+            if self.runner is not None:
+                self.runner.stop()
+            where = self.host.python_is_chosen
+            advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
+            self.runner, self.made_for = shared_worker.make(*made_for, advice), made_for
+        return self.runner
+
+
+def _own_streams() -> tuple[BinaryIO, BinaryIO]:
+    """stdin, and stdout for the events alone: what Blender and its exporters print goes to stderr."""
+    sys.stdout.flush()
+    events = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    return os.fdopen(os.dup(0), "rb"), events
+
+
+def _end_with_parent() -> None:
+    """End, with all that was started, soon after the process that gives tasks has ended.
+
+    Blender's process runs no threads, so a signal has to look; where there is none of the kind, the next
+    event finds it out.
+    """
+    if not hasattr(signal, "setitimer"):
+        return
+    parent = os.getppid()
+
+    def look(_number: int, _frame: object) -> None:
+        if os.getppid() != parent:
+            _end_group()
+
+    signal.signal(signal.SIGALRM, look)
+    signal.siginterrupt(signal.SIGALRM, False)
+    signal.setitimer(signal.ITIMER_REAL, _EVERY, _EVERY)
+
+
+def _end_group() -> None:
+    """End this process and what it has started, if they are a group of their own."""
+    if hasattr(os, "killpg") and os.getpgid(0) == os.getpid():
+        with contextlib.suppress(OSError):
+            os.killpg(0, signal.SIGKILL)
+    os._exit(1)

@@ -1,0 +1,66 @@
+"""What came of all tasks of a folder of results: report.json, at any time, also while the tasks run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from handfit_core.farm.plan import Plan, Task
+from handfit_core.farm.report import Result, write_report
+
+NAME: Final = "report.json"
+_OFTEN: Final = 1.0
+"""seconds between two reports at least"""
+_SHARE: Final = 20.0
+"""Times the seconds that the last one took: a large one is written less often"""
+
+
+class Report:
+    """The state of every task of some plans, of which later ones replace tasks of the same name."""
+
+    def __init__(self, plans: Iterable[Plan]) -> None:
+        """`plans`: those of one folder, the oldest first."""
+        self._tasks: dict[str, tuple[Plan, Task]] = {}
+        self._results: dict[str, Result] = {}
+        self._next = 0.0
+        for plan in plans:
+            self.output = plan.output
+            for task in plan.tasks:
+                self._tasks[task.name] = plan, task
+
+    def look(self) -> None:
+        """Take in what the tasks' folders say."""
+        for name, (plan, task) in self._tasks.items():
+            self._results[name] = state(plan, task)
+
+    def set(self, result: Result) -> None:
+        """Take in what has become of a task."""
+        self._results[result.name] = result
+
+    @property
+    def results(self) -> list[Result]:
+        """What became of each task."""
+        return [
+            self._results.get(name) or Result(task.shown, name, id=task.id)
+            for name, (_, task) in self._tasks.items()
+        ]
+
+    def write(self, *, now: bool = True) -> None:
+        """Write report.json; unless `now`, only where the last one is old enough. Raises OutputError."""
+        began = time.monotonic()
+        if now or began > self._next:
+            write_report(self.output / NAME, self.results)
+            took = time.monotonic() - began
+            self._next = time.monotonic() + max(_OFTEN, _SHARE * took)
+
+
+def state(plan: Plan, task: Task) -> Result:
+    """What a task's folder says of it."""
+    folder = plan.folder(task)
+    known: Mapping[str, object] | None = folder.sealed(task.id) or folder.failures(task.id)
+    entry = known.get("result") if known is not None else None
+    result = Result.of_entry(entry) if isinstance(entry, dict) else Result(task.shown, task.name, id=task.id)
+    if result.status in ("pending", "failed") and folder.alive:
+        result.status = "running"
+    return result

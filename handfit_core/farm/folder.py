@@ -1,0 +1,400 @@
+"""The folder of one task: its results, the seal that says they are whole, and who is at it.
+
+    done.json       written last, once every result is in its place: what is sealed is never done again
+    failed.json     every attempt that failed, and what of the results is there all the same
+    running.json    whose turn it is: made by one alone, and touched every few seconds while he lives
+
+Results come into being in a part folder beside it, as deep as the folder itself so that relative paths in
+them stay right, and are moved file by file. Nothing here relies on clocks of different machines agreeing, nor on
+locks, which network disks have or have not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import errno
+import hashlib
+import json
+import os
+import shutil
+import socket
+import time
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from handfit_core.errors import HandfitError, OutputError
+from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.version import __version__
+
+BEAT: Final = 10.0
+"""seconds between two signs of life"""
+STALE: Final = 60.0
+"""seconds without one, on the clock of who looks, after which a task is anybody's again"""
+
+_FORMAT: Final = "manient-task"
+_VERSION: Final = 1
+_LARGEST: Final = 16 << 20
+_CHUNK: Final = 1 << 20
+_NO_LINKS: Final = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EMLINK}
+
+Files = Mapping[str, Mapping[str, Any]]
+"""Names relative to the task's folder, each with its `size` in bytes and `sha256`"""
+
+
+class Lost(HandfitError):
+    """Somebody else has taken a task over, or the folder of results is gone."""
+
+
+class TaskFolder:
+    """Where the results of the task called `name` go: a folder of its own, or `flat` the common one."""
+
+    def __init__(self, output: Path, name: str, flat: bool = False) -> None:
+        self.output, self.name, self.flat = output, name, flat
+        self.path = output if flat else output / name
+        before = f"{name}." if flat else ""
+        self.done, self.failed, self.running = (
+            self.path / f"{before}{what}.json" for what in ("done", "failed", "running")
+        )
+
+    def relative(self, file: str) -> str:
+        """A result's name relative to the folder of all results."""
+        return file if self.flat else f"{self.name}/{file}"
+
+    def sealed(self, id: str) -> dict[str, Any] | None:
+        """The seal of that task, where all that it names is there; None: it is still to be done."""
+        seal = _read(self.done)
+        if seal is None or seal.get("id") != id:
+            return None
+        try:
+            whole = all((self.path / name).stat().st_size == f["size"] for name, f in seal["files"].items())
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+        return seal if whole else None
+
+    def failures(self, id: str) -> dict[str, Any] | None:
+        """What is known of a task that failed: its `result`, and the `files` that are there all the same."""
+        known = _read(self.failed)
+        return known if known is not None and known.get("id") == id else None
+
+    @property
+    def alive(self) -> bool:
+        """Whether somebody seems to be at the task: the sign is there, and not of a process that has gone."""
+        sign = _read(self.running)
+        return sign is not None and _lives(sign) is not False
+
+    def is_free_for(self, id: str) -> bool:
+        """Whether results of that task may go here: there is nothing, or what is there is its own, or tells
+        of another one's failure."""
+        for file in (self.done, self.failed, self.running):
+            if (known := _read(file)) is None:
+                continue
+            taken = {
+                self.done: True,
+                self.failed: known.get("files"),
+                self.running: _lives(known) is not False,
+            }
+            return known.get("id") == id or not taken[file]
+        try:
+            return not any(self.path.iterdir())
+        except FileNotFoundError:
+            return True
+        except OSError:
+            return False
+
+    # Results
+
+    def part(self) -> Path:
+        """A new folder for results that are not whole yet; with `flat` the common one, whose files are each
+        written beside their place. Raises OutputError."""
+        if self.flat:
+            return self.path
+        path = self.beside()
+        try:
+            path.mkdir()
+        except OSError as error:
+            raise _not_written(path, error) from error
+        return path
+
+    @property
+    def _parts(self) -> str:
+        """What the names of this task's parts begin with; its own name may be too long, and begin another's."""
+        return f".part-{hashlib.sha256(os.fsencode(self.name)).hexdigest()[:10]}-"
+
+    def beside(self) -> Path:
+        """A new name for something that is not whole yet."""
+        return self.output / f"{self._parts}{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+    def remove_parts(self) -> None:
+        """Take away what those left behind who ended in the middle; nobody else may be at the task."""
+        with contextlib.suppress(OSError):
+            for path in [Path(entry.path) for entry in os.scandir(self.output)]:
+                if path.name.startswith(self._parts):
+                    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else _remove(path)
+
+    def take_in(self, part: Path, files: Files) -> None:
+        """Move results from their part folder into their place. Raises OutputError, before anything is moved
+        where one of them is not as long as it was."""
+        try:
+            for name, known in files.items():
+                if (part / name).stat().st_size != known["size"]:
+                    raise OutputError(f"{shown(part / name)}: has changed since it was written; try again")
+            self._make()
+            for name in files if part != self.path else ():
+                place = self.path / name
+                place.parent.mkdir(exist_ok=True)
+                (part / name).replace(place)
+            _flush_folder(self.path)
+        except OSError as error:
+            raise _not_written(self.path, error) from error
+
+    def seal(self, id: str, result: Mapping[str, Any], files: Files, seconds: float) -> None:
+        """Say that the task is done. Raises OutputError."""
+        seal = {"result": dict(result), "files": dict(files), "versions": {"manient": __version__}}
+        _write(self.done, id, **seal, host=socket.gethostname(), seconds=round(seconds, 3))
+        _remove(self.failed)
+
+    def unseal(self) -> None:
+        """What was done here is done anew. Raises OutputError."""
+        try:
+            self.done.unlink(missing_ok=True)
+        except OSError as error:
+            raise _not_written(self.done, error) from error
+
+    def fail(self, id: str, result: Mapping[str, Any], files: Files) -> None:
+        """Tell of a task that failed. Raises OutputError."""
+        self._make()
+        _write(self.failed, id, result=dict(result), files=dict(files))
+
+    def forget_failure(self) -> None:
+        """Nothing is known of a failure any more."""
+        _remove(self.failed)
+
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(exist_ok=True)
+        except OSError as error:
+            raise _not_written(self.path, error) from error
+
+
+def attempt(error: str, kind: str, seconds: float) -> dict[str, Any]:
+    """An entry of `attempts`: what went wrong, where, when, after how long."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {
+        "error": error,
+        "kind": kind,
+        "host": socket.gethostname(),
+        "seconds": round(seconds, 3),
+        "at": now,
+    }
+
+
+def files_in(part: Path, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The sizes and hashes of files. Raises OSError."""
+    found = {}
+    for name in names:
+        digest = hashlib.sha256()
+        with (part / name).open("rb") as stream:
+            while block := stream.read(_CHUNK):
+                digest.update(block)
+        found[name] = {"size": (part / name).stat().st_size, "sha256": digest.hexdigest()}
+    return found
+
+
+@dataclass
+class _Sign:
+    """What running.json looked like when it last changed."""
+
+    looks: tuple[str, int]
+    since: float
+
+
+class Watch:
+    """Who is at which tasks, as far as this process has seen."""
+
+    def __init__(self) -> None:
+        self._signs: dict[Path, _Sign] = {}
+
+    def claim(self, folder: TaskFolder, id: str) -> Claim | None:
+        """Take a task; None where somebody is at it. Raises OutputError."""
+        folder._make()
+        try:
+            for _ in range(2):  # once more after one that is dead was taken away
+                if (claim := _created(folder, id)) is not None:
+                    self._signs.pop(folder.running, None)
+                    return claim
+                if not self._is_dead(folder) or not self._taken_away(folder):
+                    return None
+        except OSError as error:
+            raise _not_written(folder.running, error) from error
+        return None
+
+    def _is_dead(self, folder: TaskFolder) -> bool:
+        """Whether who is at the task has gone: for certain where it was a process of this machine, else after
+        a time without a sign."""
+        try:
+            looks = (folder.running.read_text("utf-8", "replace"), folder.running.stat().st_mtime_ns)
+        except FileNotFoundError:
+            return True
+        alive = _lives(_read(folder.running) or {})
+        if alive is not None:
+            return not alive
+        sign = self._signs.setdefault(folder.running, _Sign(looks, time.monotonic()))
+        if sign.looks != looks:
+            sign.looks, sign.since = looks, time.monotonic()
+        return time.monotonic() - sign.since > STALE
+
+    def _taken_away(self, folder: TaskFolder) -> bool:
+        """Remove the sign of somebody who is gone, unless another one does at this moment."""
+        expected = _read(folder.running) or {}
+        aside = folder.beside()
+        try:
+            folder.running.rename(aside)
+        except FileNotFoundError:
+            return True
+        mine = (_read(aside) or {}).get("token") == expected.get("token")
+        if not mine:  # another one was quicker, and has begun
+            with contextlib.suppress(OSError):
+                os.link(aside, folder.running)
+        _remove(aside)
+        return mine
+
+
+@dataclass
+class Claim:
+    """A task that is ours, as long as signs of life are given."""
+
+    folder: TaskFolder
+    token: str
+    last: float = 0.0
+
+    def beat(self) -> None:
+        """Give a sign of life where one is due. Raises Lost where it is somebody else's task by now."""
+        if time.monotonic() - self.last > BEAT:
+            self.check()
+            with contextlib.suppress(OSError):  # a disk that is away for a moment may come back
+                os.utime(self.folder.running)
+            self.last = time.monotonic()
+
+    def check(self) -> None:
+        """Raises Lost where it is somebody else's task."""
+        try:
+            found = _read(self.folder.running, missing_ok=False)
+        except OSError as error:
+            if isinstance(error, FileNotFoundError) and self.folder.path.is_dir():
+                raise Lost(f"{self.folder.name}: another process has taken this task over") from error
+            raise Lost(f"{shown(self.folder.path)}: the folder of results is gone ({why(error)})") from error
+        if found is None or found.get("token") != self.token:
+            raise Lost(f"{self.folder.name}: another process has taken this task over")
+
+    def release(self) -> None:
+        """Leave the task to others."""
+        with contextlib.suppress(Lost):
+            self.check()
+            _remove(self.folder.running)
+        if not self.folder.flat:
+            with contextlib.suppress(OSError):
+                self.folder.path.rmdir()  # only where nothing was written
+
+
+def _created(folder: TaskFolder, id: str) -> Claim | None:
+    """Make running.json, as the only one; None where it is there. Raises OSError."""
+    claim = Claim(folder, uuid.uuid4().hex, time.monotonic())
+    content = json.dumps(
+        {"format": _FORMAT, "version": _VERSION, "id": id, "token": claim.token, **_this_process()}
+    )
+    aside = folder.beside()
+    aside.write_text(content, encoding="utf-8")
+    try:
+        os.link(aside, folder.running)
+    except FileExistsError:
+        return None
+    except FileNotFoundError:
+        if folder.path.is_dir():  # whoever is at the task has taken it for something left behind
+            return None
+        raise
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        try:
+            with folder.running.open("x", encoding="utf-8") as stream:
+                stream.write(content)
+        except FileExistsError:
+            return None
+    finally:
+        _remove(aside)
+    return claim
+
+
+@cache
+def _boot() -> str:
+    """Which start of which machine this is, and which of its worlds of process numbers; empty where the
+    system does not tell."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return f"{boot} {Path('/proc/self/ns/pid').readlink()}"
+    except OSError:
+        return ""
+
+
+def _started(pid: int) -> str:
+    """When a process was started, in the machine's own count: numbers of processes are used again."""
+    with contextlib.suppress(OSError, IndexError):
+        return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[19]
+    return ""
+
+
+def _this_process() -> dict[str, Any]:
+    pid = os.getpid()
+    return {"host": socket.gethostname(), "pid": pid, "boot": _boot(), "started": _started(pid)}
+
+
+def _lives(sign: Mapping[str, Any]) -> bool | None:
+    """Whether the process that gave it runs; None where that cannot be told from here."""
+    if not _boot() or sign.get("boot") != _boot():
+        return None
+    return _started(int(sign.get("pid", 0))) == sign.get("started")
+
+
+def _read(path: Path, *, missing_ok: bool = True) -> dict[str, Any] | None:
+    """What a file of ours says; None where it says nothing that can be understood. Raises OSError unless
+    `missing_ok`."""
+    try:
+        content = json.loads(read_file(path, _LARGEST))
+    except OSError:
+        if missing_ok:
+            return None
+        raise
+    except (ValueError, RecursionError):
+        return None
+    known = isinstance(content, dict) and content.get("format") == _FORMAT
+    return content if known and content.get("version") == _VERSION else None
+
+
+def _write(path: Path, id: str, **content: Any) -> None:
+    with written_whole(path) as beside:
+        text = json.dumps({"format": _FORMAT, "version": _VERSION, "id": id, **content}, indent=1)
+        beside.write_text(text + "\n", encoding="ascii")
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def _flush_folder(path: Path) -> None:
+    """Have the system write out which names the folder has, where it can."""
+    with contextlib.suppress(OSError):
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _not_written(path: Path, error: OSError) -> OutputError:
+    return OutputError(f"{shown(path)}: could not be written ({why(error)})")

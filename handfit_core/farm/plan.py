@@ -1,0 +1,265 @@
+"""What there is to do: a list of tasks in a file, the same list whenever the same things are asked for.
+
+A task's id says what comes out of it: it is made of what the input's files hold (of large ones, of their
+names, sizes and times), of the options and of this version. What has that id and is sealed need not be done
+again, whoever did it.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, Self
+
+from handfit_core.doors.values import shortly
+from handfit_core.errors import InputError, OptionError
+from handfit_core.farm.folder import TaskFolder
+from handfit_core.farm.inputs import Input
+from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
+from handfit_core.version import __version__
+
+FOLDER: Final = "plans"
+"""Where plans lie in the folder of results"""
+
+_FORMAT: Final = "manient-plan"
+_VERSION: Final = 1
+_LARGEST: Final = 1 << 30
+_READ_WHOLE: Final = 4 << 20
+"""bytes that the files of one input may have together for their contents to be compared; of larger ones
+names, sizes and times are, since reading a thousand clips costs hours"""
+_BYTES_OF_FRAME: Final = 15_000
+"""Of a video's frame: only for the order of tasks and for guesses of the time left"""
+_FRAME: Final = 0.02
+_BESIDE: Final = 1.0
+"""seconds for a frame and for what is done once; guesses as well"""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One input, and what comes out of it."""
+
+    id: str
+    name: str
+    """of its results, and of their folder"""
+    shown: str
+    """The input, for people"""
+    source: tuple[str, ...] = ()
+    """What to capture: full paths, or a pattern"""
+    take: str = ""
+    """The take to use instead"""
+    error: str = ""
+    """Why it cannot even be tried"""
+    made_of: str = ""
+    """`fingerprint` of the files that it was planned with"""
+    cost: float = 0.0
+    """seconds that it may take; a guess, good for comparing tasks"""
+
+    @classmethod
+    def of_entry(cls, entry: Mapping[str, Any]) -> Self:
+        """From what `asdict` made of one, as JSON gives it back."""
+        known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+        return cls(**known)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Tasks that have their options and their folder of results in common."""
+
+    output: Path
+    """The folder of results"""
+    tasks: tuple[Task, ...]
+    options: Mapping[str, Any]
+    """What is to be done of every input, as JSON holds it; whoever does the tasks understands them"""
+    flat: bool = False
+    """Whether all results lie in one folder"""
+    command: tuple[str, ...] = ()
+    """What does tasks of this plan on the machine that made it, but for the name of the command"""
+    made_by: str = __version__
+    """The version that made it"""
+    created: str = field(default_factory=lambda: datetime.datetime.now(datetime.UTC).isoformat())
+
+    @cached_property
+    def path(self) -> Path:
+        """The plan's file, named by what there is to do."""
+        names = json.dumps([[task.id, task.name] for task in self.tasks])
+        return self.output / FOLDER / f"{hashlib.sha256(names.encode()).hexdigest()[:12]}.json"
+
+    @cached_property
+    def by_id(self) -> Mapping[str, Task]:
+        """Every task by its id."""
+        return {task.id: task for task in self.tasks}
+
+    def folder(self, task: Task) -> TaskFolder:
+        """Where the results of a task go."""
+        return TaskFolder(self.output, task.name, self.flat)
+
+    def task(self, id: str) -> Task:
+        """The task of an id, or of a beginning or a name that only one has. Raises OptionError."""
+        found = [t for t in self.tasks if id in (t.id, t.name) or (len(id) > 5 and t.id.startswith(id))]
+        if len(found) != 1:
+            several = "several tasks" if found else "no task"
+            raise OptionError(f"{shown(self.path)}: {several} of the plan is called {shown(id)}")
+        return found[0]
+
+    def save(self) -> Path:
+        """Write it; returns its file. Raises OutputError."""
+        content = {"format": _FORMAT, "version": _VERSION, **asdict(self)}
+        del content["output"]
+        content["tasks"] = [{k: v for k, v in task.items() if v} for task in content["tasks"]]
+        with written_whole(self.path) as beside:
+            beside.write_text(json.dumps(content, indent=1), encoding="ascii")
+        return self.path
+
+    @classmethod
+    def load(cls, path: Path) -> Plan:
+        """Read a plan's file. Raises InputError."""
+        try:
+            content = json.loads(read_file(path, _LARGEST))
+            if content["format"] != _FORMAT or content["version"] != _VERSION:
+                raise ValueError(f"it is no plan of version {_VERSION}")
+            tasks = tuple(Task.of_entry(task) for task in content["tasks"])
+            plan = cls(
+                path.absolute().parent.parent,
+                tasks,
+                content["options"],
+                bool(content["flat"]),
+                tuple(map(str, content["command"])),
+                str(content["made_by"]),
+                str(content["created"]),
+            )
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            reason = why(error) if isinstance(error, OSError) else shortly(str(error))
+            raise InputError(f"{shown(path)}: this is no plan that can be read ({reason})") from error
+        vars(plan)["path"] = path.absolute()
+        return plan
+
+    def mapped(self, places: Sequence[tuple[str, str]]) -> Plan:
+        """The plan with other beginnings of paths: what is called `places[i][0]` where it was made is called
+        `places[i][1]` here."""
+        if not places:
+            return self
+
+        def here(value: Any) -> Any:
+            if isinstance(value, str):
+                for there, now in places:
+                    if value.startswith(there):
+                        return (now + value[len(there) :]).replace("\\", "/" if "/" in now else "\\")
+            if isinstance(value, Mapping):
+                return {key: here(inner) for key, inner in value.items()}
+            return type(value)(map(here, value)) if isinstance(value, list | tuple) else value
+
+        tasks = tuple(replace(t, source=here(t.source), take=here(t.take)) for t in self.tasks)
+        plan = Plan(
+            self.output, tasks, here(self.options), self.flat, self.command, self.made_by, self.created
+        )
+        vars(plan)["path"] = self.path
+        return plan
+
+
+def plans_in(path: Path) -> list[Plan]:
+    """The plan of a file, or all plans of a folder of results, the oldest first. Raises InputError."""
+    if not path.is_dir():
+        return [Plan.load(path)]
+    found = sorted((path / FOLDER).glob("[!.]*.json"))
+    if not found:
+        raise InputError(f"{shown(path)}: there is no plan in this folder; make one with the command plan")
+    return sorted((Plan.load(each) for each in found), key=lambda plan: plan.created)
+
+
+def make_plan(
+    inputs: Iterable[Input],
+    output: Path,
+    options: Mapping[str, Any],
+    *,
+    files: Sequence[str] = (),
+    flat: bool = False,
+    overwrite: bool = False,
+    command: Sequence[str] = (),
+) -> Plan:
+    """A task for each input. `files`: those that the options name, whose contents count as well.
+
+    An input's own name is its results' name, unless that is taken: by another input, or by results of other
+    tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
+    """
+    common = json.dumps([__version__, options, [fingerprint([Path(file)]) for file in files]], sort_keys=True)
+    taken: dict[str, str] = {}
+    tasks = []
+    for each in inputs:
+        task = _task(each, common, taken.values())
+        folders = _numbered(output, task.name, flat)
+        folder = next(
+            folder
+            for folder in folders
+            if folder.name.lower() not in taken and (flat or overwrite or folder.is_free_for(task.id))
+        )
+        taken[folder.name.lower()] = task.id
+        tasks.append(replace(task, name=folder.name))
+    return Plan(output.absolute(), tuple(tasks), options, flat, tuple(command))
+
+
+def _numbered(output: Path, name: str, flat: bool) -> Iterable[TaskFolder]:
+    yield TaskFolder(output, name, flat)
+    number = 1
+    while number := number + 1:
+        yield TaskFolder(output, f"{name}-{number}", flat)
+
+
+def _task(each: Input, common: str, ids: Iterable[str]) -> Task:
+    """An input's task, whose name may be taken."""
+    files = [each.take] if each.take else files_of(each.source)
+    made_of = fingerprint(files)
+    what = [common, each.name, made_of, bool(each.take), each.error, each.shown if not files else ""]
+    again = 0
+    ids = set(ids)
+    while (number := hashlib.sha256(json.dumps([*what, again]).encode()).hexdigest()[:16]) in ids:
+        again += 1  # the same input a second time
+    source = tuple(str(Path(part).absolute()) for part in each.source)
+    take = str(each.take.absolute()) if each.take else ""
+    cost = _BESIDE + _FRAME * sum(map(_frames, files)) * (not each.take)
+    return Task(number, each.name, each.shown, source, take, each.error, made_of, round(cost, 3))
+
+
+def files_of(source: Sequence[str]) -> list[Path]:
+    """The files of an input: of a pattern, those that match it now."""
+    (first, *_) = source or ("",)
+    if len(source) == 1 and is_pattern(first) and not Path(first).exists():
+        return matching(Path(first))[0]
+    return [Path(part) for part in source]
+
+
+def fingerprint(files: Sequence[Path]) -> str:
+    """What files hold, in short: the same for the same, and another once one of them has changed, as far as
+    that can be told without reading large ones."""
+    found = [(file.name, *_size_and_time(file)) for file in files]
+    digest = hashlib.sha256()
+    if sum(size for _, size, _ in found) <= _READ_WHOLE and all(size >= 0 for _, size, _ in found):
+        for file in files:
+            try:
+                digest.update(read_file(file, _READ_WHOLE))
+            except (OSError, ValueError) as error:
+                digest.update(str(error).encode("utf-8", "replace"))
+        found = [(name, size, 0) for name, size, _ in found]
+    digest.update(json.dumps(found).encode())
+    return digest.hexdigest()[:32]
+
+
+def _size_and_time(file: Path) -> tuple[int, int]:
+    """Bytes and milliseconds, which all file systems can hold; -1, 0 where there is no such file."""
+    try:
+        found = file.stat()
+    except (OSError, ValueError):
+        return -1, 0
+    return found.st_size, found.st_mtime_ns // 1_000_000
+
+
+def _frames(file: Path) -> float:
+    """How many frames a file may have."""
+    if file.suffix.lower() in PHOTO_SUFFIXES:
+        return 1.0
+    return max(_size_and_time(file)[0], 0) / _BYTES_OF_FRAME
