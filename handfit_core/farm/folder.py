@@ -5,8 +5,8 @@
     running.json    whose turn it is: made by one alone, and touched every few seconds while he lives
 
 Results come into being in a part folder beside it, as deep as the folder itself so that relative paths in
-them stay right, and are moved file by file. Nothing here relies on clocks of different machines agreeing, nor on
-locks, which network disks have or have not.
+them stay right, and are moved file by file. Nothing here relies on clocks of different machines agreeing,
+nor on locks, which network disks have or have not.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class TaskFolder:
 
     @property
     def _parts(self) -> str:
-        """What the names of this task's parts begin with; its own name may be too long, and begin another's."""
+        """What its parts' names begin with; the task's own name may be too long, and begin another's."""
         return f".part-{hashlib.sha256(os.fsencode(self.name)).hexdigest()[:10]}-"
 
     def beside(self) -> Path:

@@ -149,7 +149,8 @@ class Plan:
             if isinstance(value, str):
                 for there, now in places:
                     if value.startswith(there):
-                        return (now + value[len(there) :]).replace("\\", "/" if "/" in now else "\\")
+                        wrong, right = ("\\", "/") if "/" in now else ("/", "\\")
+                        return (now + value[len(there) :]).replace(wrong, right)
             if isinstance(value, Mapping):
                 return {key: here(inner) for key, inner in value.items()}
             return type(value)(map(here, value)) if isinstance(value, list | tuple) else value
@@ -188,16 +189,20 @@ def make_plan(
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
     """
     common = json.dumps([__version__, options, [fingerprint([Path(file)]) for file in files]], sort_keys=True)
+    there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
     taken: dict[str, str] = {}
     tasks = []
+
+    def is_free(folder: TaskFolder, id: str) -> bool:
+        if folder.name.lower() in taken:
+            return False
+        if flat or overwrite:
+            return True
+        return there.get(folder.name.lower(), folder.name) == folder.name and folder.is_free_for(id)
+
     for each in inputs:
         task = _task(each, common, taken.values())
-        folders = _numbered(output, task.name, flat)
-        folder = next(
-            folder
-            for folder in folders
-            if folder.name.lower() not in taken and (flat or overwrite or folder.is_free_for(task.id))
-        )
+        folder = next(f for f in _numbered(output, task.name, flat) if is_free(f, task.id))
         taken[folder.name.lower()] = task.id
         tasks.append(replace(task, name=folder.name))
     return Plan(output.absolute(), tuple(tasks), options, flat, tuple(command))

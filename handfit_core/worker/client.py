@@ -211,7 +211,9 @@ class Worker(Runner):
                 else f"the Python '{self.python}' is not one; {self._advice.python}"
             )
         elif ended:
-            self._give_up(self._why_it_died(child), self._kind_of_death(child))
+            ran_out = ran_out_of_memory(child, self._kills_before)
+            kind = MemoryRanOut if ran_out else WorkerError if self._hello is None else WorkerDied
+            self._give_up(self._why_it_died(child, ran_out), kind.__name__)
         elif self._hello is None and child.noise > _NOISE_LIMIT:
             self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
         elif self._hello is None and time.monotonic() > self._start_deadline:
@@ -285,12 +287,7 @@ class Worker(Runner):
         """One sentence for a package that does not load although it was brought along."""
         return f"a package that capturing needs does not load ({said}): {self._advice.broken}"
 
-    def _kind_of_death(self, child: ChildProcess) -> str:
-        if ran_out_of_memory(child, self._kills_before):
-            return MemoryRanOut.__name__
-        return (WorkerError if self._hello is None else WorkerDied).__name__
-
-    def _why_it_died(self, child: ChildProcess) -> str:
+    def _why_it_died(self, child: ChildProcess, ran_out: bool) -> str:
         """One sentence for a process that ended without saying why."""
         code = child.exit_code or 0
         last = _last_line(child.last_words())
@@ -301,15 +298,15 @@ class Worker(Runner):
         said = f", last saying: {last}" if last else ""
         if child.hung:
             return f"the worker process closed its output and did not end{said}; {self._advice.crash}"
-        kills, signal_name = out_of_memory_kills(), _signal_name(code)
-        if ran_out_of_memory(child, self._kills_before):
+        signal_name = _signal_name(code)
+        if ran_out:
             return (
                 f"memory ran out, and the worker process ended {ending(code)}{said}; capture fewer frames "
                 "at a time, or smaller pictures"
             )
         if signal_name and signal_name not in _CRASHES:
             # A system that does not count may have done it itself, for whatever reason.
-            who = "from outside" if kills is not None else "from outside or by the system"
+            who = "from outside" if self._kills_before is not None else "from outside or by the system"
             return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
         if self._hello is None and not self.runs_here:
             return (

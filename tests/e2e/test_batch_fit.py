@@ -66,6 +66,12 @@ def report(folder: Path) -> list[dict]:
     return content["inputs"]
 
 
+def plan_in(folder: Path) -> str:
+    """The name of the only plan in a folder of results."""
+    (plan,) = (folder / "plans").iterdir()
+    return plan.relative_to(folder).as_posix()
+
+
 def lines(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("[")]
 
@@ -110,7 +116,7 @@ def test_takes_become_files(batch, take_file, tmp_path):
         f"wave/wave{s}" for s in (".take.npz", ".blend", ".glb", ".fbx", ".bvh", ".preview.png")
     )
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == sorted(
-        ["report.json", *entry["files"]]
+        ["report.json", plan_in(out), "wave/done.json", *entry["files"]]
     )
     for suffix in (".glb", ".fbx", ".bvh"):
         found = read_back(out / "wave" / f"wave{suffix}")
@@ -165,7 +171,8 @@ def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path):
     assert all(e["error"] and "Traceback" not in e["error"] for e in entries[:-1])
     assert "Traceback" not in done.stdout + done.stderr
     assert len(lines(done.stdout)) == len(entries)
-    assert sorted(p.name for p in out.iterdir()) == ["report.json", "wave"]
+    assert not any((out / Path(name).stem / f"{Path(name).stem}.glb").exists() for name in bad)
+    assert all((out / entry["name"] / "failed.json").is_file() for entry in entries[:-1])
 
 
 def test_names_that_the_console_cannot_show(batch, take_file, tmp_path, monkeypatch):
@@ -190,10 +197,16 @@ def test_equal_names_get_numbers(batch, take_file, tmp_path):
     out = tmp_path / "out"
     assert batch(first, second, "-o", out, "--format", "bvh").returncode == 0
     assert [e["name"] for e in report(out)] == ["wave", "WAVE-2"]
+    before = (out / "wave" / "done.json").stat().st_mtime_ns
     assert batch(first, "-o", out, "--format", "bvh").returncode == 0
-    assert [e["name"] for e in report(out)] == ["wave-3"]
-    assert batch(first, "-o", out, "--format", "bvh", "--overwrite").returncode == 0
-    assert [e["name"] for e in report(out)] == ["wave"]
+    assert [e["name"] for e in report(out)] == ["wave", "WAVE-2"]
+    assert (out / "wave" / "done.json").stat().st_mtime_ns == before, "what is sealed is not done again"
+    assert batch(first, "-o", out, "--format", "glb").returncode == 0
+    assert [e["name"] for e in report(out)] == ["wave", "WAVE-2", "wave-3"]
+    assert batch(first, "-o", out, "--format", "glb", "--overwrite").returncode == 0
+    assert [(e["name"], e["files"][-1]) for e in report(out)] == [
+        *(("wave", "wave/wave.glb"), ("WAVE-2", "WAVE-2/WAVE-2.bvh"), ("wave-3", "wave-3/wave-3.glb")),
+    ]
 
 
 def test_a_python_that_cannot_capture_is_named(batch, tmp_path):
@@ -245,22 +258,24 @@ def exists(pid: int) -> bool:
 
 
 @needs_scripts
-def test_one_process_for_all_inputs_and_another_after_a_crash(batch, peer, tmp_path):
+def test_one_process_for_all_inputs_and_others_after_crashes(batch, peer, tmp_path):
     out = tmp_path / "out"
-    done = batch(*"a.jpg b.jpg crash.jpg c.jpg d.jpg".split(), "-o", out, "--format", "bvh", "--python", peer)
+    options = ("--format", "bvh", "--python", peer)
+    done = batch(*"a.jpg b.jpg crash.jpg c.jpg d.jpg".split(), "-o", out, "--jobs", "1", *options)
     assert done.returncode == 1
     entries = report(out)
     assert [e["status"] for e in entries] == ["ok", "ok", "failed", "ok", "ok"]
     assert "SIGABRT" in entries[2]["error"]
     assert "--debug" in entries[2]["error"]
-    assert len(pids(tmp_path)) == 2
-    assert not (out / "crash").exists()
+    assert [attempt["kind"] for attempt in entries[2]["attempts"]] == ["WorkerDied"] * 3
+    assert len(pids(tmp_path)) <= 4, "one, and one after each crash"
+    assert [p.name for p in (out / "crash").iterdir()] == ["failed.json"]
 
 
 @needs_scripts
 def test_the_time_limit_is_for_each_input(batch, peer, tmp_path):
     out = tmp_path / "out"
-    options = ("--format", "bvh", "--python", peer, "--timeout", "3")
+    options = ("--format", "bvh", "--python", peer, "--timeout", "3", "--jobs", "1")
     done = batch("a.jpg", "slow.jpg", "b.jpg", "-o", out, *options)
     assert done.returncode == 1
     entries = report(out)
@@ -274,7 +289,7 @@ def test_ctrl_c_ends_the_worker_too(peer, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, str(SCRIPT), "a.jpg", "slow.jpg", "c.jpg", "-o", str(out), "--format", "bvh"]
     running = subprocess.Popen(
-        [*command, "--python", str(peer)], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [*command, "--python", str(peer), "--jobs", "1"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and not (out / "report.json").exists():

@@ -270,7 +270,7 @@ def test_a_dead_peer_does_not_take_blender_with_it(peer):
     command = [sys.executable, "-c", code, peer("ready()\ntime.sleep(60)")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    assert "WorkerError set()" in done.stdout.splitlines()
+    assert "WorkerDied set()" in done.stdout.splitlines()
 
 
 @needs_scripts
@@ -476,7 +476,7 @@ def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
         events = worker.events()
         time.sleep(0.01)
     (event,) = events
-    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerError")
+    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerDied")
     assert "last words" in event["details"]
     assert "exit code 7" in event["details"]
     assert worker.wait(worker.submit("capture"), timeout=20)["pid"] == worker.pid
