@@ -1,5 +1,6 @@
-"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `model convert`, `model info`,
-`evaluate DATASET`; and `worker`, the process that Blender talks to."""
+"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `detect` and `solve` for a clip that
+several machines share, `model convert`, `model info`, `evaluate DATASET`; and `worker`, the process that
+Blender talks to."""
 
 from __future__ import annotations
 
@@ -25,8 +26,10 @@ from typing import Any, TextIO
 from handfit_core.errors import HandfitError
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE
 from handfit_core.hand_model.commands import add_model_commands
-from handfit_core.options import CaptureOptions, add_options
-from handfit_core.pipeline import Progress, capture_to_file
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.options import OPTIONS, CaptureOptions, add_options
+from handfit_core.parts import Parts
+from handfit_core.pipeline import Progress, ProgressCallback, capture_to_file, detect_to_file
 from handfit_core.version import __version__
 
 EXIT_FAILED = 1
@@ -75,15 +78,42 @@ def _parser() -> argparse.ArgumentParser:
         metavar="INPUT",
         help="a photo, a folder or several photos of one sequence, a name.%%04d.png or glob pattern, a video",
     )
-    command.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="OUT.npz", help="the take to write"
-    )
+    _add_output(command, "the take to write")
     add_options(command)
+
+    command = commands.add_parser(
+        "detect", help="find the hands in a part of a clip, for solve to join with other parts"
+    )
+    command.set_defaults(handler=_detect)
+    command.add_argument("input", nargs="+", metavar="INPUT", help="a clip, as capture takes it")
+    _add_output(command, "the part to write")
     command.add_argument(
-        "--progress",
-        choices=("bar", "json", "none"),
-        default="bar",
-        help="how to show progress (default: bar)",
+        "--frames",
+        dest="part",
+        metavar="A-B",
+        help="the part: the stretches of 96 frames that begin in these source frames (default: all)",
+    )
+    command.add_argument(
+        "--clip-frames",
+        dest="frames",
+        metavar="A-B:S",
+        help="source frames of the whole clip that are used, as capture's --frames (default: all)",
+    )
+    add_options(command, [name for name in OPTIONS if name != "frames"])
+
+    command = commands.add_parser(
+        "solve", help="fit the hands of a clip whose parts were detected, write a take"
+    )
+    command.set_defaults(handler=_solve)
+    command.add_argument(
+        "parts", nargs="+", metavar="PART.npz", help="what detect wrote: all parts of one clip"
+    )
+    _add_output(command, "the take to write")
+    command.add_argument(
+        "--input",
+        nargs="+",
+        metavar="INPUT",
+        help="the clip, where it lies elsewhere than when it was detected",
     )
 
     worker = commands.add_parser(
@@ -106,6 +136,17 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_output(command: argparse.ArgumentParser, what: str) -> None:
+    """Where the result goes, and how it is told of."""
+    command.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.npz", help=what)
+    command.add_argument(
+        "--progress",
+        choices=("bar", "json", "none"),
+        default="bar",
+        help="how to show progress (default: bar)",
+    )
+
+
 def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:
     """The parsers that run something: leaves of the tree of commands."""
     for sub in commands.choices.values():
@@ -124,10 +165,30 @@ def _worker(args: argparse.Namespace) -> int:
 
 
 def _capture(args: argparse.Namespace) -> int:
-    source = args.input[0] if len(args.input) == 1 else args.input
-    progress = None if args.progress == "none" else args.reporter.progress
-    args.reporter.done(capture_to_file(source, args.output, CaptureOptions.of_arguments(args), progress))
+    source, options = _source(args.input), CaptureOptions.of_arguments(args)
+    args.reporter.done(capture_to_file(source, args.output, options, _progress(args)))
     return 0
+
+
+def _detect(args: argparse.Namespace) -> int:
+    options, part = CaptureOptions.of_arguments(args), args.part and FrameRange.parse(args.part)
+    args.reporter.done(detect_to_file(_source(args.input), args.output, options, part, _progress(args)))
+    return 0
+
+
+def _solve(args: argparse.Namespace) -> int:
+    parts = Parts(args.parts)
+    source = _source(args.input or parts.input)
+    args.reporter.done(capture_to_file(source, args.output, parts.options, _progress(args), parts=parts))
+    return 0
+
+
+def _source(given: list[str]) -> str | list[str]:
+    return given[0] if len(given) == 1 else given
+
+
+def _progress(args: argparse.Namespace) -> ProgressCallback | None:
+    return None if args.progress == "none" else args.reporter.progress
 
 
 class _JsonOutput:
@@ -198,12 +259,15 @@ class _TextOutput:
         print(text, file=sys.stderr, flush=True)
 
     def done(self, summary: dict[str, Any]) -> None:
-        hands = "; ".join(
-            f"{h['side']} hand in {h['frames']} of {summary['frames']} frames, "
-            + (f"{h['filled']} more filled, " if h["filled"] else "")
-            + (f"{h['doubtful']} doubtful, " if h["doubtful"] else "")
-            + _mean_error(h)
-            for h in summary["hands"]
+        hands = (
+            "; ".join(
+                f"{h['side']} hand in {h['frames']} of {summary['frames']} frames, "
+                + (f"{h['filled']} more filled, " if h["filled"] else "")
+                + (f"{h['doubtful']} doubtful, " if h["doubtful"] else "")
+                + _mean_error(h)
+                for h in summary.get("hands", ())
+            )
+            or f"{summary['frames']} frames looked at"
         )
         self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")
 

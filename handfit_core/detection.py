@@ -15,8 +15,8 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import same_hand
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.regions import looked_at, shown_in
-from handfit_core.detect.stretches import ClipDetector
-from handfit_core.errors import Cancelled, InputError
+from handfit_core.detect.stretches import ClipDetector, Stretch
+from handfit_core.errors import Cancelled, InputError, OptionError
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame, Media
@@ -26,30 +26,32 @@ from handfit_core.worker.sharing import shared
 
 log = logging.getLogger("handfit")
 
+LookedAt = Callable[[ClipDetector, CaptureOptions, Callable[[int], None], ShouldStop], list[Stretch]]
+"""Has the stretches of a clip looked at, and gives those from the beginning on; as `worker.sharing.shared`"""
+
 
 def detect_frames(
     media: Media,
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: ShouldStop = never,
+    looked_at: LookedAt = shared,
 ) -> Detected:
-    """The hands of a source's frames.
+    """The hands of a source's frames; detectors that look at stretches of a clip get these from `looked_at`.
 
     `on_frame` is called with the count of frames that are done, whenever it has grown. `should_stop` is asked
     before every frame; the frames before that are returned.
 
     Raises InputError when no frame could be read, Cancelled when it was stopped before the first.
     """
-    # Two hands are looked for even where one is wanted, so that the surest can be chosen.
-    if options.max_hands == 1:
-        options = replace(options, max_hands=2)
+    options = at_least_two(options)
     clip = None if media.source.kind == "photo" else DETECTORS.get(options.detector).clip
     blamed = partial(DETECTORS.blamed, options.detector)
     if clip is None:
         seen = _one_by_one(media, options, on_frame, should_stop, blamed)
     else:
         with blamed(), clip(media, options) as detector:
-            seen = _in_stretches(detector, options, on_frame, should_stop)
+            seen = _in_stretches(detector, looked_at(detector, options, on_frame, should_stop))
     if not seen.numbers:
         if should_stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found")
@@ -59,6 +61,39 @@ def detect_frames(
             log.warning("the region in frame %d was not looked at: that frame is not used", region.frame)
     with blamed():
         return replace(seen, frames=_finite(seen.frames, options.detector))
+
+
+def detect_part(
+    media: Media,
+    options: CaptureOptions,
+    part: slice,
+    on_frame: Callable[[int], None],
+    should_stop: ShouldStop,
+) -> list[Stretch]:
+    """What is found in those stretches of a clip, fewer where it ends before; `on_frame` as `detect_frames`
+    has it.
+
+    Raises OptionError for what has no parts, Cancelled where it was stopped before all was looked at.
+    """
+    if media.source.kind == "photo":
+        raise OptionError(f"{media.source.name}: a photo has no parts; capture it")
+    clip = DETECTORS.get(options.detector).clip
+    if clip is None:
+        raise OptionError(
+            f"the detector {options.detector} looks at a clip from its beginning to its end, so that no part "
+            "of it stands for itself; capture the whole clip, or take the detector direct"
+        )
+    options = at_least_two(options)
+    with DETECTORS.blamed(options.detector), clip(media, options) as detector:
+        stretches = shared(detector, options, on_frame, should_stop, part)
+    if should_stop():
+        raise Cancelled(f"{media.source.name}: stopped before all frames of the part were looked at")
+    return stretches
+
+
+def at_least_two(options: CaptureOptions) -> CaptureOptions:
+    """Two hands are looked for even where one is wanted, so that the surest can be chosen."""
+    return replace(options, max_hands=2) if options.max_hands == 1 else options
 
 
 def _one_by_one(
@@ -85,14 +120,8 @@ def _one_by_one(
     return Detected(numbers, found, detector.most_seen)
 
 
-def _in_stretches(
-    detector: ClipDetector,
-    options: CaptureOptions,
-    on_frame: Callable[[int], None],
-    should_stop: ShouldStop,
-) -> Detected:
-    """What is found in a clip by whichever processes."""
-    stretches = shared(detector, options, on_frame, should_stop)
+def _in_stretches(detector: ClipDetector, stretches: list[Stretch]) -> Detected:
+    """What is found in a clip, whoever looked at its stretches."""
     frames, cuts = detector.joined(stretches)
     # At least twice, since one picture may show what only looks like a hand.
     counts = sorted(count for stretch in stretches for count in stretch.counts)

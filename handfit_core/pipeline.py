@@ -16,7 +16,7 @@ from handfit_core.batch import spread
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.detect.tracks import link_and_count
-from handfit_core.detection import detect_frames
+from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
 from handfit_core.fit_quality import mean_expected_error, mean_relative_error
@@ -24,13 +24,15 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.media.exif import known_intrinsics
-from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.frame_range import STRETCH, FrameRange
 from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, Region
+from handfit_core.parts import Part, Parts, stretches_in
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import HandTrack, Take
+from handfit_core.worker.sharing import expected_frames, shared
 
 Stage = Literal["detect", "fit", "score"]
 """`score` is of evaluations only"""
@@ -120,8 +122,10 @@ def capture_with(
     options: CaptureOptions,
     progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
+    parts: Parts | None = None,
 ) -> Take:
-    """`capture`, with options that somebody has put together elsewhere."""
+    """`capture`, with options that somebody has put together elsewhere, and perhaps of a clip whose hands
+    were found in parts. Raises InputError, too, where these do not fit."""
     solver, hand_length = options.solver, options.hand_length
     solve = get_solver(solver, options.smoothing, hand_length)
     can = SOLVERS.get(solver)
@@ -139,7 +143,8 @@ def capture_with(
         report(Progress("detect", done, max(media.expected_frames, done)))
 
     most = options.most_hands(clip=media.source.kind != "photo")
-    seen = detect_frames(media, options, on_frame, stop)
+    looked_at = shared if parts is None else parts.of(media, options)
+    seen = detect_frames(media, options, on_frame, stop, looked_at)
     numbers, found = seen.numbers, seen.frames
     holes = sorted({*_holes(numbers), *(row - 1 for row in seen.cuts)})
     try:
@@ -244,6 +249,7 @@ def capture_to_file(
     *,
     compact: bool = False,
     bare: bool = False,
+    parts: Parts | None = None,
 ) -> dict[str, Any]:
     """Capture and write the take (`compact` as in `Take.save`), or `bare_take`'s; what is to be told of it,
     fit for JSON.
@@ -252,13 +258,52 @@ def capture_to_file(
     """
     check_writable(output)
     started = time.perf_counter()
-    take = bare_take(source, options) if bare else capture_with(source, options, progress, should_stop)
+    take = bare_take(source, options) if bare else capture_with(source, options, progress, should_stop, parts)
     path = take.save(output, compact=compact)
     return {
         "output": str(path),
         "frames": len(take.frame_numbers),
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
+    }
+
+
+def detect_to_file(
+    source: MediaInput,
+    output: str | os.PathLike[str],
+    options: CaptureOptions,
+    part: FrameRange | None = None,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+) -> dict[str, Any]:
+    """Find the hands in a part of a clip and write it for `Parts`; what is to be told of it, fit for JSON.
+
+    `part` is a range of frame numbers, of which each stretch belongs to the part whose first frame lies in it
+    (None: all), and `options` those of the capture of the whole clip, its `frames` included.
+
+    Raises what `capture` raises before it fits, but for NoHandFoundError, and OutputError.
+    """
+    check_writable(output)
+    started = time.perf_counter()
+    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    rows = stretches_in(media, part)
+    expected = expected_frames(media, rows)
+    report = progress or (lambda _: None)
+
+    def on_frame(done: int) -> None:
+        report(Progress("detect", done, max(expected, done)))
+
+    found = detect_part(media, options, rows, on_frame, should_stop or never)
+    path = Part.found(media, options, rows, found).save(output)
+    numbers = [number for stretch in found for number in stretch.numbers]
+    if not numbers:
+        log.warning("no stretch of %d frames begins in frames %s: this part is empty", STRETCH, part or "-")
+    return {
+        "output": str(path),
+        "frames": len(numbers),
+        "first": numbers[0] if numbers else None,
+        "last": numbers[-1] if numbers else None,
+        "seconds": round(time.perf_counter() - started, 3),
     }
 
 

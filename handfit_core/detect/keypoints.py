@@ -109,8 +109,12 @@ def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.n
 
 
 def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetection, ...]]:
-    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError and ValueError where they do not fit."""
+    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where they
+    do not fit."""
     hands = []
+    for name, shape in _COLUMNS.items():
+        if arrays[name].shape != (len(arrays["sides"]), *shape):
+            raise ValueError(f"{name} has the shape {arrays[name].shape}")
     for i, side in enumerate(arrays["sides"]):
         known: dict[str, Any] = {}
         for name, shape in _COLUMNS.items():
@@ -119,6 +123,8 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
         known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
         hands.append(HandDetection(SIDES[side], **known))
     ends = np.cumsum(arrays["counts"])
+    if ends[-1:].tolist() not in ([], [len(hands)]):
+        raise ValueError(f"{len(hands)} hands are not as many as its frames count")
     return [tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True)]
 
 

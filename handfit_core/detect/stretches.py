@@ -7,10 +7,10 @@ both: so a clip's hands are the same whichever processes looked at its stretches
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Self
 
 import numpy as np
@@ -18,17 +18,15 @@ import numpy as np
 from handfit_core.detect.clips import LOOK_BACK, ClipFinder, Followed, Packed, Past, goes_on
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.cuts import Glance
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
 from handfit_core.detect.looks import same_hand
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.opening import settings_of
 from handfit_core.detect.regions import looked_at
+from handfit_core.media.frame_range import STRETCH
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame, Media
 from handfit_core.options import CaptureOptions
-
-STRETCH = 96
-"""Frames; a stretch begins with a search for palms, as every 24th frame has one"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +51,53 @@ class Stretch:
         """What was found in the frames of these numbers."""
         first, last = (finder.glances[0], finder.glances[-1]) if finder.glances else (None, None)
         return cls(numbers, finder.frames, finder.followed, finder.counts, finder.cuts, first, last)
+
+
+def stretches_to_arrays(stretches: Sequence[Stretch]) -> dict[str, np.ndarray]:
+    """What was found in S stretches, as `.npz` files and messages can hold it: `sizes` (S, 4) says how many
+    frames, followed hands, counts and cuts each has, the others have the rows of all, one after the other."""
+    whole = [s for s in stretches if s.first is not None and s.last is not None]
+    glances = [[look.pixels for look in (s.first, s.last) if look is not None] for s in whole]
+    sizes = [(len(s.numbers), len(s.followed), len(s.counts), len(s.cuts)) for s in stretches]
+    return hands_to_arrays([h for s in stretches for h in (*s.frames, [f.last for f in s.followed])]) | {
+        "sizes": np.array(sizes, dtype=np.int64).reshape(-1, 4),
+        "numbers": np.array([n for s in stretches for n in s.numbers], dtype=np.int64),
+        "velocity": np.array([f.velocity for s in stretches for f in s.followed]).reshape(-1, 2),
+        "seen": np.array([n for s in stretches for n in s.counts], dtype=np.int64),
+        "cuts": np.array([n for s in stretches for n in s.cuts], dtype=np.int64),
+        "looked": np.array([s.first is not None for s in stretches], dtype=bool),
+        "glances": np.array(glances, dtype=np.uint8) if whole else np.zeros((0, 2, 0, 0, 3), np.uint8),
+    }
+
+
+def stretches_from_arrays(arrays: Mapping[str, np.ndarray], threshold: float) -> list[Stretch]:
+    """The inverse of `stretches_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where they
+    do not fit together."""
+    rows = {name: iter(arrays[name].tolist()) for name in ("numbers", "seen", "cuts")}
+    velocities, glances = iter(arrays["velocity"]), iter(arrays["glances"])
+    hands = iter(hands_from_arrays(arrays))
+    found = []
+    for sizes, looked in zip(arrays["sizes"].tolist(), arrays["looked"], strict=True):
+        frames, followed, counts, cuts = sizes
+        numbers = list(islice(rows["numbers"], frames))
+        there = list(islice(hands, frames))
+        ends = next(hands, None)
+        if ends is None or (len(numbers), len(ends)) != (frames, followed):
+            raise ValueError("its rows do not fit together")
+        moving = zip(ends, islice(velocities, followed), strict=True)
+        first, last = map(Glance, next(glances, ())) if looked else (None, None)
+        found.append(
+            Stretch(
+                numbers,
+                there,
+                [Followed.of(hand, threshold, velocity) for hand, velocity in moving],
+                list(islice(rows["seen"], counts)),
+                list(islice(rows["cuts"], cuts)),
+                first,
+                last,
+            )
+        )
+    return found
 
 
 class ClipDetector:

@@ -1,13 +1,21 @@
-"""Frame ranges as artists write them: `10-200:2`."""
+"""Frame ranges as artists write them, `10-200:2`, and the ranges of a clip that machines share."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 from handfit_core.errors import OptionError
 
 _PATTERN = re.compile(r"\s*(?P<first>\d+)?\s*(?:(?P<dash>-)\s*(?P<last>\d+)?)?\s*(?::\s*(?P<step>\d+))?\s*")
+STRETCH: Final = 96
+"""Frames of a clip that are looked at together, whoever does it: a stretch begins with a search for palms, as
+every 24th frame has one"""
+_SMALLEST_PART: Final = 4
+"""stretches: to start a process, and to read on to its first frame, should cost less than the detection"""
+
 _LONGEST = 40
 """Characters; numbers beyond any clip's frames fit in"""
 
@@ -60,3 +68,13 @@ class FrameRange:
     def __str__(self) -> str:
         first, last = ("" if v is None else str(v) for v in (self.first, self.last))
         return f"{first}-{last}" + (f":{self.step}" if self.step > 1 else "")
+
+
+def part_ranges(frames: range, most: int) -> list[FrameRange]:
+    """At most `most` ranges that tile a clip of those frame numbers, for as many machines to detect: whole
+    stretches, about equally many, and at least 384 frames each. The last is open, in case the clip is longer
+    than its header says."""
+    stretches = frames[::STRETCH]
+    count = max(1, min(most, len(stretches) // _SMALLEST_PART))
+    firsts = [stretches[i * len(stretches) // count] for i in range(count)]
+    return [FrameRange(a, b - 1) for a, b in pairwise(firsts)] + [FrameRange(firsts[-1])]

@@ -27,6 +27,8 @@ def answer(
     match message["request"]:
         case "capture":
             return capture(message, should_stop, on_progress)
+        case "detect":
+            return detect(message, should_stop, on_progress)
         case "refit":
             from handfit_core import edit
 
@@ -54,11 +56,11 @@ def capture(
 ) -> dict[str, Any]:
     """Capture as the request says, write the take. Raises what `pipeline.capture` raises, and OutputError."""
     from handfit_core.options import CaptureOptions
+    from handfit_core.parts import Parts
     from handfit_core.pipeline import capture_to_file
 
-    source, output = _source(message), message.get("output")
-    if not isinstance(output, str) or not output:
-        raise OptionError("a capture needs the path of the take to write, as its output")
+    source, output = _source(message), _output(message)
+    parts = None if message.get("parts") is None else Parts(_paths(message, "parts"))
     flags = {name: message.get(name, False) for name in ("compact", "bare")}
     for name, flag in flags.items():
         if not isinstance(flag, bool):
@@ -74,8 +76,29 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, output, options, report, asked, **flags)
+    done = capture_to_file(source, output, options, report, asked, **flags, parts=parts)
     return {**done, "stopped": stopped}
+
+
+def detect(
+    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
+) -> dict[str, Any]:
+    """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
+    from handfit_core.media.frame_range import FrameRange
+    from handfit_core.options import CaptureOptions
+    from handfit_core.pipeline import detect_to_file
+
+    part = message.get("part")
+    if part is not None and not isinstance(part, str):
+        raise OptionError(f"a part must be a range of frames, such as '961-1920', not {shortly(part)}")
+    return detect_to_file(
+        _source(message),
+        _output(message),
+        CaptureOptions.of_message(message.get("options") or {}),
+        FrameRange.parse(part) if part else None,
+        lambda progress: on_progress(progress.stage, progress.done, progress.total),
+        should_stop,
+    )
 
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,7 +162,20 @@ def _write_picture(rgb: np.ndarray, path: str) -> None:
 
 def _source(message: Mapping[str, Any]) -> str | list[str]:
     """A request's `input`: a path or pattern, or the pictures of one sequence. Raises OptionError."""
-    source = message.get("input")
-    if not isinstance(source, list) or not source or not all(isinstance(p, str) and p for p in source):
-        raise OptionError(f"input must be a list of one path or pattern, or of pictures; got {source!r}")
+    source = _paths(message, "input")
     return source[0] if len(source) == 1 else source
+
+
+def _paths(message: Mapping[str, Any], name: str) -> list[str]:
+    paths = message.get(name)
+    if not isinstance(paths, list) or not paths or not all(isinstance(p, str) and p for p in paths):
+        what = "one path or pattern, or of pictures" if name == "input" else "the paths of part files"
+        raise OptionError(f"{name} must be a list of {what}; got {shortly(paths)}")
+    return paths
+
+
+def _output(message: Mapping[str, Any]) -> str:
+    output = message.get("output")
+    if not isinstance(output, str) or not output:
+        raise OptionError(f"a {message['request']} needs the path of the file to write, as its output")
+    return output

@@ -10,16 +10,18 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
-from handfit_core.detect.clips import Followed
-from handfit_core.detect.cuts import Glance
-from handfit_core.detect.keypoints import hands_from_arrays, hands_to_arrays
 from handfit_core.detect.networks import usable_cores
-from handfit_core.detect.stretches import STRETCH, ClipDetector, Stretch
+from handfit_core.detect.stretches import (
+    ClipDetector,
+    Stretch,
+    stretches_from_arrays,
+    stretches_to_arrays,
+)
 from handfit_core.doors.values import Unfit, shortly, whole
 from handfit_core.errors import HandfitError, OptionError, ProtocolError
+from handfit_core.media.frame_range import STRETCH
 from handfit_core.media.opening import open_media
+from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.client import Worker
 from handfit_core.worker.protocol import pack, unpack
@@ -29,6 +31,9 @@ log = logging.getLogger("handfit")
 
 MOST: Final = 8
 """Processes that nobody asked for: each decodes a video for itself, and more would do little else"""
+
+ALL: Final = slice(0, None)
+"""Every stretch of a clip"""
 
 _PAUSE: Final = 0.02
 """seconds between two looks at the other processes, where this one has nothing to do"""
@@ -42,14 +47,24 @@ def shared(
     options: CaptureOptions,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
+    part: slice = ALL,
 ) -> list[Stretch]:
-    """All stretches of a clip, looked at by as many processes as the options say: the same, however many.
+    """All stretches of a clip, or those of a part of them, looked at by as many processes as the options say:
+    the same, however many.
 
     `on_progress` gets the count of the frames that are done. Where it is stopped, what was found from the
     beginning on without a gap is returned. A process that dies is replaced once; after a second time, the
     frames that it was at count as not seen, and are told of.
     """
-    return _Shared(detector, options, on_progress, should_stop).stretches()
+    return _Shared(detector, options, on_progress, should_stop, part).stretches()
+
+
+def expected_frames(media: Media, part: slice = ALL) -> int:
+    """How many frames are expected in those stretches of a clip; 0: nobody knows."""
+    if not media.expected_frames:
+        return 0
+    end = media.expected_frames if part.stop is None else min(media.expected_frames, part.stop * STRETCH)
+    return max(end - part.start * STRETCH, 1)
 
 
 def usable_processes(asked: int | None, frames: int) -> int:
@@ -81,20 +96,22 @@ class _Shared:
         options: CaptureOptions,
         on_progress: Callable[[int], None],
         should_stop: Callable[[], bool],
+        part: slice,
     ) -> None:
         self._detector, self._options = detector, options
         self._on_progress, self._should_stop = on_progress, should_stop
         self._found: dict[int, Stretch] = {}
-        self._next = 0
-        self._end: int | None = None
-        """The first stretch that has less frames than it could have"""
+        self._first = self._next = part.start
+        self._end: int | None = part.stop
+        """The first stretch behind the part, or, before that, that has less frames than it could have"""
         self._again: list[int] = []
         """Stretches at which a process has died: they are for other ones alone, since this one is to live"""
         self._died: set[int] = set()
         self._told = 0
         self._heard = 0.0
         media = detector.media
-        count = usable_processes(options.processes, media.expected_frames) if media.given is not None else 1
+        frames = expected_frames(media, part)
+        count = usable_processes(options.processes, frames) if media.given is not None else 1
         if count > 1:
             detector.single_threaded()
         self._helpers = [_Helper(Worker(sys.executable, threads=1)) for _ in range(count - 1)]
@@ -116,8 +133,10 @@ class _Shared:
                     break
             self._stop()
         found = []
-        while len(found) in self._found and (not found or len(found[-1].numbers) == STRETCH):
-            found.append(self._found[len(found)])
+        while (index := self._first + len(found)) in self._found:
+            found.append(self._found[index])
+            if len(found[-1].numbers) < STRETCH:
+                break
         return [stretch for stretch in found if stretch.numbers]
 
     def _start(self) -> None:
@@ -266,27 +285,14 @@ def answer(
 
 def to_message(stretch: Stretch) -> dict[str, Any]:
     """What was found in a stretch, as JSON can hold it."""
-    arrays = hands_to_arrays([*stretch.frames, [hand.last for hand in stretch.followed]])
-    arrays["velocity"] = np.array([hand.velocity for hand in stretch.followed]).reshape(-1, 2)
-    looks = {"first": stretch.first, "last": stretch.last}
-    arrays |= {name: look.pixels for name, look in looks.items() if look is not None}
-    return {
-        "numbers": stretch.numbers,
-        "seen": stretch.counts,
-        "cuts": stretch.cuts,
-        **{name: pack(array) for name, array in arrays.items()},
-    }
+    return {name: pack(array) for name, array in stretches_to_arrays([stretch]).items()}
 
 
 def of_message(message: Mapping[str, Any], threshold: float) -> Stretch:
     """The inverse of `to_message`. Raises ProtocolError."""
     try:
-        lists = [[int(number) for number in message[name]] for name in ("numbers", "seen", "cuts")]
         arrays = {name: unpack(value) for name, value in message.items() if isinstance(value, dict)}
-        *frames, ends = hands_from_arrays(arrays)
-        velocities = arrays["velocity"]
-        followed = [Followed.of(hand, threshold, v) for hand, v in zip(ends, velocities, strict=True)]
+        (stretch,) = stretches_from_arrays(arrays, threshold)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ProtocolError(f"what came is no stretch of frames: {error}") from error
-    first, last = (Glance(arrays[name]) if name in arrays else None for name in ("first", "last"))
-    return Stretch(lists[0], frames, followed, lists[1], lists[2], first, last)
+    return stretch

@@ -17,39 +17,18 @@ from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
-from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
 from handfit_core.worker import sharing
 from handfit_core.worker.client import Worker
-from tests.conftest import ROOT
-
-SAMPLE = ROOT / "samples" / "rendered_hand"
+from tests.core.detect.clips import SAMPLE, picture, write_two_hands
 
 pytestmark = pytest.mark.usefixtures("landmark_model")
 
 
-def picture(number: int) -> np.ndarray:
-    """(480, 640, 3) uint8 RGB of the 24 of the sample, and back again."""
-    number %= 46
-    return read_picture(SAMPLE / f"hand.{1 + min(number, 46 - number):04}.jpg")[0]
-
-
-def plain(rgb: np.ndarray) -> np.ndarray:
-    """The picture's colours without a hand."""
-    return np.broadcast_to(rgb.mean(axis=(0, 1)).astype(np.uint8), rgb.shape)
-
-
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """210 frames: a hand that stays, and its mirror image beside it, which is not always there."""
     path = tmp_path_factory.mktemp("clip") / "two.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (960, 360))
-    for i in range(210):
-        rgb = picture(i)
-        beside = rgb[:, ::-1] if 40 <= i < 80 or 90 <= i < 150 else plain(rgb)
-        frame = cv2.resize(np.hstack([rgb, beside]), (960, 360), interpolation=cv2.INTER_AREA)
-        writer.write(frame[..., ::-1].copy())
-    writer.release()
+    write_two_hands(path)
     return path
 
 

@@ -1,0 +1,335 @@
+"""Parts of a clip that were detected for themselves, on whichever machines, and are solved together.
+
+What is found in a stretch depends on its frames alone, so that the stretches of all parts are what one
+process would have found in the whole clip. docs/batch.md tells how parts are made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, groupby
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.detect.cuts import Glance
+from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.opening import settings_of
+from handfit_core.detect.stretches import Stretch, stretches_from_arrays, stretches_to_arrays
+from handfit_core.detection import LookedAt, at_least_two
+from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors.values import path as checked_path
+from handfit_core.doors.values import text, whole
+from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.media.frame_range import STRETCH, FrameRange
+from handfit_core.media.source import Media
+from handfit_core.options import OPTIONS, CaptureOptions
+from handfit_core.take import LARGEST, MAX_FILE_BYTES
+from handfit_core.version import __version__
+
+FORMAT_NAME: Final = "handfit-part"
+FORMAT_VERSION: Final = 1
+
+_MOST_MEMORY: Final = 1 << 28
+"""bytes that the arrays of a small part may have"""
+_MOST_PACKED: Final = 20
+"""times the size of a larger file that its arrays may have: where no hand is, they pack well"""
+
+_BLOCKS: Final = 16
+_BLOCK: Final = 1 << 16
+"""bytes that are read at each of so many places of an input: to read all of a long video takes minutes"""
+
+OF_A_MACHINE: Final = ("processes", "landmark_model")
+"""Options that may differ between parts: `made_by` knows what the landmark model holds"""
+FREE: Final = (
+    *OF_A_MACHINE,
+    *("hands", "only_regions", "solver", "model", "smoothing", "hand_length", "intrinsics", "lens"),
+)
+"""Options that have no influence on what is found in a stretch, so that a clip can be solved with others"""
+
+_KINDS: Final = {
+    "counts": "i",
+    "sides": "i",
+    "given": "i",
+    "sizes": "i",
+    "numbers": "i",
+    "seen": "i",
+    "cuts": "i",
+    "looked": "b",
+    "glances": "u",
+    "velocity": "f",
+}
+"""NumPy's kinds of a part's arrays; those that are not named are floats"""
+
+
+def stretches_in(media: Media, part: FrameRange | None) -> slice:
+    """Which stretches of a clip belong to a part: those whose first frame lies in that range of frame numbers
+    (None: all), and, where it reaches the clip's end as far as the header tells, all that may come after.
+    Raises OptionError for a range with a step."""
+    if part is None:
+        return slice(0, None)
+    if part.step != 1:
+        raise OptionError(
+            f"a part takes every frame of the clip that lies in it, so {part} must have no step; give the "
+            "clip's with --clip-frames"
+        )
+    firsts = media.numbers()[::STRETCH]
+    begin = 0 if part.first is None else bisect_left(firsts, part.first)
+    if part.last is None or (media.expected_frames and part.last >= media.first_and_last[1]):
+        return slice(begin, None)
+    return slice(begin, max(bisect_right(firsts, part.last), begin))
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What was found in consecutive stretches of a clip."""
+
+    input: list[str]
+    """What was opened: absolute, one path or pattern, or the pictures of one sequence"""
+    fingerprint: str
+    """of the input, see `fingerprint`"""
+    made_by: str
+    """The versions that decide what is found, see `made_by`"""
+    options: CaptureOptions
+    """of the capture of the whole clip"""
+    first: int
+    """How many stretches of the clip lie before it"""
+    stretches: list[Stretch]
+    ended: bool
+    """Whether somebody has looked for more stretches, and the clip has none"""
+
+    @classmethod
+    def found(cls, media: Media, options: CaptureOptions, part: slice, stretches: list[Stretch]) -> Part:
+        """What was found where those stretches of an opened clip were looked at."""
+        given = media.given if isinstance(media.given, list) else [str(media.given)]
+        short = bool(stretches) and len(stretches[-1].numbers) < STRETCH
+        return cls(
+            [str(Path(name).expanduser().absolute()) for name in given],
+            fingerprint(media),
+            made_by(options),
+            options,
+            part.start,
+            stretches,
+            ended=short or part.stop is None or len(stretches) < part.stop - part.start,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it as `.npz`, whole or not at all. Raises OutputError."""
+        header = {
+            "format": FORMAT_NAME,
+            "version": FORMAT_VERSION,
+            "input": self.input,
+            "fingerprint": self.fingerprint,
+            "made_by": self.made_by,
+            "options": self.options.to_message(),
+            "first": self.first,
+            "ended": self.ended,
+        }
+        arrays: dict[str, Any] = stretches_to_arrays(self.stretches)
+        arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
+        with written_whole(path) as beside, beside.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)
+        return Path(path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Part:
+        """Read a part. Raises InputError for anything that is none that this version understands."""
+        try:
+            data = read_file(path, MAX_FILE_BYTES)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{shown(path)}: the part cannot be read ({why(error)})") from error
+        try:
+            archive = NpzArchive(data, max(_MOST_MEMORY, _MOST_PACKED * len(data)))
+            del data
+            header = archive.header()
+            if header.get("format") != FORMAT_NAME:
+                raise NotNpz("is of another format")
+            if whole("version", header.get("version"), 1) > FORMAT_VERSION:
+                raise InputError(
+                    f"{shown(path)}: a newer version wrote this part; solve it with that version"
+                )
+            options = CaptureOptions.of_message(header["options"])
+            arrays = {
+                name: archive.array(name, _KINDS.get(name, "f")) for name in archive if name != "header"
+            }
+            for name, array in arrays.items():
+                if array.dtype.kind == "f" and np.any(np.abs(array) > LARGEST):
+                    raise ValueError(f"{name} holds numbers beyond {LARGEST:g}")
+            return cls(
+                [checked_path("input", name) for name in header["input"]],
+                text("fingerprint", header.get("fingerprint"), 64),
+                text("made_by", header.get("made_by"), 1000),
+                options,
+                whole("first", header.get("first"), 0),
+                stretches_from_arrays(arrays, options.threshold),
+                header.get("ended") is True,
+            )
+        except InputError:
+            raise
+        except (NotNpz, HandfitError, KeyError, IndexError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{shown(path)}: not a part of a clip, or a damaged one; detect it again, or give the .npz "
+                "that detect wrote"
+            ) from error
+
+
+def fingerprint(media: Media) -> str:
+    """Tells an input from others wherever it lies: the size and number of its pictures, its files' sizes, the
+    names of a sequence's, and what some places in them hold. Raises InputError."""
+    files = [Path(file) for file in media.source.files]
+    names = [file.name for file in files] if media.source.kind == "sequence" else []
+    try:
+        sizes = [file.stat().st_size for file in files]
+        ends = list(accumulate(sizes))
+        known = [media.source.kind, media.width, media.height, media.expected_frames, sizes, names]
+        digest = hashlib.sha256(json.dumps(known).encode())
+        for i in range(_BLOCKS):
+            at = i * max(ends[-1] - _BLOCK, 0) // (_BLOCKS - 1)
+            index = bisect_right(ends, at)
+            with files[index].open("rb") as stream:
+                stream.seek(at - ends[index] + sizes[index])
+                digest.update(stream.read(_BLOCK))
+    except (OSError, IndexError) as error:
+        raise InputError(
+            f"{media.source.name}: the input changes while it is read; wait until it is there"
+        ) from error
+    return digest.hexdigest()
+
+
+def made_by(options: CaptureOptions) -> str:
+    """The versions of what decides which hands are found. Raises LandmarkModelError."""
+    import cv2
+
+    detector = DETECTORS.get(options.detector).fingerprint(settings_of(options, video=True))
+    return f"handfit-core {__version__}|opencv {cv2.__version__}|{detector}"
+
+
+class Parts:
+    """The parts of one clip, in any order; a stretch that is in several counts once."""
+
+    def __init__(self, paths: Sequence[str | os.PathLike[str]]) -> None:
+        """Read them. Raises InputError for parts that do not belong together."""
+        self._where: dict[int, str] = {}
+        self._stretches: dict[int, Stretch] = {}
+        self._end: int | None = None
+        """How many stretches the clip has at most, as far as somebody has looked"""
+        first: Part | None = None
+        for path in paths:
+            part, name = Part.load(path), shown(path)
+            first = first or part
+            self._check_alike(shown(paths[0]), first, name, part)
+            for index, stretch in enumerate(part.stretches, part.first):
+                self._add(index, stretch, name)
+            if part.ended:
+                end = part.first + len(part.stretches)
+                self._end = end if self._end is None else min(end, self._end)
+        if first is None:
+            raise InputError("no part was given; name the .npz files that detect wrote")
+        self._first, self._path = first, shown(paths[0])
+        self.input: list[str] = first.input
+        """as the first part has it"""
+        self.options: CaptureOptions = first.options
+        """of all parts, but for those `OF_A_MACHINE`, which are the first part's"""
+
+    @staticmethod
+    def _check_alike(known: str, first: Part, name: str, part: Part) -> None:
+        if part.fingerprint != first.fingerprint:
+            raise InputError(f"{name} is of another input than {known}; give the parts of one clip")
+        if part.made_by != first.made_by:
+            raise InputError(
+                f"{name} was detected by {part.made_by}, and {known} by {first.made_by}; detect one of "
+                "them again"
+            )
+        if others := _differing(part.options, first.options, OF_A_MACHINE):
+            raise InputError(
+                f"{name} was detected with other options than {known} ({others}); detect one of them again "
+                "with the other's"
+            )
+
+    def _add(self, index: int, stretch: Stretch, name: str) -> None:
+        if index in self._stretches:
+            one, other = (stretches_to_arrays([each]) for each in (self._stretches[index], stretch))
+            if any(one[key].tobytes() != other[key].tobytes() for key in one):
+                raise InputError(
+                    f"frames {stretch.numbers[0]} to {stretch.numbers[-1]} are in {self._where[index]} and, "
+                    f"with other hands, in {name}; leave one of the two out"
+                )
+        self._stretches[index], self._where[index] = stretch, name
+
+    def of(self, media: Media, options: CaptureOptions) -> LookedAt:
+        """What gives the whole clip's stretches to `detection.detect_frames`. Raises InputError unless all
+        are there, are this input's, and were found with these options and this version."""
+        if fingerprint(media) != self._first.fingerprint:
+            raise InputError(
+                f"{self._path} is of another input than {media.source.files[0]}, or that has changed since; "
+                "detect its parts again, or name the right one"
+            )
+        if others := _differing(at_least_two(options), at_least_two(self.options), FREE):
+            raise InputError(
+                f"{self._path} was detected with other options ({others}); detect the clip's parts again, or "
+                "take theirs"
+            )
+        if (here := made_by(options)) != self._first.made_by:
+            raise InputError(
+                f"{self._path} was detected by {self._first.made_by}, and this is {here}; solve it with that "
+                "version, or detect the clip's parts again"
+            )
+        count = self._checked_count(media)
+        glance = Glance.at(np.broadcast_to(np.uint8(0), (media.height, media.width, 3))).pixels.shape
+        for index in range(count):
+            stretch = self._stretches[index]
+            fits = stretch.numbers == list(media.numbers(index * STRETCH, len(stretch.numbers)))
+            looks = [look.pixels.shape for look in (stretch.first, stretch.last) if look is not None]
+            if not fits or any(look != glance for look in looks):
+                raise InputError(f"{self._where[index]}: the part is damaged; detect it again")
+
+        def looked_at(_: Any, __: CaptureOptions, on_frame: Any, ___: Any) -> list[Stretch]:
+            stretches = [self._stretches[index] for index in range(count)]
+            on_frame(sum(len(stretch.numbers) for stretch in stretches))
+            return stretches
+
+        return looked_at
+
+    def _checked_count(self, media: Media) -> int:
+        """How many stretches the clip has. Raises InputError where some are missing."""
+        count = max(self._stretches, default=-1) + 1
+        end = count if self._end is None else max(self._end, count)
+        missing = [index for index in range(end) if index not in self._stretches]
+        if missing:
+            # A run of neighbours is as far from its place in the list everywhere.
+            runs = [
+                [i for _, i in run] for _, run in groupby(enumerate(missing), lambda pair: pair[1] - pair[0])
+            ]
+            ranges = [FrameRange(_number(media, run[0]), _number(media, run[-1] + 1) - 1) for run in runs[:3]]
+            raise InputError(
+                f"no part has the frames {', '.join(map(str, ranges))}"
+                f"{' and others' if len(runs) > 3 else ''}; detect them, too, with --frames"
+            )
+        if self._end is None:
+            raise InputError(
+                f"the parts end before the clip does; detect what is left, too, with --frames "
+                f"{_number(media, count)}-"
+            )
+        if any(len(self._stretches[index].numbers) != STRETCH for index in range(count - 1)):
+            raise InputError(
+                "the clip has grown between the detection of its parts; detect all of them again"
+            )
+        return count
+
+
+def _differing(a: CaptureOptions, b: CaptureOptions, but: Sequence[str]) -> str:
+    """The names of the options that differ, but for some."""
+    return ", ".join(name for name in OPTIONS if name not in but and getattr(a, name) != getattr(b, name))
+
+
+def _number(media: Media, stretch: int) -> int:
+    """The number of the first frame of a stretch, or of what would come after the last one."""
+    numbers = media.numbers(stretch * STRETCH, 1)
+    return numbers[0] if numbers else media.first_and_last[1] + 1
