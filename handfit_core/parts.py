@@ -156,9 +156,7 @@ class Part:
                     f"{shown(path)}: a newer version wrote this part; solve it with that version"
                 )
             options = CaptureOptions.of_message(header["options"])
-            arrays = {
-                name: archive.array(name, _KINDS.get(name, "f")) for name in archive if name != "header"
-            }
+            arrays = {name: archive.array(name, kind) for name, kind in _KINDS.items()}
             for name, array in arrays.items():
                 if array.dtype.kind == "f" and np.any(np.abs(array) > LARGEST):
                     raise ValueError(f"{name} holds numbers beyond {LARGEST:g}")

@@ -13,7 +13,6 @@ import math
 import re
 import struct
 import zipfile
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -60,9 +59,6 @@ class NpzArchive:
 
     def __contains__(self, name: str) -> bool:
         return name in self._members
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._members)
 
     def array(self, name: str, kinds: str) -> np.ndarray:
         """One member, writable and in native byte order; floats as float64.

@@ -176,6 +176,7 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
         "first": whole,
         "last": whole,
     },
+    "detect": {"frames": _count},
     "find": {"frame": whole, "width": _count, "height": _count, "hands": _hands},
     "refit": {"seconds": number},
     "warm": {},

@@ -166,7 +166,7 @@ def changed(path: Path, folder: Path, **fields: Any) -> Path:
             lambda s, to: [*s, changed(s[1], to, first=0)],
             r"frames 97 to 192 are in .*stretch0\.npz and, with other hands, in .*changed\.npz; leave one",
         ),
-        (lambda s, to: [changed(s[0], to, first=1), changed(s[0], to), s[2]], "part is damaged"),
+        (lambda s, to: [s[0], changed(s[0], to, first=1), s[2]], "changed.npz: the part is damaged"),
         (lambda s, to: [s[0], changed(s[1], to, fingerprint="0")], "is of another input than"),
         (lambda s, to: [changed(s[0], to, fingerprint="0")], "is of another input than .*two.mp4, or"),
         (lambda s, to: [s[0], changed(s[1], to, made_by="elder")], "by elder, and .*one of them"),
@@ -180,6 +180,7 @@ def changed(path: Path, folder: Path, **fields: Any) -> Path:
         (lambda s, _: [s[0].parent / "captured.npz"], "not a part of a clip, or a damaged one"),
         (lambda *_: [], "no part was given"),
     ],
+    ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
 @pytest.mark.usefixtures("captured")
 def test_parts_that_do_not_fit(
@@ -208,7 +209,7 @@ def test_a_clip_that_has_changed(stretches: list[Path], clip: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("source", "options", "part", "said"),
     [
-        (SAMPLE / "hand.0001.jpg", {}, None, "hand: a photo has no parts; capture it"),
+        (SAMPLE / "hand.0001.jpg", {}, None, "hand.0001: a photo has no parts; capture it"),
         (None, {"detector": "mediapipe"}, None, "the detector mediapipe looks at a clip from its beginning"),
         (None, {}, FrameRange(1, 90, 2), "1-90:2 must have no step; give the clip's with --clip-frames"),
     ],

@@ -24,9 +24,12 @@ import numpy as np
 
 from handfit_core import errors
 from handfit_core.__main__ import main
+from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.tracks import link_tracks
 from handfit_core.hand_model import load_model
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import open_media
+from handfit_core.parts import Part
 from handfit_core.pipeline import hand_summaries
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
@@ -66,6 +69,19 @@ def check_take(found: Take) -> None:
     json.dumps(hand_summaries(found), allow_nan=False)
     assert found.source.name is not None
     Take.from_bytes(found.to_bytes())
+
+
+def part(path: str) -> None:
+    """Read a part of a clip, and join its hands."""
+    found = Part.load(path)
+    assert all(type(text) is str for text in (*found.input, found.fingerprint, found.made_by))
+    for stretch in found.stretches:
+        assert len(stretch.numbers) == len(stretch.frames)
+        frames = [with_side_judged(hands) if hands else [] for hands in stretch.frames]
+        numbers = [n for hands in frames for h in hands for n in (h.score, *h.keypoints.flat, *h.world.flat)]
+        assert all(math.isfinite(n) and abs(n) <= 1e9 for n in numbers), "a hand that is beyond all bounds"
+        if any(frames):
+            link_tracks(frames)
 
 
 def model(path: str, side: str) -> None:
@@ -183,6 +199,7 @@ def server(path: str, endless: int = 0) -> None:
 
 DOORS: dict[str, Callable[..., Any]] = {
     "take": take,
+    "part": part,
     "model": model,
     "media": media,
     "command": command,
