@@ -55,18 +55,11 @@ FREE: Final = (
 """Options that have no influence on what is found in a stretch, so that a clip can be solved with others"""
 
 _KINDS: Final = {
-    "counts": "i",
-    "sides": "i",
-    "given": "i",
-    "sizes": "i",
-    "numbers": "i",
-    "seen": "i",
-    "cuts": "i",
-    "looked": "b",
-    "glances": "u",
-    "velocity": "f",
+    **dict.fromkeys(("counts", "sides", "given", "sizes", "numbers", "seen", "cuts"), "i"),
+    **dict.fromkeys(("score", "right_side", "certainty", "shown", "keypoints", "world", "spread"), "f"),
+    **{"velocity": "f", "looked": "b", "glances": "u"},
 }
-"""NumPy's kinds of a part's arrays; those that are not named are floats"""
+"""The arrays of `stretches_to_arrays`, and NumPy's kinds of them"""
 
 
 def stretches_in(media: Media, part: FrameRange | None) -> slice:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import Cancelled, InputError, OptionError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import STRETCH, FrameRange, part_ranges
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
@@ -123,7 +124,10 @@ def test_parts_are_solved_with_other_options_of_the_fit(
 ) -> None:
     """Nothing is detected again."""
     options = CaptureOptions(
-        smoothing=0.0, solver="fast-per-frame", hands="right", intrinsics=(900, 900, 480, 180)
+        smoothing=0.0,
+        solver="fast-per-frame",
+        hands="right",
+        intrinsics=Intrinsics(900.0, 900.0, 480.0, 180.0),
     )
     capture_to_file(clip, tmp_path / "captured.npz", replace(options, processes=1))
     assert solved(clip, stretches, tmp_path, options) == (tmp_path / "captured.npz").read_bytes()

@@ -20,10 +20,8 @@ from tests.hostile.mutations import mutants
 from tests.hostile.npz import header_lies, lies
 from tests.hostile.takes import FRAMES, good_take
 
-HEADER = [
-    tuple(field.split("."))
-    for field in "format version input fingerprint made_by options options.threshold first ended".split(" ")
-]
+_FIELDS = "format version input fingerprint made_by options options.threshold first ended"
+HEADER: list[tuple[str, ...]] = [tuple(field.split(".")) for field in _FIELDS.split(" ")]
 
 
 @cache
