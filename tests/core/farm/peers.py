@@ -1,0 +1,163 @@
+"""A program that speaks the protocol of handfit_core/farm/slot.py, and does as the names of tasks say.
+
+`python tests/core/farm/peers.py slot`. A task's name is made of words, split at dashes; a number behind a
+word is how often it is so, before all goes well ("a-crash2" crashes twice), and without one it always is:
+
+    crash, kill, exit    its process ends: by SIGABRT, by SIGKILL, by itself
+    half                 the same after one of two results was told of
+    hang, stop           it never answers; it is stopped by SIGSTOP; both have a child that sleeps
+    memory, input, gone, disk     it fails with MemoryRanOut, InputError, InputGone, OutputError
+    nonsense             it says what is no message, and messages that nobody knows, and then all goes well
+    bad                  it says messages that lack what they must have
+    liar                 it tells of a file that it has not written
+    slow                 it takes half a second, in ten steps
+    deep                 one of its files is in a folder of its own
+
+Every task gives NAME.first and NAME.second, whose contents follow from the task. What it does is written
+down, a JSON line each, in the file that $PEER_LOG names: {"task", "attempt", "pid", "host", "finished"}.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT))
+
+from handfit_core.farm.plan import Plan, Task  # noqa: E402
+from handfit_core.version import __version__  # noqa: E402
+
+COMMAND = (sys.executable, str(Path(__file__).resolve()))
+"""Of a plan whose tasks this program does"""
+_STEPS = 10
+
+
+def plan_of(output: Path, names: list[str], **options: Any) -> Plan:
+    """A plan, saved, with a task for each name; `options` may have `version`, which the program then claims
+    to have."""
+    ids = [hashlib.sha256(name.encode()).hexdigest()[:16] for name in names]
+    tasks = tuple(Task(id, name, f"{name}.mp4", cost=1.0) for id, name in zip(ids, names, strict=True))
+    plan = Plan(output, tasks, options, command=COMMAND)
+    plan.save()
+    return plan
+
+
+def planned(plan: Plan, **changes: Any) -> Plan:
+    """The same with other fields, saved."""
+    plan = replace(plan, **changes)
+    plan.save()
+    return plan
+
+
+def content(name: str, which: str) -> bytes:
+    """What the results of a task hold."""
+    return f"{which} of {name}\n".encode() * 100
+
+
+def attempts(log: Path) -> list[dict[str, Any]]:
+    """What the programs that wrote this log have begun."""
+    return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+
+
+def say(kind: str, **fields: Any) -> None:
+    sys.stdout.write(json.dumps({"event": kind, **fields}) + "\n")
+    sys.stdout.flush()
+
+
+def serve() -> None:
+    """Do tasks until stdin ends, or who gives them is gone."""
+    parent = os.getppid()
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, lambda *_: os.getppid() == parent or os.killpg(0, signal.SIGKILL))
+        signal.siginterrupt(signal.SIGALRM, False)
+        signal.setitimer(signal.ITIMER_REAL, 0.1, 0.1)
+    say("ready", version=os.environ.get("PEER_VERSION", __version__), pid=os.getpid())
+    for line in sys.stdin:
+        do(json.loads(line))
+
+
+def do(request: dict[str, Any]) -> None:
+    name, folder = request["task"]["name"], Path(request["folder"])
+    words = dict(re.findall(r"(?<![a-z])([a-z]+)(\d*)", name))
+    number = _written_down(name, request)
+    result = {"input": request["task"]["shown"], "name": name, "frames": number, "hands": []}
+
+    def is_(word: str) -> bool:
+        return word in words and (not words[word] or number <= int(words[word]))
+
+    def write(which: str) -> None:
+        path = folder / ("in/" * ("deep" in words)) / f"{name}.{which}"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content(name, which))
+        told = {"size": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        say("file", name=path.relative_to(folder).as_posix(), **told)
+
+    say("progress", stage="detect", done=0, total=_STEPS)
+    for kind in ("memory", "input", "gone", "disk"):
+        if is_(kind):
+            kinds = {"memory": "MemoryRanOut", "input": "InputError", "gone": "InputGone"}
+            say("error", type=kinds.get(kind, "OutputError"), message=f"{name}: {kind}", result=result)
+            return
+    if is_("nonsense"):
+        sys.stdout.write("words\n{}\n[1]\n" + "x" * 100_000 + "\n")
+        say("what nobody knows", of=1)
+    if is_("bad"):
+        say("file", name="../outside", size="large")
+        say("progress")
+        say("done")
+        return
+    if is_("liar"):
+        say("file", name=f"{name}.nothing", size=3, sha256="0" * 64)
+    if is_("half"):
+        write("first")
+    if is_("crash") or is_("half"):
+        os.abort()
+    if is_("kill"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if is_("exit"):
+        os._exit(0)
+    if is_("hang") or is_("stop"):
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        _note({"task": name, "child": child.pid, "pid": os.getpid()})
+        if "stop" in words:
+            os.kill(os.getpid(), signal.SIGSTOP)
+        time.sleep(600)
+    for step in range(_STEPS):
+        if is_("slow"):
+            time.sleep(0.5 / _STEPS)
+        say("progress", stage="detect", done=step + 1, total=_STEPS)
+        if step in (4, 9):
+            write("first" if step == 4 else "second")
+    say("done", result=result)
+
+
+def _written_down(name: str, request: dict[str, Any]) -> int:
+    """Note an attempt; returns which one it is."""
+    if "PEER_LOG" not in os.environ:
+        return 1
+    before = sum(
+        each["task"] == name and "attempt" in each for each in attempts(Path(os.environ["PEER_LOG"]))
+    )
+    whence = {"pid": os.getpid(), "host": socket.gethostname()}
+    _note({"task": name, "attempt": before + 1, **whence, "finished": sorted(request["finished"])})
+    return before + 1
+
+
+def _note(what: dict[str, Any]) -> None:
+    with open(os.environ["PEER_LOG"], "a") as log:
+        log.write(json.dumps(what) + "\n")
+
+
+if __name__ == "__main__":
+    serve()
