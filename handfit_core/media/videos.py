@@ -5,9 +5,12 @@ from __future__ import annotations
 import logging
 import math
 import sys
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -17,12 +20,29 @@ from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
 log = logging.getLogger("handfit")
 
 MAX_FPS: Final = 1000.0
+_WORTH_JUMPING: Final = 500
+"""frames of a video: shorter ones are read as fast as jumped in"""
 
 
 def _frame_count(path: Path, claimed: float) -> int:
     """How many frames a video has by its header; 0 where that does not tell, or tells of more than the file
     has bytes."""
     return int(claimed) if 0 < claimed <= path.stat().st_size else 0
+
+
+def _times(name: str) -> np.ndarray:
+    """(N,) milliseconds of a video's packets in the order in which they are seen, without decoding any; (0,)
+    where OpenCV does not tell."""
+    import cv2
+
+    packets, times = cv2.VideoCapture(name, cv2.CAP_FFMPEG), array("d")
+    try:
+        if packets.set(cv2.CAP_PROP_FORMAT, -1):
+            while packets.grab():
+                times.append(packets.get(cv2.CAP_PROP_POS_MSEC))
+    finally:
+        packets.release()
+    return np.sort(np.array(times))
 
 
 class Video(Media):
@@ -109,6 +129,34 @@ class Video(Media):
                 number,
                 self._count,
             )
+
+    def pictures(self, numbers: Sequence[int], count: int) -> Iterator[np.ndarray | None]:
+        """The pictures (H, W, 3) of single frames, by increasing number, of a video in which whoever read it
+        to its end found `count` frames; None where one is not to be had.
+
+        Frames far into a video are jumped to. Only where it has as many packets as frames is that sure to
+        be right: the time of the n-th frame is then the n-th of theirs. Else it is read from its beginning.
+        """
+        import cv2
+
+        capture = cv2.VideoCapture(self._name)
+        times = _times(self._name) if count > _WORTH_JUMPING else np.empty(0)
+        number, jumps = 0, len(times) == count and max(numbers) <= count
+        try:
+            for wanted in numbers:
+                if jumps and capture.set(cv2.CAP_PROP_POS_FRAMES, wanted - 1):
+                    number = wanted - 1
+                there = True
+                while there and number < wanted:
+                    there, number = capture.grab(), number + 1
+                if jumps and capture.get(cv2.CAP_PROP_POS_MSEC) != times[wanted - 1]:
+                    capture.release()
+                    yield from self.pictures([n for n in numbers if n >= wanted], -1)
+                    return
+                ok, bgr = capture.retrieve() if there else (False, None)
+                yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok else None
+        finally:
+            capture.release()
 
     def close(self) -> None:
         """As `Media.close`."""

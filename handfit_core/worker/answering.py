@@ -41,6 +41,8 @@ def answer(
             return sharing.answer(message, should_stop, on_progress)
         case "find":
             return find(message)
+        case "sheet":
+            return sheet(message)
         case "warm":
             from handfit_core.worker import checking
 
@@ -146,6 +148,19 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
             for hand in hands
         ],
     }
+
+
+def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the contact sheet of a take. Raises OptionError, TakeError and OutputError."""
+    from handfit_core.options import OPTIONS
+    from handfit_core.sheet import write_sheet
+    from handfit_core.take import Take
+
+    limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
+    take, output = message.get("take"), message.get("output")
+    if not all(isinstance(path, str) and path for path in (take, output)):
+        raise OptionError("a sheet needs the path of a take, and as its output the path of a JPEG file")
+    return {"frames": write_sheet(Take.load(str(take)), str(output), max_megapixels=limit)}
 
 
 def _write_picture(rgb: np.ndarray, path: str) -> None:

@@ -21,7 +21,7 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
 
-JOBS: Final = ("capture", "detect", "probe", "find", "refit", "stretch", "warm", "check")
+JOBS: Final = ("capture", "detect", "probe", "find", "sheet", "refit", "stretch", "warm", "check")
 """Requests that are done one at a time, in order, and answered by `done` or `error`"""
 
 REQUESTS: Final = (*JOBS, "cancel", "end")
@@ -127,6 +127,12 @@ def _words(name: str, value: Any) -> list[str]:
     return [_word(name, word) for word in value]
 
 
+def _numbers(name: str, value: Any) -> list[int]:
+    if not isinstance(value, list):
+        raise Unfit(f"{name} must be a list, not {shortly(value)}")
+    return [whole(name, each) for each in value]
+
+
 def _text(name: str, value: Any) -> str:
     return text(name, value, _LONGEST_TEXT)
 
@@ -178,6 +184,7 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
     },
     "detect": {"frames": _count},
     "find": {"frame": whole, "width": _count, "height": _count, "hands": _hands},
+    "sheet": {"frames": _numbers},
     "refit": {"seconds": number},
     "warm": {},
     "check": {"report": _text, "ok": _flag},

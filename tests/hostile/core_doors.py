@@ -31,6 +31,7 @@ from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import open_media
 from handfit_core.parts import Part
 from handfit_core.pipeline import hand_summaries
+from handfit_core.sheet import write_sheet
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from handfit_core.worker import answering, protocol
@@ -42,8 +43,10 @@ FRAMES = 4
 
 
 def take(path: str) -> None:
-    """Read a take, and what is read of it when it is listed, kept and shown."""
-    check_take(Take.load(path))
+    """Read a take, and what is read of it when it is listed, kept and shown; draw its hands."""
+    found = Take.load(path)
+    check_take(found)
+    write_sheet(found, "result/a.sheet.jpg")
 
 
 def check_take(found: Take) -> None:

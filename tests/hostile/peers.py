@@ -113,6 +113,8 @@ def _servers() -> Iterator[Case]:
         lambda: {**CAPTURE, "request": "find", "picture": "shown.jpg"}, [("picture",), ("input",)]
     )
     lies += [(f"find-{name}", line) for name, line in finds]
+    sheet = {"id": 1, "request": "sheet", "take": "shown.npz", "output": "shown.jpg"}
+    lies += [(f"sheet-{name}", line) for name, line in _field_lies(lambda: sheet, [("take",), ("output",)])]
     for name, line in lies:
         if name.rpartition("-")[2] in "nan huge deep text object lists minus whole surrogate".split():
             yield _server(name, line)

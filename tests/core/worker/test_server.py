@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -176,6 +177,28 @@ def test_finds_what_can_be_chosen(warm: Worker, tmp_path: Path) -> None:
     assert warm.ask(163, "find", input=["/nowhere/a.png"])["type"] == "InputError"
     nowhere = str(tmp_path / "frame.jpg" / "b.jpg")
     assert warm.ask(164, "find", input=[PHOTO], picture=nowhere)["type"] == "OutputError"
+
+
+def test_makes_contact_sheets(warm: Worker, tmp_path: Path) -> None:
+    take, sheet = str(tmp_path / "a.npz"), tmp_path / "new" / "a.sheet.jpg"
+    assert warm.ask(170, "capture", input=[PATTERN], output=take, options={"frames": "3-8"})["frames"] == 6
+    done = warm.ask(171, "sheet", take=take, output=str(sheet))
+    assert done["frames"] == [3, 5, 6, 8]
+    cells = np.hsplit(read_picture(sheet)[0][:, : 4 * 324].astype(int), range(324, 1296, 324))
+    for number, cell in zip(done["frames"], cells, strict=True):
+        true = cv2.resize(read_picture(FOLDER / f"hand.{number:04d}.jpg")[0], (320, 240)).astype(int)
+        off = np.abs(cell[:, :320] - true).mean(axis=-1)
+        assert np.median(off) < 3  # the ground is the picture's
+        assert (off > 30).mean() > 0.03  # and the hand is drawn over it
+    for fields, kind in (
+        ({"take": take}, "OptionError"),
+        ({"output": str(sheet)}, "OptionError"),
+        ({"take": [take], "output": str(sheet)}, "OptionError"),
+        ({"take": take, "output": str(sheet), "max_megapixels": -1}, "OptionError"),
+        ({"take": PHOTO, "output": str(sheet)}, "TakeError"),
+        ({"take": take, "output": str(tmp_path / "a.npz" / "b.jpg")}, "OutputError"),
+    ):
+        assert warm.ask(172, "sheet", **fields)["type"] == kind
 
 
 def test_options_reach_the_capture(warm: Worker, tmp_path: Path) -> None:

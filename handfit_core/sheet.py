@@ -1,0 +1,186 @@
+"""A take's contact sheet: some of its frames side by side, with the captured hands drawn over the footage.
+
+It needs OpenCV and no graphics card: whoever looks through a thousand captures sees which of them fit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from handfit_core.errors import HandfitError
+from handfit_core.files import is_file, written_whole
+from handfit_core.fit_quality import EXPECTED, IN_PICTURE, Scale, relative_errors
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.kept import kept_model
+from handfit_core.media.pictures import read_picture
+from handfit_core.media.source import Wanted
+from handfit_core.media.videos import Video
+from handfit_core.skeleton import KEYPOINT_PARENTS
+from handfit_core.take import HandTrack, Take
+
+SUFFIX: Final = ".sheet.jpg"
+"""What the name of a contact sheet ends with"""
+
+_WIDEST: Final = 2.0
+"""The width of a frame on the sheet in heights, at most: what is wider is shown smaller"""
+_GAP: Final = 4
+"""pixels between frames"""
+_GROUND: Final = 46
+"""Brightness of the ground where the footage is gone"""
+_FINER: Final = 2
+"""Samples of a pixel along either axis, for the hands"""
+_SUBPIXEL: Final = 4
+"""bits of the corners' places within a sample"""
+_OPACITY: Final = 0.75
+"""How much of the footage a hand covers; the rest lets its outline be compared"""
+_DARK, _LIGHT = np.array([10.0, 40.0, 70.0]), np.array([130.0, 215.0, 255.0])
+"""RGB of the hands from shadow to full light: nothing in a picture of a hand has this blue"""
+_LAMP: Final = np.array([-0.45, -0.65, -0.62])
+"""Unit vector to the light in the camera frame: from the left above, behind the camera"""
+_NEAREST: Final = 0.01
+"""metres: what reaches closer to the camera has no outline in its picture"""
+_FARTHEST: Final = 1 << 14
+"""samples from the sheet's corner, beyond which a corner of a hand may lie anywhere"""
+
+
+def write_sheet(
+    take: Take,
+    path: str | os.PathLike[str],
+    *,
+    frames: int = 4,
+    height: int = 240,
+    max_megapixels: float | None = None,
+) -> list[int]:
+    """Write the contact sheet of a take as JPEG; returns the source numbers of the frames on it.
+
+    `frames` frames at most, each `height` pixels high: spread over those with a hand, the most doubtful one
+    among them, with its likely error. Where the footage is not there any more, the hands are drawn on plain
+    ground. `max_megapixels` is what the footage may have, as in `open_media`. Raises OutputError.
+    """
+    import cv2
+
+    rows, worst = _chosen(take, frames)
+    scale = min(height / take.height, _WIDEST * height / take.width)
+    size = max(1, round(scale * take.width)), max(1, round(scale * take.height))
+    cells = []
+    for row, picture in zip(rows, _footage(take, rows, max_megapixels), strict=True):
+        cell = np.full((height, size[0], 3), _GROUND, dtype=np.uint8)
+        shown = cell[(height - size[1]) // 2 :][: size[1]]
+        if picture is not None:
+            shown[:] = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        _draw_hands(shown, take, row, scale)
+        said = worst[1] if row == worst[0] else ""
+        _write(cell, f"{take.frame_numbers[row]}{said and f'  {said}'}", doubtful=bool(said))
+        cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
+    sheet = np.concatenate(cells[:-1], axis=1)
+    encoded = cv2.imencode(".jpg", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
+    with written_whole(path) as beside:
+        beside.write_bytes(encoded.tobytes())
+    return take.frame_numbers[rows].tolist()
+
+
+def _chosen(take: Take, count: int) -> tuple[list[int], tuple[int, str]]:
+    """The rows of the T that are shown, and the most doubtful one of all with its error in words."""
+    scale, errors = _errors(take)
+    errors = np.where(np.isfinite(errors), errors, -1.0)
+    worst = int(errors.argmax())
+    said = "" if scale.quality(float(errors[worst])) == "good" else scale.said(float(errors[worst]))
+    present = np.any([np.zeros(len(errors), dtype=bool), *(hand.present for hand in take.hands)], axis=0)
+    rows = np.flatnonzero(present if present.any() else ~present)
+    spread = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]
+    if said:
+        spread[np.abs(spread - worst).argmin()] = worst
+    return np.unique(spread).tolist(), (worst, said)
+
+
+def _errors(take: Take) -> tuple[Scale, np.ndarray]:
+    """(T,) how far off the worse hand is likely to be, and in what; NaN where that is not told."""
+    unknown = np.full(len(take.frame_numbers), np.nan)
+    likely = [hand.expected_error.mean(axis=1) for hand in take.hands if hand.expected_error is not None]
+    shares = [relative_errors(hand, take.intrinsics) for hand in take.hands]
+    return EXPECTED if likely else IN_PICTURE, np.fmax.reduce([unknown, *(likely or shares)])
+
+
+def _footage(take: Take, rows: Sequence[int], max_megapixels: float | None) -> Iterator[np.ndarray | None]:
+    """The picture (H, W, 3) of each of these rows; None where it is gone, unreadable, or not the take's."""
+    source, numbers = take.source, take.frame_numbers
+    found: Iterator[np.ndarray | None] = iter(())
+    with contextlib.suppress(HandfitError):
+        if source.kind != "video":
+            found = (_picture(source.files[row : row + 1], max_megapixels) for row in rows)
+        elif is_file(source.files[0]):
+            video = Video(Path(source.files[0]), Wanted(max_megapixels=max_megapixels))
+            found = video.pictures(numbers[rows].tolist(), int(numbers[-1]))
+    for _ in rows:
+        picture = next(found, None)
+        fits = picture is not None and picture.shape[:2] == (take.height, take.width)
+        yield picture if fits else None
+
+
+def _picture(file: Sequence[str], max_megapixels: float | None) -> np.ndarray | None:
+    """The picture of a file, where there is one that can be read."""
+    with contextlib.suppress(HandfitError):
+        if file and is_file(file[0]):
+            return read_picture(Path(file[0]), max_megapixels=max_megapixels)[0]
+    return None
+
+
+def _draw_hands(picture: np.ndarray, take: Take, row: int, scale: float) -> None:
+    """Draw the hands of a row over its picture (H, W, 3), which is smaller than the take's by `scale`."""
+    import cv2
+
+    camera = Intrinsics(*(_FINER * scale * value for value in vars(take.intrinsics).values()))
+    finer = np.zeros((_FINER * picture.shape[0], _FINER * picture.shape[1], 4), dtype=np.uint8)
+    hands = [hand for hand in take.hands if hand.present[row] and hand.joints_3d[row, :, 2].min() > _NEAREST]
+    for hand in sorted(hands, key=lambda hand: -hand.joints_3d[row, :, 2].mean()):
+        _draw_hand(finer, hand, row, take.model, camera)
+    drawn = cv2.resize(finer, picture.shape[1::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
+    # Where a pixel is half covered, its colour is half as well: premultiplied.
+    picture[:] = picture * (1.0 - _OPACITY / 255.0 * drawn[..., 3:]) + _OPACITY * drawn[..., :3]
+
+
+def _draw_hand(finer: np.ndarray, hand: HandTrack, row: int, model: str, camera: Intrinsics) -> None:
+    """Draw the mesh of a hand into RGBA, the farthest triangles first; its skeleton where the model is gone
+    or the mesh reaches behind the camera."""
+    import cv2
+
+    corners = np.empty((0, 3, 3))
+    with contextlib.suppress(HandfitError):
+        found = kept_model(model, hand.side)
+        posed = found.posed(hand.betas, hand.global_orient[row], hand.hand_pose[row], hand.transl[row])
+        corners = posed.vertices[found.faces]
+    if not (corners[..., 2] > _NEAREST).all() or not len(corners):
+        ends = _samples(camera.project(hand.joints_3d[row]))
+        for end, parent in enumerate(KEYPOINT_PARENTS):
+            if parent >= 0:
+                cv2.line(finer, ends[parent], ends[end], (*_LIGHT, 255), 3 * _FINER, shift=_SUBPIXEL)
+        return
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    order = np.argsort(-corners[..., 2].mean(axis=1))  # also of those seen from within, at the wrist's end
+    light = np.maximum(normals[order] @ _LAMP, 0.0)[:, None]
+    colors = np.column_stack([_DARK + light * (_LIGHT - _DARK), np.full(len(order), 255.0)]).tolist()
+    for triangle, color in zip(_samples(camera.project(corners[order])), colors, strict=True):
+        cv2.fillConvexPoly(finer, triangle, color, shift=_SUBPIXEL)
+
+
+def _samples(pixels: np.ndarray) -> np.ndarray:
+    """Places (..., 2) where (0, 0) is a picture's corner, as OpenCV takes them: in parts of a sample, from
+    the middle of the first."""
+    near = np.clip(np.nan_to_num(pixels), -_FARTHEST, _FARTHEST)
+    return ((near - 0.5) * (1 << _SUBPIXEL)).round().astype(np.int32)
+
+
+def _write(cell: np.ndarray, text: str, *, doubtful: bool) -> None:
+    """Write a line into the lower left corner of a cell, dark around, so that it can be read on anything."""
+    import cv2
+
+    at, font = (6, len(cell) - 8), cv2.FONT_HERSHEY_SIMPLEX
+    for color, thickness in ((0, 0, 0), 3), ((255, 190, 60) if doubtful else (255, 255, 255), 1):
+        cv2.putText(cell, text, at, font, 0.5, color, thickness, cv2.LINE_AA)

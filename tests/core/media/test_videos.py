@@ -1,0 +1,64 @@
+"""Single frames of a video, read and jumped to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.media import videos
+from handfit_core.media.source import Wanted
+from handfit_core.media.videos import Video
+
+COUNT = 60
+
+
+@pytest.fixture(params=["mp4v", "MJPG", "samples"])
+def video(request: pytest.FixtureRequest, tmp_path: Path) -> Video:
+    if request.param == "samples":  # with frames that are stored in another order than they are seen
+        return Video(request.getfixturevalue("samples") / "videos" / "gestures_long.mp4", Wanted())
+    path = tmp_path / ("clip.mp4" if request.param == "mp4v" else "clip.avi")
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*request.param), 25.0, (64, 48))
+    for number in range(COUNT):
+        picture = np.full((48, 64, 3), 20, dtype=np.uint8)
+        picture[:, number : number + 4] = 230
+        writer.write(picture)
+    writer.release()
+    return Video(path, Wanted())
+
+
+def test_frames_are_the_same_read_and_jumped_to(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
+    true = {frame.number: frame.rgb for frame in video.frames(0, 90) if frame.rgb is not None}
+    count = sum(1 for _ in video.frames())
+    jumps = []
+    times = videos._times
+    monkeypatch.setattr(videos, "_times", lambda name: jumps.append(name) or times(name))
+    for worth in (10_000, 0):
+        monkeypatch.setattr(videos, "_WORTH_JUMPING", worth)
+        for numbers in ([1], [2, 3, 40], [57, 58], [1, count - 1, count]):
+            found = list(video.pictures(numbers, count))
+            assert len(found) == len(numbers)
+            for number, picture in zip(numbers, found, strict=True):
+                assert picture is not None
+                assert number not in true or np.array_equal(picture, true[number])
+    assert len(jumps) == 4
+
+
+def test_where_packets_are_no_frames_it_is_read(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A take that ends before the video does, a video that has lost packets, times that are no frame's."""
+    monkeypatch.setattr(videos, "_WORTH_JUMPING", 0)
+    true = [frame.rgb for frame in video.frames(0, 50)]
+    times = videos._times(video._name)
+    for told in (times, times[1:], times + 7.0, np.empty(0)):
+        monkeypatch.setattr(videos, "_times", lambda _, told=told: told)
+        for picture, number in zip(video.pictures([5, 31, 50], 59), (5, 31, 50), strict=True):
+            np.testing.assert_array_equal(picture, true[number - 1])
+
+
+def test_behind_the_end_there_is_none(video: Video) -> None:
+    count = sum(1 for _ in video.frames())
+    first, second = video.pictures([count, count + 5], count)
+    assert first is not None
+    assert second is None

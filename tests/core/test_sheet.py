@@ -1,0 +1,178 @@
+"""Contact sheets: which frames they show, of which pictures, and where the hands lie on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.errors import OutputError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model import load_model
+from handfit_core.media.pictures import read_picture
+from handfit_core.media.source import Source, SourceKind
+from handfit_core.sheet import write_sheet
+from handfit_core.take import Take
+from tests.takes import take_of, track_of
+
+WIDTH, HEIGHT, COUNT = 320, 240, 12
+CAMERA = Intrinsics(320.0, 320.0, 160.0, 120.0)
+GAP = 4
+TRANSL = np.array([0.03, 0.0, 0.4])
+
+
+def brightness(row: int) -> int:
+    """Of the whole picture of a row, by which it is known again."""
+    return 40 + 15 * row
+
+
+def files_of(kind: SourceKind, folder: Path) -> tuple[str, ...]:
+    pictures = [np.full((HEIGHT, WIDTH, 3), brightness(row), dtype=np.uint8) for row in range(COUNT)]
+    if kind == "video":
+        path = folder / "grey.avi"
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (WIDTH, HEIGHT))
+        for picture in pictures:
+            video.write(picture)
+        video.release()
+        return (str(path),)
+    paths = [folder / f"grey.{row + 1:04d}.png" for row in range(COUNT if kind == "sequence" else 1)]
+    for path, picture in zip(paths, pictures, strict=False):
+        cv2.imwrite(str(path), picture)
+    return tuple(map(str, paths))
+
+
+def take_with(source: Source | None = None, count: int = COUNT, worst: int | None = None) -> Take:
+    """A hand that stands still; in row `worst`, if any, it is likely to be off by 20 mm, elsewhere by 4."""
+    error = np.full((count, 5), 0.004)
+    error[() if worst is None else worst] = 0.004 if worst is None else 0.02
+    orient, pose = np.zeros((count, 3)), np.zeros((count, 45))
+    hand = track_of("right", orient, pose, np.tile(TRANSL, (count, 1)), CAMERA, expected_error=error)
+    fields = {} if source is None else {"source": source}
+    return take_of([hand], CAMERA, WIDTH, HEIGHT, **fields)
+
+
+def cells_of(path: Path, height: int = HEIGHT) -> list[np.ndarray]:
+    """The frames on a sheet, as numbers that can be subtracted."""
+    sheet = read_picture(path)[0].astype(int)
+    width = round(WIDTH * height / HEIGHT)
+    count = (sheet.shape[1] + GAP) // (width + GAP)
+    assert sheet.shape == (height, count * (width + GAP) - GAP, 3)
+    return [sheet[:, at * (width + GAP) :][:, :width] for at in range(count)]
+
+
+def is_hand(cell: np.ndarray) -> np.ndarray:
+    """(H, W) where a hand is drawn: nothing else is blue."""
+    return cell[..., 2] - cell[..., 0] > 25
+
+
+@pytest.mark.parametrize("kind", ["photo", "sequence", "video"])
+def test_each_frame_is_its_own_picture(kind: SourceKind, tmp_path: Path) -> None:
+    source = Source(kind, files_of(kind, tmp_path))
+    take = take_with(source, 1 if kind == "photo" else COUNT)
+    numbers = write_sheet(take, tmp_path / "a.sheet.jpg")
+    assert numbers == ([1] if kind == "photo" else [1, 5, 8, 12])
+    cells = cells_of(tmp_path / "a.sheet.jpg")
+    assert [cell[5, 5].mean() for cell in cells] == pytest.approx([brightness(n - 1) for n in numbers], abs=4)
+    assert all(is_hand(cell).any() for cell in cells)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_hand_lies_where_the_camera_sees_it(side, tmp_path: Path) -> None:
+    """Its outline's box on the sheet is that of the mesh in the picture, and the keypoints lie in it."""
+    rng, count = np.random.default_rng(3), 2
+    orient, pose = rng.normal(0.0, 0.8, (count, 3)), rng.normal(0.0, 0.15, (count, 45))
+    model = load_model(None, side)
+    centre = model.posed(None, orient, pose, np.zeros((count, 3))).vertices.mean(axis=1)
+    hand = track_of(side, orient, pose, np.array([0.0, 0.0, 0.5]) - centre, CAMERA)
+    write_sheet(take_of([hand], CAMERA, WIDTH, HEIGHT), tmp_path / "a.jpg", height=HEIGHT)
+    posed = model.posed(None, orient, pose, hand.transl)
+    for row, cell in enumerate(cells_of(tmp_path / "a.jpg")):
+        drawn, pixels = is_hand(cell), CAMERA.project(posed.vertices[row])
+        rows, columns = np.nonzero(drawn)
+        box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        np.testing.assert_allclose(box, [*pixels.min(axis=0), *pixels.max(axis=0)], atol=3.0)
+        x, y = CAMERA.project(posed.keypoints[row]).astype(int).T
+        assert drawn[y, x].mean() > 0.9
+
+
+def test_the_most_doubtful_frame_is_among_them_and_named(tmp_path: Path) -> None:
+    numbers = write_sheet(take_with(worst=6), tmp_path / "a.jpg")
+    assert 7 in numbers
+    assert len(numbers) == 4
+    named = [(cell[-24:, :, 0] - cell[-24:, :, 2] > 80).any() for cell in cells_of(tmp_path / "a.jpg")]
+    assert named == [number == 7 for number in numbers]
+
+
+def test_frames_without_a_hand_are_not_shown(tmp_path: Path) -> None:
+    take = take_with()
+    (hand,) = take.hands
+    detected = np.arange(COUNT) >= 8
+    take = replace(take, hands=(replace(hand, detected=detected),))
+    assert write_sheet(take, tmp_path / "a.jpg", frames=2) == [9, 12]
+    assert write_sheet(replace(take, hands=()), tmp_path / "b.jpg", frames=2) == [1, 12]
+    assert not any(is_hand(cell).any() for cell in cells_of(tmp_path / "b.jpg"))
+
+
+def gone(_folder: Path) -> Source:
+    return Source("video", ("/nowhere/clip.mp4",))
+
+
+def replaced(folder: Path) -> Source:
+    cv2.imwrite(str(folder / "small.png"), np.zeros((20, 30, 3), dtype=np.uint8))
+    return Source("photo", (str(folder / "small.png"),))
+
+
+def damaged(folder: Path) -> Source:
+    (folder / "clip.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
+    return Source("video", (str(folder / "clip.mp4"),))
+
+
+@pytest.mark.parametrize("make", [gone, replaced, damaged])
+def test_without_its_footage_the_hand_stands_on_plain_ground(
+    make: Callable[[Path], Source], tmp_path: Path
+) -> None:
+    write_sheet(take_with(make(tmp_path)), tmp_path / "a.jpg", frames=2)
+    for cell in cells_of(tmp_path / "a.jpg"):
+        assert np.ptp(cell[:20]) < 6
+        assert is_hand(cell).any()
+
+
+@pytest.mark.parametrize("away", [TRANSL, np.array([0.0, 0.0, 0.02])])
+def test_without_its_model_or_too_near_the_skeleton_is_drawn(away: np.ndarray, tmp_path: Path) -> None:
+    take = take_with()
+    (hand,) = take.hands
+    near = replace(hand, transl=hand.transl - TRANSL + away)
+    take = replace(take, hands=(near,), model="/nowhere/MANO_RIGHT.pkl" if away is TRANSL else take.model)
+    write_sheet(take, tmp_path / "a.jpg", frames=1)
+    (cell,) = cells_of(tmp_path / "a.jpg")
+    drawn = is_hand(cell)
+    x, y = hand.keypoints_2d[0].astype(int).T
+    beside = cv2.dilate(drawn.astype(np.uint8), np.ones((3, 3)))
+    assert beside[y, x].all()
+    assert drawn.mean() < 0.1
+
+
+@pytest.mark.parametrize("far", [1e9, -1.0, 1e-9])
+def test_hands_that_nobody_could_see_end_in_a_sheet(far: float, tmp_path: Path) -> None:
+    take = take_with()
+    (hand,) = take.hands
+    moved = replace(hand, transl=hand.transl * far, joints_3d=hand.joints_3d * far)
+    path = tmp_path / "a.jpg"
+    assert write_sheet(replace(take, hands=(moved,)), path) == [1, 5, 8, 12]
+    assert len(cells_of(path)) == 4
+
+
+def test_wide_and_tall_pictures_stay_within_a_sheet(tmp_path: Path) -> None:
+    for width, height, expected in ((4000, 100, (60, 4 * 124 - 4)), (100, 4000, (60, 4 * 6 - 4))):
+        write_sheet(replace(take_with(), width=width, height=height), tmp_path / "a.jpg", height=60)
+        assert read_picture(tmp_path / "a.jpg")[0].shape[:2] == expected
+
+
+def test_where_it_cannot_be_written_a_sentence_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write here"):
+        write_sheet(take_with(), tmp_path / "file" / "a.jpg")
