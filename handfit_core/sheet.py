@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +30,10 @@ SUFFIX: Final = ".sheet.jpg"
 
 _WIDEST: Final = 2.0
 """The width of a frame on the sheet in heights, at most: what is wider is shown smaller"""
+_AROUND: Final = 1.6
+"""The size of a close-up in sizes of what it shows"""
+_CLOSE, _CLOSEST = 0.6, 0.05
+"""Parts of a picture: close-ups are smaller than the one, and no smaller than the other"""
 _GAP: Final = 4
 """pixels between frames"""
 _GROUND: Final = 46
@@ -60,29 +65,70 @@ def write_sheet(
     """Write the contact sheet of a take as JPEG; returns the source numbers of the frames on it.
 
     `frames` frames at most, each `height` pixels high: spread over those with a hand, the most doubtful one
-    among them, with its likely error. Where the footage is not there any more, the hands are drawn on plain
-    ground. `max_megapixels` is what the footage may have, as in `open_media`. Raises OutputError.
+    among them, with its likely error. Small hands are shown close up, behind the first frame's whole picture.
+    Where the footage is not there any more, hands are drawn on plain ground. `max_megapixels` is what it may
+    have, as in `open_media`. Raises OutputError.
     """
     import cv2
 
     rows, worst = _chosen(take, frames)
-    scale = min(height / take.height, _WIDEST * height / take.width)
-    size = max(1, round(scale * take.width)), max(1, round(scale * take.height))
+    whole = _View(0, 0, take.width, take.height)
+    close = whole.around(take, rows)
     cells = []
     for row, picture in zip(rows, _footage(take, rows, max_megapixels), strict=True):
-        cell = np.full((height, size[0], 3), _GROUND, dtype=np.uint8)
-        shown = cell[(height - size[1]) // 2 :][: size[1]]
-        if picture is not None:
-            shown[:] = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-        _draw_hands(shown, take, row, scale)
-        said = worst[1] if row == worst[0] else ""
-        _write(cell, f"{take.frame_numbers[row]}{said and f'  {said}'}", doubtful=bool(said))
-        cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
+        said = f"  {worst[1]}" if row == worst[0] and worst[1] else ""
+        for view in [whole, close] if close != whole and row == rows[0] else [close]:
+            cell = view.cell(take, row, picture, height)
+            _write(cell, f"{take.frame_numbers[row]}{said}", doubtful=bool(said))
+            cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
     sheet = np.concatenate(cells[:-1], axis=1)
     encoded = cv2.imencode(".jpg", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
     with written_whole(path) as beside:
         beside.write_bytes(encoded.tobytes())
     return take.frame_numbers[rows].tolist()
+
+
+@dataclass(frozen=True)
+class _View:
+    """A part of the take's picture, in pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def around(self, take: Take, rows: Sequence[int]) -> _View:
+        """The part of this one, in its proportions, in which all hands of the rows can be seen; itself where
+        that is no much smaller one."""
+        joints = [hand.joints_3d[row] for hand in take.hands for row in rows if hand.present[row]]
+        points = np.concatenate([take.intrinsics.project(each) for each in joints] or [np.zeros((1, 2))])
+        if not joints or not np.isfinite(points).all():
+            return self
+        size = np.array([self.width, self.height])
+        low, high = np.clip([points.min(axis=0), points.max(axis=0)], 0, size)
+        part = _AROUND * max((high - low) / size)
+        if not 0.0 < part < _CLOSE:
+            return self
+        wide, tall = np.maximum(np.ceil(max(part, _CLOSEST) * size), 1).astype(int)
+        left, top = np.clip((low + high - [wide, tall]) / 2.0, 0, size - [wide, tall]).astype(int)
+        return _View(int(left), int(top), int(wide), int(tall))
+
+    def cell(self, take: Take, row: int, picture: np.ndarray | None, height: int) -> np.ndarray:
+        """The hands of a row over this part of its picture (H, W, 3), or over plain ground where there is
+        none: (height, W', 3) RGB."""
+        import cv2
+
+        scale = min(height / self.height, _WIDEST * height / self.width)
+        size = max(1, round(scale * self.width)), max(1, round(scale * self.height))
+        cell = np.full((height, size[0], 3), _GROUND, dtype=np.uint8)
+        shown = cell[(height - size[1]) // 2 :][: size[1]]
+        if picture is not None:
+            part = picture[self.top :, self.left :][: self.height, : self.width]
+            cv2.resize(part, size, shown, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
+        lens = take.intrinsics
+        values = lens.fx, lens.fy, lens.cx - self.left, lens.cy - self.top
+        _draw_hands(shown, take, row, Intrinsics(*(_FINER * scale * value for value in values)))
+        return cell
 
 
 def _chosen(take: Take, count: int) -> tuple[list[int], tuple[int, str]]:
@@ -131,11 +177,10 @@ def _picture(file: Sequence[str], max_megapixels: float | None) -> np.ndarray | 
     return None
 
 
-def _draw_hands(picture: np.ndarray, take: Take, row: int, scale: float) -> None:
-    """Draw the hands of a row over its picture (H, W, 3), which is smaller than the take's by `scale`."""
+def _draw_hands(picture: np.ndarray, take: Take, row: int, camera: Intrinsics) -> None:
+    """Draw the hands of a row over a picture (H, W, 3); the camera's pixels are samples."""
     import cv2
 
-    camera = Intrinsics(*(_FINER * scale * value for value in vars(take.intrinsics).values()))
     finer = np.zeros((_FINER * picture.shape[0], _FINER * picture.shape[1], 4), dtype=np.uint8)
     hands = [hand for hand in take.hands if hand.present[row] and hand.joints_3d[row, :, 2].min() > _NEAREST]
     for hand in sorted(hands, key=lambda hand: -hand.joints_3d[row, :, 2].mean()):
