@@ -65,21 +65,27 @@ def write_sheet(
     """Write the contact sheet of a take as JPEG; returns the source numbers of the frames on it.
 
     `frames` frames at most, each `height` pixels high: spread over those with a hand, the most doubtful one
-    among them, with its likely error. Small hands are shown close up, behind the first frame's whole picture.
-    Where the footage is not there any more, hands are drawn on plain ground. `max_megapixels` is what it may
-    have, as in `open_media`. Raises OutputError.
+    among them; where one is not good, with its likely error. Small hands are shown close up, behind the whole
+    first picture, and those of a photo each by itself. Where the footage is not there any more, hands are
+    drawn on plain ground. `max_megapixels` is what it may have, as in `open_media`. Raises OutputError.
     """
     import cv2
 
-    rows, worst = _chosen(take, frames)
-    whole = _View(0, 0, take.width, take.height)
-    close = whole.around(take, rows)
+    rows = _chosen(take, frames)
+    whole, hands = _View(0, 0, take.width, take.height), list(take.hands)
+    if len(rows) == 1:  # of one picture the most doubtful hands each by itself, of a clip all, which move
+        hands.sort(key=lambda hand: -np.nan_to_num(_errors(take, [hand])[1][rows[0]]))
+    groups = [hands] if len(rows) > 1 else [[hand] for hand in hands[:frames]]
+    close = [(view, group) for group in groups if (view := whole.around(take, rows, group)) != whole]
+    views = [(whole, hands), *close]
     cells = []
     for row, picture in zip(rows, _footage(take, rows, max_megapixels), strict=True):
-        said = f"  {worst[1]}" if row == worst[0] and worst[1] else ""
-        for view in [whole, close] if close != whole and row == rows[0] else [close]:
+        for view, group in views if row == rows[0] else views[-1:]:
             cell = view.cell(take, row, picture, height)
-            _write(cell, f"{take.frame_numbers[row]}{said}", doubtful=bool(said))
+            scale, errors = _errors(take, group)
+            good = not np.isfinite(errors[row]) or scale.quality(errors[row]) == "good"
+            said = "" if good else f"  {scale.said(errors[row])}"
+            _write(cell, f"{take.frame_numbers[row]}{said}", doubtful=not good)
             cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
     sheet = np.concatenate(cells[:-1], axis=1)
     encoded = cv2.imencode(".jpg", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
@@ -97,10 +103,10 @@ class _View:
     width: int
     height: int
 
-    def around(self, take: Take, rows: Sequence[int]) -> _View:
-        """The part of this one, in its proportions, in which all hands of the rows can be seen; itself where
-        that is no much smaller one."""
-        joints = [hand.joints_3d[row] for hand in take.hands for row in rows if hand.present[row]]
+    def around(self, take: Take, rows: Sequence[int], hands: Sequence[HandTrack]) -> _View:
+        """The part of this one, in its proportions, in which these hands can be seen in all of the rows;
+        itself where that is no much smaller one."""
+        joints = [hand.joints_3d[row] for hand in hands for row in rows if hand.present[row]]
         points = np.concatenate([take.intrinsics.project(each) for each in joints] or [np.zeros((1, 2))])
         if not joints or not np.isfinite(points).all():
             return self
@@ -131,25 +137,23 @@ class _View:
         return cell
 
 
-def _chosen(take: Take, count: int) -> tuple[list[int], tuple[int, str]]:
-    """The rows of the T that are shown, and the most doubtful one of all with its error in words."""
-    scale, errors = _errors(take)
-    errors = np.where(np.isfinite(errors), errors, -1.0)
-    worst = int(errors.argmax())
-    said = "" if scale.quality(float(errors[worst])) == "good" else scale.said(float(errors[worst]))
+def _chosen(take: Take, count: int) -> list[int]:
+    """The rows of the T that are shown."""
+    scale, errors = _errors(take, take.hands)
     present = np.any([np.zeros(len(errors), dtype=bool), *(hand.present for hand in take.hands)], axis=0)
     rows = np.flatnonzero(present if present.any() else ~present)
-    spread = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]
-    if said:
-        spread[np.abs(spread - worst).argmin()] = worst
-    return np.unique(spread).tolist(), (worst, said)
+    chosen = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]
+    worst = rows[np.where(np.isfinite(errors), errors, -1.0)[rows].argmax()]
+    if scale.quality(float(errors[worst])) != "good":
+        chosen[np.abs(chosen - worst).argmin()] = worst
+    return np.unique(chosen).tolist()
 
 
-def _errors(take: Take) -> tuple[Scale, np.ndarray]:
-    """(T,) how far off the worse hand is likely to be, and in what; NaN where that is not told."""
+def _errors(take: Take, hands: Sequence[HandTrack]) -> tuple[Scale, np.ndarray]:
+    """(T,) how far off the worst of these hands is likely to be, and in what; NaN where that is not told."""
     unknown = np.full(len(take.frame_numbers), np.nan)
-    likely = [hand.expected_error.mean(axis=1) for hand in take.hands if hand.expected_error is not None]
-    shares = [relative_errors(hand, take.intrinsics) for hand in take.hands]
+    likely = [hand.expected_error.mean(axis=1) for hand in hands if hand.expected_error is not None]
+    shares = [relative_errors(hand, take.intrinsics) for hand in hands]
     return EXPECTED if likely else IN_PICTURE, np.fmax.reduce([unknown, *(likely or shares)])
 
 
