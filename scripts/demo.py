@@ -3,8 +3,8 @@
 
     python scripts/demo.py [INPUT ...] [options of batch_fit.py]
 
-Writes to out/demo/, per input: .blend, .glb, .fbx, the take and a preview, of which the first is called
-preview.png.
+Writes to out/demo/, per input: .blend, .glb, .fbx, the take, a contact sheet and a preview; and overview.html,
+which shows them all.
 """
 
 from __future__ import annotations
@@ -30,24 +30,12 @@ def main() -> int:
     arguments = ["--format", "blend,glb,fbx", "--preview", "--flat", "--output", str(OUTPUT), *sys.argv[1:]]
     args = batch_fit.parse_arguments(arguments, SAMPLES)
     code = batch_fit.main(arguments, SAMPLES)
-    report_path = args.output / "report.json"
-    if not report_path.is_file():
-        return code
-    report = json.loads(report_path.read_text(encoding="utf-8"))
-    entries = report["inputs"]
-    entries[0]["files"] = [_plainly_named(args.output, name) for name in entries[0]["files"]]
-    report_path.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    for name in (name for entry in entries for name in entry["files"]):
-        print(f"  {args.output / name}")
+    report = args.output / "report.json"
+    if report.is_file():
+        entries = json.loads(report.read_text(encoding="utf-8"))["inputs"]
+        for name in ("overview.html", *(name for entry in entries for name in entry["files"])):
+            print(f"  {args.output / name}")
     return code
-
-
-def _plainly_named(folder: Path, name: str) -> str:
-    """The preview becomes preview.png; other files keep their names."""
-    if not name.endswith(".preview.png"):
-        return name
-    (folder / name).replace(folder / "preview.png")
-    return "preview.png"
 
 
 if __name__ == "__main__":

@@ -42,6 +42,7 @@ def add_arguments(
     add_options(parser)
     _add_grouping_arguments(parser)
     parser.add_argument("--preview", action="store_true", help="render a preview picture of each input")
+    parser.add_argument("--no-sheet", action="store_true", help="no contact sheet of each input")
     parser.add_argument("--no-picture", action="store_true", help="no picture behind the hands in the .blend")
     parser.add_argument("--no-correctives", action="store_true", help="no corrective shape keys")
     parser.add_argument("--overwrite", action="store_true", help="write into result folders that exist")

@@ -13,6 +13,7 @@ from handfit_core.errors import HandfitError, InputError
 from handfit_core.farm.folder import files_in
 from handfit_core.farm.plan import Task, files_of, fingerprint
 from handfit_core.farm.report import Result
+from handfit_core.sheet import SUFFIX
 from handfit_core.take import Take
 from handfit_core.worker.runner import Event, Runner
 
@@ -23,6 +24,8 @@ from .console import blender_silenced
 from .order import Order
 
 TAKE_SUFFIX = ".take.npz"
+_SHEET_LIMIT = 300.0
+"""seconds that a contact sheet may take; where a long video cannot be jumped in, it needs minutes"""
 
 
 class InputGone(InputError):
@@ -69,6 +72,12 @@ def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> Non
         take.save(take_path)
     result.describe(take)
     work.tell(take_path)
+    if order.sheet:
+        sheet_path = folder / f"{task.name}{SUFFIX}"
+        if missing := sheet(runner, take_path, sheet_path, order.options.max_megapixels):
+            result.warnings += [] if task.take else [missing]  # takes need no Python that captures
+        else:
+            work.tell(sheet_path)
     with blender_silenced(order.debug):
         for path in _results(take, work, result, keep_addons):
             work.tell(path)
@@ -92,6 +101,17 @@ def _check_input(task: Task, when: str = "since the batch was planned") -> None:
     if gone or not files:
         raise InputGone(f"{task.shown}: is gone; bring it back, or start the batch again without it")
     raise InputError(f"{task.shown}: has changed {when}; then start the batch again")
+
+
+def sheet(runner: Runner, take: Path, path: Path, max_megapixels: float | None = None) -> str:
+    """Have the worker write the contact sheet of a take. No task fails for it: where there is none, a
+    sentence comes back that says why, and else an empty one."""
+    fields = {"take": str(take), "output": str(path), "max_megapixels": max_megapixels}
+    try:
+        runner.wait(runner.submit("sheet", **fields), timeout=_SHEET_LIMIT)
+    except HandfitError as error:
+        return f"there is no contact sheet of it: {error}"
+    return ""
 
 
 def start_empty(*, keep_addons: bool) -> None:

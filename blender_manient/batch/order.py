@@ -19,7 +19,7 @@ from ..exporters import EXPORTERS, find_exporter
 from .character import Character, file_and_armature
 
 _MAKING = (
-    *("format", "hands", "preview", "no_picture", "no_correctives", "apply_to", "bones", "wrist"),
+    *("format", "hands", "preview", "no_sheet", "no_picture", "no_correctives", "apply_to", "bones", "wrist"),
     *("reference", "into", "no_contacts"),
 )
 """Arguments that decide what is made, beside those of the capture"""
@@ -38,6 +38,7 @@ class Order:
     model: str | None
     """for takes, instead of the model that they name"""
     preview: bool
+    sheet: bool
     picture: bool
     pose_correctives: bool
     character: Character | None
@@ -65,6 +66,7 @@ class Order:
             options=options,
             model=options.model,
             preview=args.preview,
+            sheet=not args.no_sheet,
             picture=not args.no_picture,
             pose_correctives=not args.no_correctives,
             character=character,

@@ -1,4 +1,5 @@
-"""What came of all tasks of a folder of results: report.json, at any time, also while the tasks run."""
+"""What came of all tasks of a folder of results, at any time, also while they run: report.json for programs,
+and overview.html for people."""
 
 from __future__ import annotations
 
@@ -6,10 +7,12 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Final
 
+from handfit_core.farm.overview import write_overview
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result, write_report
 
 NAME: Final = "report.json"
+OVERVIEW: Final = "overview.html"
 _OFTEN: Final = 1.0
 """seconds between two reports at least"""
 _SHARE: Final = 20.0
@@ -47,10 +50,13 @@ class Report:
         ]
 
     def write(self, *, now: bool = True) -> None:
-        """Write report.json; unless `now`, only where the last one is old enough. Raises OutputError."""
+        """Write report.json and overview.html; unless `now`, only where the last ones are old enough. Raises
+        OutputError."""
         began = time.monotonic()
         if now or began > self._next:
-            write_report(self.output / NAME, self.results)
+            results = self.results
+            write_report(self.output / NAME, results)
+            write_overview(self.output / OVERVIEW, [vars(result) for result in results])
             took = time.monotonic() - began
             self._next = time.monotonic() + max(_OFTEN, _SHARE * took)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +24,8 @@ class Result:
     seconds: float = 0.0
     frames: int = 0
     hands: list[dict[str, Any]] = field(default_factory=list)
-    """per hand its side, the frames in which it was detected, mean_reprojection_error_px, mean_error_of_hand:
+    """per hand its side, the frames in which it was detected and those in which it is doubtful (None: nobody
+    looked), mean_reprojection_error_px, mean_error_of_hand:
     the same as a share of the hand's length in the picture, and mean_expected_error: metres that it is likely
     to be off"""
     character: dict[str, Any] | None = None
@@ -57,6 +58,7 @@ class Result:
                 {
                     "side": track.side,
                     "detected": int(track.detected.sum()),
+                    "doubtful": None if track.doubtful is None else int(track.doubtful.sum()),
                     "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
                     "mean_error_of_hand": None if share is None else round(share, 4),
                     "mean_expected_error": None if likely is None else round(likely, 5),
@@ -66,7 +68,7 @@ class Result:
 
 def write_report(path: Path, results: Sequence[Result]) -> None:
     """Write report.json whole. Raises OutputError."""
-    report = {"format": "handfit-batch", "version": 1, "inputs": [asdict(r) for r in results]}
+    report = {"format": "handfit-batch", "version": 1, "inputs": [vars(r) for r in results]}
     with written_whole(path) as beside:
         beside.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 

@@ -130,7 +130,7 @@ def test_a_character_comes_out_with_the_motion(request, in_blender, hero, look, 
     clip.save(tmp_path / "clip.take.npz")
     out = tmp_path / "out"
     formats = ",".join(ending[1:] for ending in endings).replace("usdc", "usd")
-    options = ("--apply-to", hero, "--format", formats, "--no-contacts")
+    options = ("--apply-to", hero, "--format", formats, "--no-contacts", "--no-sheet")
     done = in_blender(SCRIPT, "clip.take.npz", "-o", out, *options)
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = report(out)

@@ -104,7 +104,7 @@ def read_back(path: Path) -> dict:
 def test_takes_become_files(batch, take_file, tmp_path):
     take = take_file()
     out = tmp_path / "out"
-    done = batch(take, "--output", out, "--format", "blend,glb,fbx,bvh", "--preview")
+    done = batch(take, "--output", out, "--format", "blend,glb,fbx,bvh", "--preview", "--no-sheet")
     assert done.returncode == 0, done.stderr
     assert len(lines(done.stdout)) == 1
     (entry,) = report(out)
@@ -116,7 +116,7 @@ def test_takes_become_files(batch, take_file, tmp_path):
         f"wave/wave{s}" for s in (".take.npz", ".blend", ".glb", ".fbx", ".bvh", ".preview.png")
     )
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == sorted(
-        ["report.json", plan_in(out), "wave/done.json", *entry["files"]]
+        ["report.json", "overview.html", plan_in(out), "wave/done.json", *entry["files"]]
     )
     for suffix in (".glb", ".fbx", ".bvh"):
         found = read_back(out / "wave" / f"wave{suffix}")

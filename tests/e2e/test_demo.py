@@ -33,10 +33,13 @@ def test_the_mona_lisa_s_hands_are_captured_and_drawn_over_hers(tmp_path):
     painting, clip = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["inputs"]
     assert [(h["side"], h["detected"]) for h in painting["hands"]] == [("right", 1), ("left", 1)]
     assert [(h["side"], h["detected"]) for h in clip["hands"]] == [("right", 24)]
-    assert sorted(painting["files"]) == ["mona_lisa.glb", "mona_lisa.take.npz", "preview.png"]
-    assert sorted(clip["files"]) == ["hand.glb", "hand.preview.png", "hand.take.npz"]
+    assert sorted(painting["files"]) == [f"mona_lisa.{end}" for end in ("glb", "preview.png", "sheet.jpg", "take.npz")]
+    assert sorted(clip["files"]) == [f"hand.{end}" for end in ("glb", "preview.png", "sheet.jpg", "take.npz")]
+    overview = (tmp_path / "overview.html").read_text(encoding="utf-8")
+    for name in (*painting["files"], *clip["files"]):
+        assert f'"./{name}"' in overview
 
-    halves = np.split(pixels(tmp_path / "preview.png"), 2, axis=1)
+    halves = np.split(pixels(tmp_path / "mona_lisa.preview.png"), 2, axis=1)
     off = np.abs(halves[0] - halves[1]).max(axis=-1) > 0.05
     rows, columns = np.nonzero(off)
     # Her hands, and nothing else.

@@ -167,7 +167,7 @@ def test_a_photo_and_a_video_become_files(commands):
     assert [(h["side"], h["detected"]) for h in clip["hands"]] == [("right", 20)]
     for entry in (photo, clip):
         name = entry["name"]
-        endings = (".take.npz", ".blend", ".glb", ".fbx", ".preview.png")
+        endings = (".take.npz", ".sheet.jpg", ".blend", ".glb", ".fbx", ".preview.png")
         assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
         sizes = [(commands.folder / "results" / file).stat().st_size for file in entry["files"]]
         assert min(sizes) > 1000, sizes
@@ -179,13 +179,14 @@ def test_a_photo_and_a_video_become_files(commands):
 def test_a_take_is_exported_again(commands):
     assert commands["again"].code == 0
     (entry,) = commands.report("again")
-    assert entry["files"] == ["photo/photo.take.npz", "photo/photo.bvh"]
+    assert entry["files"] == [f"photo/photo{ending}" for ending in (".take.npz", ".sheet.jpg", ".bvh")]
 
 
 def test_a_take_goes_onto_a_character(commands):
     assert commands["apply"].code == 0, commands["apply"].err
     (entry,) = commands.report("applied")
-    assert entry["files"] == [f"photo/photo{ending}" for ending in (".take.npz", ".blend", ".fbx")]
+    endings = (".take.npz", ".sheet.jpg", ".blend", ".fbx")
+    assert entry["files"] == [f"photo/photo{ending}" for ending in endings]
     (hand,) = entry["character"]["hands"]
     assert (hand["side"], hand["rig"], hand["bones"], hand["frames"]) == ("left", "Mixamo", 15, 1)
 
