@@ -3,8 +3,8 @@
 
     python scripts/demo.py [INPUT ...] [options of batch_fit.py]
 
-Writes to out/demo/, per input: .blend, .glb, .fbx, the take, a contact sheet and a preview; and overview.html,
-which shows them all.
+Writes to out/demo/, per input: .blend, .glb, .fbx, the take, a contact sheet and a preview; and
+overview.html, which shows them all.
 """
 
 from __future__ import annotations

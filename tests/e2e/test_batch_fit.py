@@ -232,6 +232,9 @@ def peer(tmp_path, take_file):
         f"say(event='ready', protocol=1, version={__version__!r}, pid=os.getpid(), python='3')\n"
         "for line in sys.stdin:\n"
         "    request = json.loads(line)\n"
+        "    if request['request'] == 'sheet':\n"
+        "        say(event='error', id=request['id'], type='OutputError', message='no paper', details='')\n"
+        "        continue\n"
         "    name = request['input'][0]\n"
         "    say(event='progress', id=request['id'], stage='detect', done=0, total=1)\n"
         "    if 'crash' in name: os.abort()\n"
@@ -265,6 +268,9 @@ def test_one_process_for_all_inputs_and_others_after_crashes(batch, peer, tmp_pa
     assert done.returncode == 1
     entries = report(out)
     assert [e["status"] for e in entries] == ["ok", "ok", "failed", "ok", "ok"]
+    for entry in (entries[0], entries[4]):  # no task fails for it
+        assert "there is no contact sheet of it: no paper" in entry["warnings"]
+        assert entry["files"] == [f"{entry['name']}/{entry['name']}{end}" for end in (".take.npz", ".bvh")]
     assert "SIGABRT" in entries[2]["error"]
     assert "--debug" in entries[2]["error"]
     assert [attempt["kind"] for attempt in entries[2]["attempts"]] == ["WorkerDied"] * 3
@@ -355,6 +361,9 @@ def test_photos_and_videos(batch, tmp_path):
         assert max(hand["detected"] for hand in entry["hands"]) >= 1
         assert all(hand["mean_reprojection_error_px"] > 0 for hand in entry["hands"])
         assert all(0 < hand["mean_error_of_hand"] < 0.1 for hand in entry["hands"])
+        sheet = f"{source.stem}/{source.stem}.sheet.jpg"
+        assert sheet in entry["files"]
+        assert f'src="./{sheet}"' in (out / "overview.html").read_text(encoding="utf-8")
         for suffix in (".blend", ".glb"):
             found = read_back(out / source.stem / f"{source.stem}{suffix}")
             assert found["rigs"] == len(entry["hands"])

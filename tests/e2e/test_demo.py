@@ -33,8 +33,9 @@ def test_the_mona_lisa_s_hands_are_captured_and_drawn_over_hers(tmp_path):
     painting, clip = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["inputs"]
     assert [(h["side"], h["detected"]) for h in painting["hands"]] == [("right", 1), ("left", 1)]
     assert [(h["side"], h["detected"]) for h in clip["hands"]] == [("right", 24)]
-    assert sorted(painting["files"]) == [f"mona_lisa.{end}" for end in ("glb", "preview.png", "sheet.jpg", "take.npz")]
-    assert sorted(clip["files"]) == [f"hand.{end}" for end in ("glb", "preview.png", "sheet.jpg", "take.npz")]
+    endings = ("glb", "preview.png", "sheet.jpg", "take.npz")
+    assert sorted(painting["files"]) == [f"mona_lisa.{ending}" for ending in endings]
+    assert sorted(clip["files"]) == [f"hand.{ending}" for ending in endings]
     overview = (tmp_path / "overview.html").read_text(encoding="utf-8")
     for name in (*painting["files"], *clip["files"]):
         assert f'"./{name}"' in overview
