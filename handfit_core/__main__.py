@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
+from handfit_core.farm.commands import add_work_command
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.media.frame_range import FrameRange
@@ -124,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
         "--threads", type=int, metavar="N", help="how many threads the numeric libraries use at most"
     )
 
+    add_work_command(commands)
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has
         from handfit_core.evaluate.commands import add_evaluate_command

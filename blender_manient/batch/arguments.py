@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from handfit_core.farm.show import STYLES
-from handfit_core.options import OPTIONS, add_options
+from handfit_core.farm.commands import add_cluster_arguments, add_plan, add_running_arguments
+from handfit_core.options import add_options
 
 from .commands import COMMANDS, SLOT
 
@@ -50,7 +50,9 @@ def add_arguments(
         "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
     )
     if command != "plan":
-        _add_running_arguments(parser, default_python)
+        _add_python(parser, default_python)
+        add_running_arguments(parser)
+        add_cluster_arguments(parser)
         parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
     else:
         _add_python(parser, default_python)
@@ -74,45 +76,16 @@ def add_commands(
             add_arguments(parser, default_inputs, default_python=default_python, command=name)
             continue
         if name != SLOT:
-            parser.add_argument(
-                "plan", type=Path, metavar="PLAN", help="a plan's file, or a folder of results for all in it"
-            )
+            add_plan(parser)
         if name == "task":
             parser.add_argument("id", metavar="ID", help="of the task, or its name in the plan")
-        if name in ("task", "work"):
-            _add_running_arguments(parser, default_python)
-            parser.add_argument(
-                "--map",
-                action="append",
-                default=[],
-                metavar="THERE=HERE",
-                help="paths that begin with THERE in the plan begin with HERE on this machine",
-            )
-            option = OPTIONS["processes"]
-            option.add_to(parser)
-        else:
+        if name not in ("task", "work"):
             _add_debug(parser)
-
-
-def _add_running_arguments(parser: argparse.ArgumentParser, default_python: str) -> None:
-    """Add what says how tasks are done on this machine, which changes nothing in their results."""
-    _add_python(parser, default_python)
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
-    parser.add_argument(
-        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
-    )
-    parser.add_argument("--again", action="store_true", help="also do what is done already")
-    parser.add_argument(
-        "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
-    )
-    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
-
-
-def _count(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError("at least 1 is needed")
-    return number
+            continue
+        _add_python(parser, default_python)
+        add_running_arguments(parser, of_plan=True)
+        if name == "work":
+            add_cluster_arguments(parser)
 
 
 def _add_python(parser: argparse.ArgumentParser, default_python: str) -> None:

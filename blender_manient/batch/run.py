@@ -6,20 +6,21 @@ The process that runs here stays light: slots (slot.py), which are processes of 
 from __future__ import annotations
 
 import argparse
-import os
+import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
+from pathlib import Path
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.collect import Report
+from handfit_core.farm.commands import do, given_plans, work_words
 from handfit_core.farm.inputs import expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
 from handfit_core.farm.pool import CURABLE, Pool
-from handfit_core.farm.report import Result
 from handfit_core.farm.show import Shown
-from handfit_core.farm.slot import usable_jobs
+from handfit_core.farm.slot import share, usable_jobs
 from handfit_core.files import check_writable
+from handfit_core.worker.interpreter import find_python, worker_command, worker_environment
 
 from . import slot
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
@@ -64,12 +65,12 @@ def _plan(args: argparse.Namespace, host: Host) -> int:
 
 def _work(args: argparse.Namespace, host: Host) -> int:
     """What is left of a plan, beside whoever else is at it."""
-    return _do(args, host, _plans(args))
+    return _do(args, host, given_plans(args))
 
 
 def _task(args: argparse.Namespace, host: Host) -> int:
     """One task."""
-    (plan, *others) = _plans(args)
+    (plan, *others) = given_plans(args)
     for other in others:
         if args.id in other.by_id:
             plan = other
@@ -131,11 +132,6 @@ def _planned(args: argparse.Namespace, host: Host) -> Plan:
     )
 
 
-def _plans(args: argparse.Namespace) -> list[Plan]:
-    places = [tuple(text.partition("=")[::2]) for text in args.map]
-    return [plan.mapped(places) for plan in plans_in(args.plan)]
-
-
 def _tell(plan: Plan) -> int:
     """What would be done."""
     left = 0
@@ -149,35 +145,36 @@ def _tell(plan: Plan) -> int:
 
 def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
     """All tasks of some plans that are not sealed. Returns the exit code."""
-    tasks = [(plan, task) for plan in plans for task in plan.tasks]
-    report = Report(plans_in(plans[0].output))
-    report.look()
-    report.write()
-    shown = Shown([task for _, task in tasks], args.progress, report)
-    results: list[Result] = []
+    if args.scheduler or args.cluster:
+        return _do_elsewhere(args, host, getattr(args, "plan", plans[0].path))
+    pool = _pool(args, host, sum(len(plan.tasks) for plan in plans))
+    return EXIT_OK if do(plans, pool, args) else EXIT_SOME_FAILED
+
+
+def _do_elsewhere(args: argparse.Namespace, host: Host, plan: Path) -> int:
+    """The same with Dask, whose client has threads: in a process of the Python that captures."""
+    python = find_python(args.python or host.python)
+    command = worker_command(python, *work_words(args, plan))
     try:
-        with _pool(args, host, len(tasks)) as pool:
-            for plan in plans:
-                run_here = partial(pool.run, again=args.again, retry_failed=args.retry_failed)
-                results += run_here(plan, plan.tasks, shown)
+        client = subprocess.Popen(command, env=worker_environment(python))
+    except OSError as error:
+        raise OptionError(f"{python} cannot be started ({error.strerror}); name another Python") from error
+    try:
+        return client.wait()
     except KeyboardInterrupt:
-        shown.interrupted()
+        client.terminate()  # of Ctrl-C it knows already
+        client.wait()
         raise
-    finally:
-        shown.close()
-    return EXIT_OK if not shown.trouble and all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
 
 
 def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    jobs = max(1, min(args.jobs or usable_jobs(cores), tasks))
-    share = max(1, cores // jobs) if jobs > 1 else None
+    jobs = max(1, min(args.jobs or usable_jobs(), tasks))
     return Pool(
         host.command,
         jobs=jobs,
         timeout=args.timeout,
         debug=args.debug,
         python=args.python,
-        threads=host.threads or share,
-        processes=args.processes or share,
+        threads=host.threads or share(jobs),
+        processes=args.processes or share(jobs),
     )

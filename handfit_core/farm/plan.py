@@ -109,33 +109,41 @@ class Plan:
 
     def save(self) -> Path:
         """Write it; returns its file. Raises OutputError."""
+        with written_whole(self.path) as beside:
+            beside.write_text(json.dumps(self.content(), indent=1), encoding="ascii")
+        return self.path
+
+    def content(self) -> dict[str, Any]:
+        """What its file holds."""
         content = {"format": _FORMAT, "version": _VERSION, **asdict(self)}
         del content["output"]
         content["tasks"] = [{k: v for k, v in task.items() if v} for task in content["tasks"]]
-        with written_whole(self.path) as beside:
-            beside.write_text(json.dumps(content, indent=1), encoding="ascii")
-        return self.path
+        return content
 
     @classmethod
     def load(cls, path: Path) -> Plan:
         """Read a plan's file. Raises InputError."""
         try:
-            content = json.loads(read_file(path, _LARGEST))
-            if content["format"] != _FORMAT or content["version"] != _VERSION:
-                raise ValueError(f"it is no plan of version {_VERSION}")
-            tasks = tuple(Task.of_entry(task) for task in content["tasks"])
-            plan = cls(
-                path.absolute().parent.parent,
-                tasks,
-                content["options"],
-                bool(content["flat"]),
-                tuple(map(str, content["command"])),
-                str(content["made_by"]),
-                str(content["created"]),
-            )
+            return cls.of_content(json.loads(read_file(path, _LARGEST)), path)
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             reason = why(error) if isinstance(error, OSError) else shortly(str(error))
             raise InputError(f"{shown(path)}: this is no plan that can be read ({reason})") from error
+
+    @classmethod
+    def of_content(cls, content: Mapping[str, Any], path: Path) -> Plan:
+        """The plan of the file `path`, which holds that. Raises ValueError, KeyError or TypeError."""
+        if content["format"] != _FORMAT or content["version"] != _VERSION:
+            raise ValueError(f"it is no plan of version {_VERSION}")
+        tasks = tuple(Task.of_entry(task) for task in content["tasks"])
+        plan = cls(
+            path.absolute().parent.parent,
+            tasks,
+            content["options"],
+            bool(content["flat"]),
+            tuple(map(str, content["command"])),
+            str(content["made_by"]),
+            str(content["created"]),
+        )
         vars(plan)["path"] = path.absolute()
         return plan
 

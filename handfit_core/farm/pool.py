@@ -277,20 +277,13 @@ class _Run:
 
     def _settled(self, this: _Try) -> bool:
         """Whether a task needs no slot: it is sealed, or cannot even be tried."""
-        task, folder = this.task, self._plan.folder(this.task)
-        if not self.again and (seal := folder.sealed(task.id)) is not None:
-            self._end(this, Result.of_entry(seal["result"]))
-            return True
-        if not self.retry_failed and (known := folder.failures(task.id)) is not None:
-            result = Result.of_entry(known["result"])
-            if result.status == "failed" and result.attempts[-1]["kind"] in FINAL:
-                self._end(this, result)
-                return True
-        if task.error:
+        task = this.task
+        if result := settled(self._plan, task, again=self.again, retry_failed=self.retry_failed):
+            self._end(this, result)
+        elif task.error:
             self._listener.began(task)
             self._missed(this, task.error, "InputError", 0.0, {}, None)
-            return True
-        return False
+        return result is not None or bool(task.error)
 
     def _begin(self, this: _Try, slot: Slot) -> None:
         folder = self._plan.folder(this.task)
@@ -421,6 +414,19 @@ class _Run:
             self._open.remove(this)
         self._results[this.task.id] = result
         self._listener.ended(this.task, result)
+
+
+def settled(plan: Plan, task: Task, *, again: bool, retry_failed: bool) -> Result | None:
+    """What came of a task that need not be done: it is sealed, or failed for a reason that lies in it. None:
+    it is still to be done."""
+    folder = plan.folder(task)
+    if not again and (seal := folder.sealed(task.id)) is not None:
+        return Result.of_entry(seal["result"])
+    if not (again or retry_failed) and (known := folder.failures(task.id)) is not None:
+        result = Result.of_entry(known["result"])
+        if result.status == "failed" and result.attempts[-1]["kind"] in FINAL:
+            return result
+    return None
 
 
 @contextlib.contextmanager

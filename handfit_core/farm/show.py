@@ -87,13 +87,13 @@ class Shown(Listener):
         else:
             print(f"{done:.0%}, {left} left: {what or 'waiting'}", file=sys.stderr, flush=True)
 
-    def interrupted(self) -> None:
+    def interrupted(self, why: str = "") -> None:
         """It was stopped: tasks at hand are left to the next run."""
         if self._report is not None:
             for task in self._tasks:
                 if task.id in self._at:
                     result = Result(task.shown, task.name, "interrupted", id=task.id)
-                    result.error = "stopped by the user"
+                    result.error = why or "stopped by the user"
                     self._report.set(result)
             self._write(now=True)
 

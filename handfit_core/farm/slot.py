@@ -115,9 +115,19 @@ def _other_version(message: Mapping[str, Any]) -> str:
     )
 
 
-def usable_jobs(cores: int) -> int:
+def usable_cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share(jobs: int) -> int | None:
+    """How many cores each of so many tasks at a time may use; None where one has all, and its own choice."""
+    return max(1, usable_cores() // jobs) if jobs > 1 else None
+
+
+def usable_jobs() -> int:
     """How many tasks may run at a time where nobody says: one a core, as far as memory reaches."""
-    memory = _free_memory()
+    cores, memory = usable_cores(), _free_memory()
     return max(1, cores if memory is None else min(cores, int(memory / MEMORY)))
 
 

@@ -46,12 +46,14 @@ def runs_here(python: str) -> bool:
         return False
 
 
-def worker_command(python: str) -> list[str]:
-    """What starts the worker with this interpreter, as `find_python` gives it."""
+def worker_command(python: str, *words: str) -> list[str]:
+    """What starts the worker, or another command of the core, with this interpreter, as `find_python` gives
+    it."""
+    words = words or ("worker",)
     if runs_here(python) and not _is_alone():
         # -P: not from the folder in which Blender happens to have been started.
-        return [python, *_own_flags(), "-P", "-u", "-m", "handfit_core", "worker"]
-    return [python, "-u", str(_core_folder() / "worker" / "launch.py"), "worker"]
+        return [python, *_own_flags(), "-P", "-u", "-m", "handfit_core", *words]
+    return [python, "-u", str(_core_folder() / "worker" / "launch.py"), *words]
 
 
 def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, str]:

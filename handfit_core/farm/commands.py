@@ -1,0 +1,184 @@
+"""Commands of a batch that need no Blender: how tasks are done, whoever does them, and `work` with Dask."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, Final, NoReturn, Protocol
+
+from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.farm.collect import Report
+from handfit_core.farm.plan import Plan, Task, plans_in
+from handfit_core.farm.pool import Listener
+from handfit_core.farm.report import Result
+from handfit_core.farm.show import STYLES, Shown
+from handfit_core.options import OPTIONS
+
+EXIT_SOME_FAILED: Final = 1
+EXIT_USAGE: Final = 2
+_DONE_HERE: Final = (
+    "jobs",
+    "timeout",
+    "progress",
+    "python",
+    "processes",
+    "scheduler",
+    "cluster",
+    "tls",
+    "program",
+)
+_SWITCHES: Final = ("again", "retry_failed", "debug")
+
+
+class Doer(Protocol):
+    """Does the tasks of a plan: a `Pool`, or a `Cluster`."""
+
+    def run(
+        self, plan: Plan, tasks: Sequence[Task], listener: Listener, *, again: bool, retry_failed: bool
+    ) -> list[Result]:
+        """As `Pool.run`."""
+        ...
+
+
+def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse.Namespace) -> bool:
+    """Have all tasks of some plans of one folder done that are not sealed, and keep the report up to date.
+    Returns whether all are done. `args`: what `add_running_arguments` adds."""
+    report = Report(plans_in(plans[0].output))
+    report.look()
+    report.write()
+    shown = Shown([task for plan in plans for task in plan.tasks], args.progress, report)
+    results: list[Result] = []
+    try:
+        with doer as it:
+            for plan in plans:
+                results += it.run(plan, plan.tasks, shown, again=args.again, retry_failed=args.retry_failed)
+    except (KeyboardInterrupt, HandfitError) as error:
+        shown.interrupted(str(error))
+        raise
+    finally:
+        shown.close()
+    return not shown.trouble and all(result.status == "ok" for result in results)
+
+
+def given_plans(args: argparse.Namespace) -> list[Plan]:
+    """The plans that a command line names, with paths as they are here. Raises InputError."""
+    places = [tuple(text.partition("=")[::2]) for text in args.map]
+    return [plan.mapped(places) for plan in plans_in(args.plan)]
+
+
+def add_plan(parser: argparse.ArgumentParser) -> None:
+    """Add the plan that is meant."""
+    parser.add_argument(
+        "plan", type=Path, metavar="PLAN", help="a plan's file, or a folder of results for all in it"
+    )
+
+
+def add_running_arguments(parser: argparse.ArgumentParser, *, of_plan: bool = False) -> None:
+    """Add what says how tasks are done, which changes nothing in their results. `of_plan`: those of a plan
+    that is there already."""
+    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
+    parser.add_argument(
+        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
+    )
+    parser.add_argument("--again", action="store_true", help="also do what is done already")
+    parser.add_argument(
+        "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
+    )
+    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
+    if of_plan:
+        parser.add_argument(
+            "--map",
+            action="append",
+            default=[],
+            metavar="THERE=HERE",
+            help="paths that begin with THERE in the plan begin with HERE on this machine",
+        )
+        OPTIONS["processes"].add_to(parser)
+
+
+def add_cluster_arguments(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
+    """Add what has the workers of a Dask cluster do the tasks."""
+    which = parser.add_mutually_exclusive_group(required=required)
+    which.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="have the workers of this Dask scheduler do it: tcp://HOST:8786",
+    )
+    which.add_argument(
+        "--cluster",
+        metavar="KIND",
+        help="have N Dask workers do it (--jobs), started as jobs of slurm, pbs, sge, lsf, htcondor, moab or "
+        "oar, or on this machine: local",
+    )
+    parser.add_argument(
+        "--tls", metavar="CA,CERT,KEY", help="files for connections to Dask that are encrypted"
+    )
+    parser.add_argument(
+        "--command", dest="program", metavar="WORDS", help="does the tasks on workers, instead of the plan's"
+    )
+
+
+def add_work_command(commands: Any) -> None:
+    """Add `work`, which sets `handler`, called as handler(args) -> exit code."""
+    parser = commands.add_parser(
+        "work", help="have a Dask cluster do what is left of a plan; needs no Blender on this machine"
+    )
+    parser.set_defaults(handler=_work)
+    add_plan(parser)
+    add_running_arguments(parser, of_plan=True)
+    add_cluster_arguments(parser, required=True)
+    parser.add_argument("--python", metavar="PATH", help="Python that captures, on the workers")
+
+
+def work_words(args: argparse.Namespace, plan: Path) -> list[str]:
+    """The command `work` for a plan's file, with what a command line of the add-on says of it."""
+    said: Mapping[str, Any] = vars(args)
+    found = ["work", str(plan)]
+    for name in _DONE_HERE:
+        if said.get(name) is not None:
+            option = "--command" if name == "program" else f"--{name}"
+            found += [f"{option}={said[name]}"]
+    found += [f"--map={text}" for text in said.get("map", ())]
+    return found + [f"--{name.replace('_', '-')}" for name in _SWITCHES if said.get(name)]
+
+
+def _work(args: argparse.Namespace) -> int:
+    from handfit_core.farm.dask_engine import Cluster, words
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    try:
+        plans = given_plans(args)
+        doer = Cluster(
+            scheduler=args.scheduler,
+            cluster=args.cluster,
+            jobs=args.jobs or 1,
+            tls=args.tls,
+            command=words(args.program) if args.program else None,
+            timeout=args.timeout,
+            debug=args.debug,
+            python=args.python,
+            processes=args.processes,
+        )
+        return 0 if do(plans, doer, args) else EXIT_SOME_FAILED
+    except (OptionError, InputError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USAGE
+
+
+def _interrupt(_number: int, _frame: object) -> NoReturn:
+    """Once is enough: the rest of the time is for cleaning up."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError("at least 1 is needed")
+    return number
