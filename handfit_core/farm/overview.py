@@ -143,16 +143,15 @@ def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
     )
     yield f"<nav>{''.join(links) or 'There is nothing in this batch.'}</nav>"
     done = [*sections["doubtful"], *sections["good"]]
-    rows = [("all", done, sections["failed"])]
     hosts = Counter(_host(entry) for name in ("doubtful", "good", "failed") for entry in sections[name])
+    rows = [("all" if len(hosts) > 1 else next(iter(hosts), ""), done, sections["failed"])]
     if len(hosts) > 1:
         rows += [
             (host, *([e for e in some if _host(e) == host] for some in (done, sections["failed"])))
             for host, _ in hosts.most_common()
         ]
     if hosts:
-        alone = next(iter(hosts)) if len(hosts) == 1 else ""
-        yield f"<table><tr><th>{_name(alone)}<th>done<th>failed<th>frames<th>time<th>frames/s</tr>"
+        yield "<table><tr><th><th>done<th>failed<th>frames<th>time<th>frames/s</tr>"
         for host, good, failed in rows:
             frames, seconds = (sum(_number(e, key) for e in good) for key in ("frames", "seconds"))
             rate = f"{frames / seconds:.1f}" if seconds else ""
