@@ -11,15 +11,17 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, InputError
 from handfit_core.farm.collect import Report
-from handfit_core.farm.inputs import expand
+from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
 from handfit_core.farm.pool import CURABLE, Pool
 from handfit_core.farm.report import Result
 from handfit_core.farm.show import Shown
 from handfit_core.farm.slot import usable_jobs
 from handfit_core.files import check_writable
+from handfit_core.media.frame_range import FrameRange, part_ranges
+from handfit_core.worker.runner import Runner
 
 from . import slot
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
@@ -119,9 +121,11 @@ def _planned(args: argparse.Namespace, host: Host) -> Plan:
             start_empty(keep_addons=host.keep_addons)
             order.character.check()
     options = options_of(args, order)
+    inputs = [each for text in args.inputs for each in expand(text, args.grouping)]
     check_writable(args.output / FOLDER / "plan.json")
-    return make_plan(
-        [each for text in args.inputs for each in expand(text, args.grouping)],
+    make = partial(
+        make_plan,
+        inputs,
         args.output,
         options,
         files=files_named(options),
@@ -129,6 +133,24 @@ def _planned(args: argparse.Namespace, host: Host) -> Plan:
         overwrite=args.overwrite,
         command=host.command,
     )
+    if not args.split:
+        return make()
+    with slot.make_worker(host, args.python, None, args.debug) as runner:
+        return make(parts_of=partial(_parts_of, args.split, order, runner))
+
+
+def _parts_of(most: int, order: Order, runner: Runner, each: Input) -> list[str]:
+    """The ranges of a clip with more than `most` frames; of other inputs, and of those that cannot be opened,
+    none. Raises WorkerError."""
+    if each.take or each.error:
+        return []
+    try:
+        known = runner.wait(runner.submit("probe", input=list(each.source)))
+    except InputError:  # which its task will tell
+        return []
+    frames = (order.options.frames or FrameRange()).within(known["first"], known["last"])
+    ranges = part_ranges(frames, -(-len(frames) // most))
+    return [str(part) for part in ranges] if known["kind"] != "photo" and len(ranges) > 1 else []
 
 
 def _plans(args: argparse.Namespace) -> list[Plan]:

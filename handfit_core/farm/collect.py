@@ -30,7 +30,8 @@ class Report:
         for plan in plans:
             self.output = plan.output
             for task in plan.tasks:
-                self._tasks[task.name] = plan, task
+                if not task.of:  # parts of clips are nobody's results
+                    self._tasks[task.name] = plan, task
 
     def look(self) -> None:
         """Take in what the tasks' folders say."""
@@ -38,7 +39,7 @@ class Report:
             self._results[name] = state(plan, task)
 
     def set(self, result: Result) -> None:
-        """Take in what has become of a task."""
+        """Take in what has become of a task; a part of a clip has no place of its own."""
         self._results[result.name] = result
 
     @property

@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -59,6 +59,11 @@ class Task:
     """`fingerprint` of the files that it was planned with"""
     cost: float = 0.0
     """seconds that it may take; a guess, good for comparing tasks"""
+    part: str = ""
+    """The frames of the clip in which only hands are to be found, for the task `of` that id"""
+    of: str = ""
+    needs: tuple[str, ...] = ()
+    """The ids of such tasks, which must be done before"""
 
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any]) -> Self:
@@ -98,6 +103,15 @@ class Plan:
     def folder(self, task: Task) -> TaskFolder:
         """Where the results of a task go."""
         return TaskFolder(self.output, task.name, self.flat)
+
+    def is_sealed(self, id: str) -> bool:
+        """Whether the task of that id is done."""
+        return self.folder(self.by_id[id]).sealed(id) is not None
+
+    def part_file(self, id: str) -> Path:
+        """What the task of that id finds in its part of a clip."""
+        task = self.by_id[id]
+        return self.folder(task).path / f"{task.name}.npz"
 
     def task(self, id: str) -> Task:
         """The task of an id, or of a beginning or a name that only one has. Raises OptionError."""
@@ -182,8 +196,10 @@ def make_plan(
     flat: bool = False,
     overwrite: bool = False,
     command: Sequence[str] = (),
+    parts_of: Callable[[Input], Sequence[str]] = lambda _: (),
 ) -> Plan:
-    """A task for each input. `files`: those that the options name, whose contents count as well.
+    """A task for each input. `files`: those that the options name, whose contents count as well. `parts_of`
+    gives the ranges of frames in which the hands of an input are found by tasks of their own, if any.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
@@ -204,7 +220,9 @@ def make_plan(
         task = _task(each, common, taken.values())
         folder = next(f for f in _numbered(output, task.name, flat) if is_free(f, task.id))
         taken[folder.name.lower()] = task.id
-        tasks.append(replace(task, name=folder.name))
+        task = replace(task, name=folder.name)
+        parts = list(_parts(task, parts_of(each)))
+        tasks += [*parts, replace(task, needs=tuple(part.id for part in parts))]
     return Plan(output.absolute(), tuple(tasks), options, flat, tuple(command))
 
 
@@ -228,6 +246,20 @@ def _task(each: Input, common: str, ids: Iterable[str]) -> Task:
     take = str(each.take.absolute()) if each.take else ""
     cost = _BESIDE + _FRAME * sum(map(_frames, files)) * (not each.take)
     return Task(number, each.name, each.shown, source, take, each.error, made_of, round(cost, 3))
+
+
+def _parts(task: Task, ranges: Sequence[str]) -> Iterable[Task]:
+    """The tasks that find the hands in parts of a clip."""
+    for number, frames in enumerate(ranges, 1):
+        yield replace(
+            task,
+            id=hashlib.sha256(f"{task.id} {frames}".encode()).hexdigest()[:16],
+            name=f"{task.name}.part{number}",
+            shown=f"{task.shown}, frames {frames}",
+            cost=round(task.cost / len(ranges), 3),
+            part=frames,
+            of=task.id,
+        )
 
 
 def files_of(source: Sequence[str]) -> list[Path]:

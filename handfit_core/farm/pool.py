@@ -160,6 +160,7 @@ class Pool:
             task=asdict(task),
             options=dict(plan.options),
             folder=str(running.part),
+            parts=[str(plan.part_file(id)) for id in task.needs],
             finished={name: str(folder.path / name) for name in known.get("files", {})},
             **self._here,
         )
@@ -259,7 +260,7 @@ class _Run:
     def _begin_some(self) -> None:
         """Give free slots something to do."""
         while (this := self._next()) is not None:
-            if self._settled(this):
+            if self._settled(this) or self._waits(this):
                 continue
             slot = self._pool.free_slot()
             if slot is None:
@@ -286,10 +287,25 @@ class _Run:
             if result.status == "failed" and result.attempts[-1]["kind"] in FINAL:
                 self._end(this, result)
                 return True
+        if task.of and self._plan.is_sealed(task.of) and not self.again:
+            self._end(this, Result(task.shown, task.name, "ok", id=task.id))
+            return True
         if task.error:
             self._listener.began(task)
             self._missed(this, task.error, "InputError", 0.0, {}, None)
             return True
+        return False
+
+    def _waits(self, this: _Try) -> bool:
+        """Whether a task cannot be begun, since parts of its clip are not done; it has failed with them."""
+        for id in this.task.needs:
+            result = self._results.get(id)
+            if result is not None and result.status == "failed":
+                self._missed(this, f"{this.task.shown}: {result.error}", "PartFailed", 0.0, {}, None)
+                return True
+            if result is None and not self._plan.is_sealed(id):
+                self._not_ours(this, "parts of the clip are not done yet")
+                return True
         return False
 
     def _begin(self, this: _Try, slot: Slot) -> None:
@@ -312,13 +328,13 @@ class _Run:
         self._pool.occupy(slot, self._plan, _Running(this, claim, part, time.monotonic()))
         self._listener.began(this.task)
 
-    def _not_ours(self, this: _Try) -> None:
-        """Somebody else is at it: see again later."""
+    def _not_ours(self, this: _Try, why: str = "another process is at it") -> None:
+        """Somebody else is at it, or at what it needs: see again later."""
         this.not_before = time.monotonic() + _ELSEWHERE
         others = [each for each in self._open if each.not_before <= time.monotonic()]
         if not self._wait and not others and not self._pool.running:
             result = Result(this.task.shown, this.task.name, status="running")
-            result.error = "another process is at it"
+            result.error = why
             self._end(this, result)
 
     def _take(self, slot: Slot, running: _Running | None, event: Event) -> None:
@@ -364,6 +380,8 @@ class _Run:
                 folder.unseal()
                 folder.take_in(running.part, running.files)
                 folder.seal(task.id, asdict(result), running.files, seconds)
+                for part in task.needs:
+                    self._plan.folder(self._plan.by_id[part]).discard(part)
                 self._pool.put_back(running)
         except HandfitError as error:
             self._failed(running, str(error), type(error).__name__, asdict(result))
@@ -420,6 +438,10 @@ class _Run:
         if this in self._open:
             self._open.remove(this)
         self._results[this.task.id] = result
+        if this.task.of:
+            for other in self._open:
+                if other.task.id == this.task.of:
+                    other.not_before = 0.0
         self._listener.ended(this.task, result)
 
 
