@@ -32,11 +32,11 @@ Entry = Mapping[str, Any]
 """One of report.json's inputs, as docs/batch.md describes them"""
 
 _SECTIONS: Final = {
-    "failed": ("Failed", "Nothing of these is there. What went wrong, and in which attempts:"),
+    "failed": ("Failed", "These are not done. What went wrong, and in which attempts:"),
     "doubtful": ("Doubtful", "Look at these first: the worst one is on top."),
     "good": ("Good", "Nothing speaks against these."),
     "running": ("Running", ""),
-    "pending": ("Not begun", ""),
+    "pending": ("Waiting", ""),
 }
 """Section -> its title and what stands below, in the order of the page"""
 
@@ -55,6 +55,7 @@ nav{display:flex;flex-wrap:wrap;gap:.5rem;margin:.8rem 0}
 nav a{padding:.25rem .8rem;border:1px solid;border-radius:1rem;text-decoration:none;font-weight:600}
 table{border-collapse:collapse;margin:.6rem 0}td,th{padding:.1rem 1.4rem .1rem 0;text-align:right;
 font-weight:400;font-variant-numeric:tabular-nums}td:first-child,th:first-child{text-align:left}
+td+td,th{white-space:nowrap}
 th{color:var(--faint);font-size:.87rem}
 input{width:min(100%,30rem);padding:.45rem .7rem;font:inherit;color:inherit;background:var(--card);
 border:1px solid var(--line);border-radius:.4rem}
@@ -73,7 +74,7 @@ article.failed,article.doubtful,article.good,article.running,article.pending{col
 article.failed{border-left-color:var(--failed)}article.doubtful{border-left-color:var(--doubtful)}
 article.good{border-left-color:var(--good)}article.running{border-left-color:var(--running)}
 @media (max-width:45rem){article.sheet{grid-template-columns:1fr;gap:.5rem;contain-intrinsic-size:auto 20rem}
-.strip{overflow-x:auto}img{height:9rem;max-width:none}td,th{padding-right:.8rem}}
+.strip{overflow-x:auto}img{height:9rem;max-width:none}td,th{padding-right:.6rem}}
 """
 
 _SCRIPT: Final = """
