@@ -91,6 +91,7 @@ class BlenderWindow:
         except BlenderCrash as crash:
             if crash.in_addon:
                 raise
+            print(f"Played again, since Blender crashed: {crash}", file=sys.stderr)
             self.crashes.append(crash)
         return self._play(scenario, timeout, arguments)
 
