@@ -6,20 +6,20 @@ The process that runs here stays light: slots (slot.py), which are processes of 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from functools import partial
 
 from handfit_core.errors import HandfitError, InputError
-from handfit_core.farm.collect import Report
+from handfit_core.farm.collect import Report, state
 from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
-from handfit_core.farm.pool import CURABLE, Pool
+from handfit_core.farm.pool import CURABLE, Pool, is_final, usable_jobs
 from handfit_core.farm.report import Result
-from handfit_core.farm.show import Shown
-from handfit_core.farm.slot import usable_jobs
+from handfit_core.farm.show import Shown, clock
 from handfit_core.files import check_writable
+from handfit_core.machine import usable_cores
 from handfit_core.media.frame_range import FrameRange, part_ranges
 from handfit_core.worker.runner import Runner
 
@@ -52,7 +52,7 @@ def _capture(args: argparse.Namespace, host: Host) -> int:
     """A plan, its tasks, and the report."""
     plan = _planned(args, host)
     if args.dry_run:
-        return _tell(plan)
+        return _tell(plan, args)
     plan.save()  # also finds out now, not after an hour, that nothing can be written
     return _do(args, host, [plan])
 
@@ -76,12 +76,10 @@ def _task(args: argparse.Namespace, host: Host) -> int:
         if args.id in other.by_id:
             plan = other
     task = plan.task(args.id)
-    shown = Shown([task], args.progress)
-    with _pool(args, host, 1) as pool:
+    with closing(Shown([task], args.progress)) as shown, _pool(args, host, 1) as pool:
         (result,) = pool.run(
             plan, [task], shown, again=args.again, retry_failed=args.retry_failed, wait=False
         )
-    shown.close()
     if result.status == "running" or (result.attempts and result.attempts[-1]["kind"] in CURABLE):
         return EXIT_OK if result.status == "ok" else EXIT_LATER
     return EXIT_OK if result.status == "ok" else EXIT_SOME_FAILED
@@ -132,6 +130,7 @@ def _planned(args: argparse.Namespace, host: Host) -> Plan:
         flat=args.flat,
         overwrite=args.overwrite,
         command=host.command,
+        frames=order.options.frames,
     )
     if not args.split:
         return make()
@@ -158,14 +157,21 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
     return [plan.mapped(places) for plan in plans_in(args.plan)]
 
 
-def _tell(plan: Plan) -> int:
+def _tell(plan: Plan, args: argparse.Namespace) -> int:
     """What would be done."""
-    left = 0
+    left = []
     for task in plan.tasks:
-        sealed = plan.folder(task).sealed(task.id) is not None
-        left += not sealed
-        print(f"{'done' if sealed else 'to do'}: {task.shown} -> {plan.folder(task).path}")
-    print(f"{left} of {len(plan.tasks)} to do")
+        found, said = state(plan, task), task.error
+        if is_final(found) and not (args.again or args.retry_failed):
+            said = f"{found.error}; --retry-failed tries it again"
+        elif found.status != "running" and (args.again or found.status != "ok"):
+            found.status = "to do"
+            left.append(task.cost)
+        status = "done" if found.status == "ok" else found.status
+        print(f"{status:8} {task.shown} -> {plan.folder(task).path}{said and f': {said}'}")
+    jobs = _jobs(args, len(left))
+    guess = clock(max(sum(left) / jobs, *left)) if left else ""
+    print(f"{len(left)} of {len(plan.tasks)} to do" + (guess and f", {jobs} at a time: about {guess}"))
     return EXIT_OK
 
 
@@ -175,25 +181,27 @@ def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
     report = Report(plans_in(plans[0].output))
     report.look()
     report.write()
-    shown = Shown([task for _, task in tasks], args.progress, report)
     results: list[Result] = []
-    try:
-        with _pool(args, host, len(tasks)) as pool:
-            for plan in plans:
-                run_here = partial(pool.run, again=args.again, retry_failed=args.retry_failed)
-                results += run_here(plan, plan.tasks, shown)
-    except KeyboardInterrupt:
-        shown.interrupted()
-        raise
-    finally:
-        shown.close()
+    with closing(Shown([task for _, task in tasks], args.progress, report)) as shown:
+        try:
+            with _pool(args, host, len(tasks)) as pool:
+                for plan in plans:
+                    run_here = partial(pool.run, again=args.again, retry_failed=args.retry_failed)
+                    results += run_here(plan, plan.tasks, shown)
+        except KeyboardInterrupt:
+            shown.interrupted()
+            raise
     return EXIT_OK if not shown.trouble and all(r.status == "ok" for r in results) else EXIT_SOME_FAILED
 
 
+def _jobs(args: argparse.Namespace, tasks: int) -> int:
+    """How many tasks run at a time."""
+    return max(1, min(args.jobs or usable_jobs(), tasks))
+
+
 def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    jobs = max(1, min(args.jobs or usable_jobs(cores), tasks))
-    share = max(1, cores // jobs) if jobs > 1 else None
+    jobs = _jobs(args, tasks)
+    share = max(1, usable_cores() // jobs) if jobs > 1 else None
     return Pool(
         host.command,
         jobs=jobs,

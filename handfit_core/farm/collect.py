@@ -26,7 +26,7 @@ class Report:
         """`plans`: those of one folder, the oldest first."""
         self._tasks: dict[str, tuple[Plan, Task]] = {}
         self._results: dict[str, Result] = {}
-        self._next = 0.0
+        self._next, self._is_new = 0.0, True
         for plan in plans:
             self.output = plan.output
             for task in plan.tasks:
@@ -40,7 +40,7 @@ class Report:
 
     def set(self, result: Result) -> None:
         """Take in what has become of a task; a part of a clip has no place of its own."""
-        self._results[result.name] = result
+        self._results[result.name], self._is_new = result, True
 
     @property
     def results(self) -> list[Result]:
@@ -51,10 +51,11 @@ class Report:
         ]
 
     def write(self, *, now: bool = True) -> None:
-        """Write report.json and overview.html; unless `now`, only where the last ones are old enough. Raises
-        OutputError."""
+        """Write report.json and overview.html; unless `now`, only where there is news and they are old
+        enough. Raises OutputError."""
         began = time.monotonic()
-        if now or began > self._next:
+        if now or (self._is_new and began > self._next):
+            self._is_new = False
             results = self.results
             write_report(self.output / NAME, results)
             write_overview(self.output / OVERVIEW, [vars(result) for result in results])

@@ -21,7 +21,9 @@ from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.folder import TaskFolder
 from handfit_core.farm.inputs import Input
 from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
+from handfit_core.media.size_limit import claimed_frames
 from handfit_core.version import __version__
 
 FOLDER: Final = "plans"
@@ -34,10 +36,12 @@ _READ_WHOLE: Final = 4 << 20
 """bytes that the files of one input may have together for their contents to be compared; of larger ones
 names, sizes and times are, since reading a thousand clips costs hours"""
 _BYTES_OF_FRAME: Final = 15_000
-"""Of a video's frame: only for the order of tasks and for guesses of the time left"""
+"""of a video whose header does not tell its frames"""
 _FRAME: Final = 0.02
 _BESIDE: Final = 1.0
-"""seconds for a frame and for what is done once; guesses as well"""
+"""seconds for a frame and for what is done once, for the order of tasks and for guesses of the time left"""
+_FINDING: Final = 0.65
+"""What finding the hands is of a clip's cost"""
 
 
 @dataclass(frozen=True)
@@ -197,9 +201,11 @@ def make_plan(
     overwrite: bool = False,
     command: Sequence[str] = (),
     parts_of: Callable[[Input], Sequence[str]] = lambda _: (),
+    frames: FrameRange | None = None,
 ) -> Plan:
     """A task for each input. `files`: those that the options name, whose contents count as well. `parts_of`
     gives the ranges of frames in which the hands of an input are found by tasks of their own, if any.
+    `frames`: those that the options want of a clip.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
@@ -217,12 +223,13 @@ def make_plan(
         return there.get(folder.name.lower(), folder.name) == folder.name and folder.is_free_for(id)
 
     for each in inputs:
-        task = _task(each, common, taken.values())
+        task = _task(each, common, taken.values(), frames or FrameRange())
         folder = next(f for f in _numbered(output, task.name, flat) if is_free(f, task.id))
         taken[folder.name.lower()] = task.id
         task = replace(task, name=folder.name)
         parts = list(_parts(task, parts_of(each)))
-        tasks += [*parts, replace(task, needs=tuple(part.id for part in parts))]
+        rest = round(task.cost - sum(part.cost for part in parts), 3)
+        tasks += [*parts, replace(task, needs=tuple(part.id for part in parts), cost=rest)]
     return Plan(output.absolute(), tuple(tasks), options, flat, tuple(command))
 
 
@@ -233,7 +240,7 @@ def _numbered(output: Path, name: str, flat: bool) -> Iterable[TaskFolder]:
         yield TaskFolder(output, f"{name}-{number}", flat)
 
 
-def _task(each: Input, common: str, ids: Iterable[str]) -> Task:
+def _task(each: Input, common: str, ids: Iterable[str], frames: FrameRange) -> Task:
     """An input's task, whose name may be taken."""
     files = [each.take] if each.take else files_of(each.source)
     made_of = fingerprint(files)
@@ -244,7 +251,7 @@ def _task(each: Input, common: str, ids: Iterable[str]) -> Task:
         again += 1  # the same input a second time
     source = tuple(str(Path(part).absolute()) for part in each.source)
     take = str(each.take.absolute()) if each.take else ""
-    cost = _BESIDE + _FRAME * sum(map(_frames, files)) * (not each.take)
+    cost = _BESIDE + (0.0 if each.take else _FRAME * _frames(files, frames))
     return Task(number, each.name, each.shown, source, take, each.error, made_of, round(cost, 3))
 
 
@@ -256,7 +263,7 @@ def _parts(task: Task, ranges: Sequence[str]) -> Iterable[Task]:
             id=hashlib.sha256(f"{task.id} {frames}".encode()).hexdigest()[:16],
             name=f"{task.name}.part{number}",
             shown=f"{task.shown}, frames {frames}",
-            cost=round(task.cost / len(ranges), 3),
+            cost=round(_FINDING * task.cost / len(ranges), 3),
             part=frames,
             of=task.id,
         )
@@ -295,8 +302,12 @@ def _size_and_time(file: Path) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns // 1_000_000
 
 
-def _frames(file: Path) -> float:
-    """How many frames a file may have."""
-    if file.suffix.lower() in PHOTO_SUFFIXES:
-        return 1.0
-    return max(_size_and_time(file)[0], 0) / _BYTES_OF_FRAME
+def _frames(files: Sequence[Path], wanted: FrameRange) -> float:
+    """How many frames of some files may be wanted; headers of videos are believed."""
+    there = 0.0
+    for file in files:
+        claimed = 1
+        if file.suffix.lower() not in PHOTO_SUFFIXES:
+            claimed = claimed_frames(file) or _size_and_time(file)[0] / _BYTES_OF_FRAME
+        there += max(claimed, 0)
+    return len(wanted.within(1, round(there))) or there

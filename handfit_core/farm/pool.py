@@ -22,6 +22,7 @@ from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
 from handfit_core.farm.slot import Slot
+from handfit_core.machine import free_memory, usable_cores
 from handfit_core.worker.runner import Event
 
 ATTEMPTS: Final = 3
@@ -32,12 +33,25 @@ CURABLE: Final = ("WorkerDied", "MemoryRanOut", "OutputError", "Lost", "InputGon
 """Kinds of errors that another attempt may cure: a process killed, no memory, a disk that is full or away"""
 FINAL: Final = ("InputError", "NoHandFoundError", "OptionError", "HandModelError", "TakeError")
 """Kinds that follow from a task's input and options, which its id stands for: not tried again unasked"""
+MEMORY: Final = 1.0e9
+"""bytes that a task may need"""
 _LOOK: Final = 0.02
 """seconds between two looks at all processes"""
 _ELSEWHERE: Final = 2.0
 """seconds between two looks at a task that somebody else is at"""
 _RENEWED: Final = 200
 """Tasks after which a process is replaced, since what it has leaked goes with it"""
+
+
+def is_final(result: Result) -> bool:
+    """Whether a task has failed for a reason that lies in it."""
+    return result.status == "failed" and bool(result.attempts) and result.attempts[-1]["kind"] in FINAL
+
+
+def usable_jobs() -> int:
+    """How many tasks may run at a time where nobody says: one a core, as far as memory reaches."""
+    memory = free_memory()
+    return max(1, usable_cores() if memory is None else min(usable_cores(), int(memory / MEMORY)))
 
 
 class Listener:
@@ -284,7 +298,7 @@ class _Run:
             return True
         if not self.retry_failed and (known := folder.failures(task.id)) is not None:
             result = Result.of_entry(known["result"])
-            if result.status == "failed" and result.attempts[-1]["kind"] in FINAL:
+            if is_final(result):
                 self._end(this, result)
                 return True
         if task.of and self._plan.is_sealed(task.of) and not self.again:
