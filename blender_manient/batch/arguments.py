@@ -41,6 +41,12 @@ def add_arguments(
     parser.add_argument("--format", default="blend,glb", help=f"of {formats} (default: blend,glb)")
     add_options(parser)
     _add_grouping_arguments(parser)
+    parser.add_argument(
+        "--split",
+        type=_count,
+        metavar="FRAMES",
+        help="have the hands of clips with more frames found in parts of so many, each a task of its own",
+    )
     parser.add_argument("--preview", action="store_true", help="render a preview picture of each input")
     parser.add_argument("--no-sheet", action="store_true", help="no contact sheet of each input")
     parser.add_argument("--no-picture", action="store_true", help="no picture behind the hands in the .blend")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -26,6 +27,7 @@ from .order import Order
 TAKE_SUFFIX = ".take.npz"
 _SHEET_LIMIT = 300.0
 """seconds that a contact sheet may take; where a long video cannot be jumped in, it needs minutes"""
+_WHILE_READ = "while it was read: if it is still being copied, wait until it is complete"
 
 
 class InputGone(InputError):
@@ -42,6 +44,8 @@ class Work:
     """Where the results go"""
     finished: Mapping[str, Path]
     """Results that an earlier attempt has left, by their names"""
+    parts: Sequence[Path]
+    """Files in which the hands of the clip's parts are"""
     say: Callable[..., None]
     """Takes the kind of an event and its fields"""
 
@@ -58,6 +62,8 @@ def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> Non
     are; otherwise they become Blender's factory settings. Raises HandfitError.
     """
     task, order, folder = work.task, work.order, work.folder
+    if task.part:
+        return _detect(work, result, runner)
     take_path = folder / f"{task.name}{TAKE_SUFFIX}"
     take = _finished_take(work, take_path.name)
     if take is None and task.take:
@@ -67,7 +73,7 @@ def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> Non
         _check_input(task)
         _capture(work, take_path, result, runner)
         take = Take.load(take_path)
-        _check_input(task, "while it was read: if it is still being copied, wait until it is complete")
+        _check_input(task, _WHILE_READ)
     elif not (take_path.exists() and task.take and take_path.samefile(task.take)):
         take.save(take_path)
     result.describe(take)
@@ -156,8 +162,24 @@ def _results(take: Take, work: Work, result: Result, keep_addons: bool) -> Itera
         yield path
 
 
+def _detect(work: Work, result: Result, runner: Runner) -> None:
+    """Write the hands that are found in a part of a clip. Raises HandfitError."""
+    _check_input(work.task)
+    path = work.folder / f"{work.task.name}.npz"
+    done = _ask(work, result, runner, "detect", output=str(path), part=work.task.part)
+    result.frames = done.get("frames", 0)
+    _check_input(work.task, _WHILE_READ)
+    work.tell(path)
+
+
 def _capture(work: Work, take_path: Path, result: Result, runner: Runner) -> None:
     """Write the take of one input. Raises HandfitError."""
+    parts = {"parts": [str(path) for path in work.parts]} if work.parts else {}
+    _ask(work, result, runner, "capture", output=str(take_path), **parts)
+
+
+def _ask(work: Work, result: Result, runner: Runner, kind: str, **fields: Any) -> Event:
+    """Have the worker do something with the input; its `done` event. Raises HandfitError."""
 
     def on_event(event: Event) -> None:
         if event["event"] == "warning":
@@ -167,5 +189,5 @@ def _capture(work: Work, take_path: Path, result: Result, runner: Runner) -> Non
             work.say("progress", stage=event["stage"], done=event["done"], total=event["total"])
 
     source, options = list(work.task.source), work.order.options.to_message()
-    request = runner.submit("capture", input=source, output=str(take_path), options=options)
-    runner.wait(request, on_event)
+    request = runner.submit(kind, input=source, options=options, **fields)
+    return runner.wait(request, on_event)

@@ -9,18 +9,20 @@ import argparse
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.farm.collect import Report
+from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.farm.collect import Report, state
 from handfit_core.farm.commands import do, given_plans, work_words
-from handfit_core.farm.inputs import expand
+from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
-from handfit_core.farm.pool import CURABLE, Pool
-from handfit_core.farm.show import Shown
-from handfit_core.farm.slot import share, usable_jobs
+from handfit_core.farm.pool import CURABLE, Pool, is_final, share, usable_jobs
+from handfit_core.farm.show import Shown, clock
 from handfit_core.files import check_writable
+from handfit_core.media.frame_range import FrameRange, part_ranges
 from handfit_core.worker.interpreter import find_python, worker_command, worker_environment
+from handfit_core.worker.runner import Runner
 
 from . import slot
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
@@ -51,7 +53,7 @@ def _capture(args: argparse.Namespace, host: Host) -> int:
     """A plan, its tasks, and the report."""
     plan = _planned(args, host)
     if args.dry_run:
-        return _tell(plan)
+        return _tell(plan, args)
     plan.save()  # also finds out now, not after an hour, that nothing can be written
     return _do(args, host, [plan])
 
@@ -75,12 +77,10 @@ def _task(args: argparse.Namespace, host: Host) -> int:
         if args.id in other.by_id:
             plan = other
     task = plan.task(args.id)
-    shown = Shown([task], args.progress)
-    with _pool(args, host, 1) as pool:
+    with closing(Shown([task], args.progress)) as shown, _pool(args, host, 1) as pool:
         (result,) = pool.run(
             plan, [task], shown, again=args.again, retry_failed=args.retry_failed, wait=False
         )
-    shown.close()
     if result.status == "running" or (result.attempts and result.attempts[-1]["kind"] in CURABLE):
         return EXIT_OK if result.status == "ok" else EXIT_LATER
     return EXIT_OK if result.status == "ok" else EXIT_SOME_FAILED
@@ -120,26 +120,54 @@ def _planned(args: argparse.Namespace, host: Host) -> Plan:
             start_empty(keep_addons=host.keep_addons)
             order.character.check()
     options = options_of(args, order)
+    inputs = [each for text in args.inputs for each in expand(text, args.grouping)]
     check_writable(args.output / FOLDER / "plan.json")
-    return make_plan(
-        [each for text in args.inputs for each in expand(text, args.grouping)],
+    make = partial(
+        make_plan,
+        inputs,
         args.output,
         options,
         files=files_named(options),
         flat=args.flat,
         overwrite=args.overwrite,
         command=host.command,
+        frames=order.options.frames,
     )
+    if not args.split:
+        return make()
+    with slot.make_worker(host, args.python, None, args.debug) as runner:
+        return make(parts_of=partial(_parts_of, args.split, order, runner))
 
 
-def _tell(plan: Plan) -> int:
+def _parts_of(most: int, order: Order, runner: Runner, each: Input) -> list[str]:
+    """The ranges of a clip with more than `most` frames; of other inputs, and of those that cannot be opened,
+    none. Raises WorkerError."""
+    if each.take or each.error:
+        return []
+    try:
+        known = runner.wait(runner.submit("probe", input=list(each.source)))
+    except InputError:  # which its task will tell
+        return []
+    frames = (order.options.frames or FrameRange()).within(known["first"], known["last"])
+    ranges = part_ranges(frames, -(-len(frames) // most))
+    return [str(part) for part in ranges] if known["kind"] != "photo" and len(ranges) > 1 else []
+
+
+def _tell(plan: Plan, args: argparse.Namespace) -> int:
     """What would be done."""
-    left = 0
+    left = []
     for task in plan.tasks:
-        sealed = plan.folder(task).sealed(task.id) is not None
-        left += not sealed
-        print(f"{'done' if sealed else 'to do'}: {task.shown} -> {plan.folder(task).path}")
-    print(f"{left} of {len(plan.tasks)} to do")
+        found, said = state(plan, task), task.error
+        if is_final(found) and not (args.again or args.retry_failed):
+            said = f"{found.error}; --retry-failed tries it again"
+        elif found.status != "running" and (args.again or found.status != "ok"):
+            found.status = "to do"
+            left.append(task.cost)
+        status = "done" if found.status == "ok" else found.status
+        print(f"{status:8} {task.shown} -> {plan.folder(task).path}{said and f': {said}'}")
+    jobs = _jobs(args, len(left))
+    guess = clock(max(sum(left) / jobs, *left)) if left else ""
+    print(f"{len(left)} of {len(plan.tasks)} to do" + (guess and f", {jobs} at a time: about {guess}"))
     return EXIT_OK
 
 
@@ -167,8 +195,13 @@ def _do_elsewhere(args: argparse.Namespace, host: Host, plan: Path) -> int:
         raise
 
 
+def _jobs(args: argparse.Namespace, tasks: int) -> int:
+    """How many tasks run at a time."""
+    return max(1, min(args.jobs or usable_jobs(), tasks))
+
+
 def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
-    jobs = max(1, min(args.jobs or usable_jobs(), tasks))
+    jobs = _jobs(args, tasks)
     return Pool(
         host.command,
         jobs=jobs,

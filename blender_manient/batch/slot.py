@@ -78,7 +78,8 @@ class _Doing:
         started = time.perf_counter()
         try:
             finished = {name: Path(path) for name, path in request["finished"].items()}
-            work = Work(task, self._order(request), Path(request["folder"]), finished, self.say)
+            parts = [Path(path) for path in request["parts"]]
+            work = Work(task, self._order(request), Path(request["folder"]), finished, parts, self.say)
             fit(work, result, self._runner(request), keep_addons=self.host.keep_addons)
         except Exception as error:
             kind, message = type(error).__name__, " ".join(str(error).split())
@@ -105,10 +106,15 @@ class _Doing:
         if self.runner is None or made_for != self.made_for:
             if self.runner is not None:
                 self.runner.stop()
-            where = self.host.python_is_chosen
-            advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
-            self.runner, self.made_for = shared_worker.make(*made_for, advice), made_for
+            self.runner, self.made_for = make_worker(self.host, *made_for), made_for
         return self.runner
+
+
+def make_worker(host: Host, python: str | None, threads: int | None, debug: bool) -> Runner:
+    """A worker for batches."""
+    where = host.python_is_chosen
+    advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
+    return shared_worker.make(python or host.python, threads, debug, advice)
 
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:

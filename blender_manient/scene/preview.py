@@ -34,8 +34,6 @@ LONGEST_SIDE = 1200
 _SAMPLES = 16
 _SKIN_SAMPLES = 64
 """Skin scatters light, which clay does not"""
-_OPACITY = 0.85
-"""How much of a hand of clay covers the picture; the rest lets its outline be compared"""
 _CLAY = (0.12, 0.42, 0.62, 1.0)
 """The hands' colour where fits are compared: nothing in a photo of a hand has it, so the two stay apart"""
 _MISSING = (0.18, 0.18, 0.18)
@@ -51,7 +49,7 @@ def render_preview(
     `frame` is a source frame number, `max_megapixels` as in `build_take`. The longer side of each half is at
     most `LONGEST_SIDE` pixels. Raises OutputError.
     """
-    rows = preview_rows(built, take, [frame], clay=False, max_megapixels=max_megapixels)[0]
+    rows = preview_rows(built, take, [frame], max_megapixels=max_megapixels)[0]
     return write_png(rows, path)
 
 
@@ -60,25 +58,21 @@ def preview_rows(
     take: Take,
     frames: Sequence[int],
     *,
-    clay: bool = True,
     max_megapixels: float | None = None,
 ) -> list[np.ndarray]:
-    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top.
-
-    The hands are of clay that lets some of the picture through, or opaque and in their own materials.
-    """
+    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
     plate, _ = load_plate(take, max_megapixels=max_megapixels)
     previews = []
     try:
         for frame in frames:
-            hands = _render_hands(built, take, frame, scale, clay=clay)
+            hands = _render_hands(built, take, frame, scale, clay=False)
             height, width = hands.shape[:2]
             if plate is None:
                 picture = np.broadcast_to(np.array(_MISSING), (height, width, 3))
             else:
                 picture = render_plate(plate, take, frame, scale)[..., :3]
-            alpha = hands[..., 3:] * (_OPACITY if clay else 1.0)
+            alpha = hands[..., 3:]
             previews.append(np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1))
     finally:
         if plate is not None:

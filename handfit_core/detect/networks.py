@@ -25,6 +25,7 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import landmark_model_path
 from handfit_core.detect.looks import View
 from handfit_core.errors import LandmarkModelError
+from handfit_core.machine import usable_cores
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 PALM_SIZE: Final = 192
@@ -146,7 +147,7 @@ class Networks:
 
     def __init__(self, landmark_model: str | os.PathLike[str] | None = None) -> None:
         path = landmark_model_path(landmark_model)
-        self.threads = min(usable_cores(), MOST_THREADS)
+        self.threads = min(usable_threads(), MOST_THREADS)
         """How many run the networks where several views of a picture are to be looked at"""
         self._landmark_model = landmark_model
         self._pool: ThreadPoolExecutor | None = None
@@ -262,11 +263,10 @@ class Networks:
         return Look(float(presence[0]), view.to_picture(found))
 
 
-def usable_cores() -> int:
-    """How many there are for this process; fewer where OpenMP was told so."""
-    free = getattr(os, "sched_getaffinity", None)
-    cores = len(free(0)) if free else os.cpu_count() or 1
+def usable_threads() -> int:
+    """How many may look at pictures at the same time: one a core, fewer where OpenMP was told so."""
     told = os.environ.get("OMP_NUM_THREADS", "")
+    cores = usable_cores()
     return max(1, min(cores, int(told) if told.isdecimal() else cores))
 
 

@@ -26,11 +26,12 @@ class Report:
         """`plans`: those of one folder, the oldest first."""
         self._tasks: dict[str, tuple[Plan, Task]] = {}
         self._results: dict[str, Result] = {}
-        self._next = 0.0
+        self._next, self._is_new = 0.0, True
         for plan in plans:
             self.output = plan.output
             for task in plan.tasks:
-                self._tasks[task.name] = plan, task
+                if not task.of:  # parts of clips are nobody's results
+                    self._tasks[task.name] = plan, task
 
     def look(self) -> None:
         """Take in what the tasks' folders say."""
@@ -38,8 +39,8 @@ class Report:
             self._results[name] = state(plan, task)
 
     def set(self, result: Result) -> None:
-        """Take in what has become of a task."""
-        self._results[result.name] = result
+        """Take in what has become of a task; a part of a clip has no place of its own."""
+        self._results[result.name], self._is_new = result, True
 
     @property
     def results(self) -> list[Result]:
@@ -50,10 +51,11 @@ class Report:
         ]
 
     def write(self, *, now: bool = True) -> None:
-        """Write report.json and overview.html; unless `now`, only where the last ones are old enough. Raises
-        OutputError."""
+        """Write report.json and overview.html; unless `now`, only where there is news and they are old
+        enough. Raises OutputError."""
         began = time.monotonic()
-        if now or began > self._next:
+        if now or (self._is_new and began > self._next):
+            self._is_new = False
             results = self.results
             write_report(self.output / NAME, results)
             write_overview(self.output / OVERVIEW, [vars(result) for result in results])

@@ -6,7 +6,7 @@ import argparse
 import signal
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol
 
@@ -50,17 +50,17 @@ def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse
     report = Report(plans_in(plans[0].output))
     report.look()
     report.write()
-    shown = Shown([task for plan in plans for task in plan.tasks], args.progress, report)
     results: list[Result] = []
-    try:
-        with doer as it:
-            for plan in plans:
-                results += it.run(plan, plan.tasks, shown, again=args.again, retry_failed=args.retry_failed)
-    except (KeyboardInterrupt, HandfitError) as error:
-        shown.interrupted(str(error))
-        raise
-    finally:
-        shown.close()
+    with closing(Shown([task for plan in plans for task in plan.tasks], args.progress, report)) as shown:
+        try:
+            with doer as it:
+                for plan in plans:
+                    results += it.run(
+                        plan, plan.tasks, shown, again=args.again, retry_failed=args.retry_failed
+                    )
+        except (KeyboardInterrupt, HandfitError) as error:
+            shown.interrupted(str(error))
+            raise
     return not shown.trouble and all(result.status == "ok" for result in results)
 
 

@@ -30,9 +30,8 @@ from typing import Any, Final, Self
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.folder import attempt
 from handfit_core.farm.plan import Plan, Task
-from handfit_core.farm.pool import ATTEMPTS, CURABLE, Listener, Pool, settled
+from handfit_core.farm.pool import ATTEMPTS, CURABLE, Listener, Pool, settled, share
 from handfit_core.farm.report import Result
-from handfit_core.farm.slot import share
 from handfit_core.version import __version__
 
 COMMAND_VARIABLE: Final = "HANDFIT_FARM_COMMAND"
@@ -84,7 +83,7 @@ def do_task(packed: bytes, settings: Mapping[str, Any]) -> dict[str, Any]:
         with _warm_pool(worker, settings["command"], settings["here"]) as pool:
             again, retry_failed = settings["again"], settings["retry_failed"]
             (result,) = pool.run(
-                plan, plan.tasks, listener, again=again, retry_failed=retry_failed, wait=False
+                plan, plan.tasks[:1], listener, again=again, retry_failed=retry_failed, wait=False
             )
     except _NotWanted:
         raise Reschedule from None
@@ -344,6 +343,7 @@ class _Run:
         self._settings = cluster.settings(plan, again=again, retry_failed=retry_failed)
         self._open = deque(_Try(task) for task in sorted(tasks, key=lambda task: -task.cost))
         self._later: list[_Try] = []
+        self._ids = {task.id for task in tasks}
         self._at: dict[Any, _Try] = {}
         """By future"""
         self._begun: set[str] = set()
@@ -374,17 +374,24 @@ class _Run:
         now = time.monotonic()
         if not self._workers or now > self._counted + _COUNTED:
             self._count()
-        self._open.extendleft(this for this in self._later if this.not_before <= now)
-        self._later = [this for this in self._later if this.not_before > now]
-        most = _AHEAD + 2 * sum(self._workers.values()) if self._workers else 0  # in Dask, whoever waits for
-        # the first worker is not served in order
+        due = [this for this in self._later if this.not_before <= now and not self._waits(this)]
+        self._later = [this for this in self._later if this not in due]
+        self._open.extendleft(due)
+        # Before there is a worker, none: Dask does not serve in order what waits for the first one.
+        most = _AHEAD + 2 * sum(self._workers.values()) if self._workers else 0
         while self._open and len(self._at) < most:
             this = self._open.popleft()
             known = settled(self._plan, this.task, again=self._again, retry_failed=self._retry_failed)
             if known is not None:
                 self._end(this, known)
+            elif self._waits(this):
+                self._later.append(this)
             else:
                 self._submit(this)
+
+    def _waits(self, this: _Try) -> bool:
+        """Whether parts of its clip are not done yet."""
+        return any(id in self._ids and id not in self._results for id in this.task.needs)
 
     def _count(self) -> None:
         with contextlib.suppress(OSError):
@@ -396,6 +403,10 @@ class _Run:
 
     def _submit(self, this: _Try) -> None:
         task = this.task
+        for id in task.needs:
+            if (part := self._results.get(id)) is not None and part.status != "ok":
+                self._give_up(this, f"{task.shown}: {part.error}", "PartFailed")
+                return
         others = [worker for worker in self._workers if worker != this.avoid] if this.avoid else []
         chosen = [this.prefer] if this.prefer in self._workers else others
         name = task.name if len(self._tasks) <= _NAMED else "task"
@@ -469,14 +480,20 @@ class _Run:
         if died and this.deaths < ATTEMPTS:
             self._open.appendleft(this)
             return
+        if died:
+            sentence = (
+                f"{this.deaths * (error.allowed_failures + 1)} Dask workers ended while they were at it, the "
+                f"last one {error.last_worker.address}; look into their logs, and try again"
+            )
+        else:
+            sentence = f"Dask could not have it done: {type(error).__name__}: {error}"
+        self._give_up(this, sentence, "WorkerDied" if died else type(error).__name__)
+
+    def _give_up(self, this: _Try, error: str, kind: str) -> None:
+        """No worker has an answer: note it where they would have."""
         result = Result(this.task.shown, this.task.name, "failed", id=this.task.id)
-        result.error = (
-            f"{this.deaths * (error.allowed_failures + 1)} Dask workers ended while they were at it, the "
-            f"last one {error.last_worker.address}; look into their logs, and try again with --retry-failed"
-            if died
-            else " ".join(f"Dask could not have it done: {type(error).__name__}: {error}".split())
-        )
-        result.attempts = [attempt(result.error, "WorkerDied" if died else type(error).__name__, 0.0)]
+        result.error = " ".join(error.split())
+        result.attempts = [attempt(result.error, kind, 0.0)]
         with contextlib.suppress(HandfitError):
             self._plan.folder(this.task).fail(this.task.id, asdict(result), {})
         self._end(this, result)
@@ -488,7 +505,8 @@ class _Run:
 
 def _packed(plan: Plan, task: Task) -> bytes:
     """One task and what it needs of its plan; the pictures of a long sequence have names that are alike."""
-    content = {"plan": replace(plan, tasks=(task,)).content(), "path": str(plan.path)}
+    tasks = (task, *(plan.by_id[id] for id in (task.of, *task.needs) if id))
+    content = {"plan": replace(plan, tasks=tasks).content(), "path": str(plan.path)}
     return zlib.compress(json.dumps(content).encode())
 
 
@@ -517,7 +535,9 @@ def _started(kind: str, jobs: int, security: Any) -> Any:
     from distributed import LocalCluster
 
     if kind == "local":
-        return LocalCluster(n_workers=jobs, threads_per_worker=1, security=security or False)
+        return LocalCluster(
+            n_workers=jobs, threads_per_worker=1, **({"security": security} if security else {})
+        )
     _check_installed("dask_jobqueue")
     jobqueue = importlib.import_module("dask_jobqueue")
     kinds = {name.removesuffix("Cluster").lower(): name for name in dir(jobqueue) if name.endswith("Cluster")}

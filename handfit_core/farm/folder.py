@@ -165,6 +165,15 @@ class TaskFolder:
         except OSError as error:
             raise _not_written(self.done, error) from error
 
+    def discard(self, id: str) -> None:
+        """Remove the results of a task that nobody needs any more, and what tells of it."""
+        names = (self.sealed(id) or {}).get("files", {})
+        for path in (self.done, self.failed, *(self.path / name for name in names)):
+            _remove(path)
+        if not self.flat:
+            with contextlib.suppress(OSError):
+                self.path.rmdir()
+
     def fail(self, id: str, result: Mapping[str, Any], files: Files) -> None:
         """Tell of a task that failed. Raises OutputError."""
         self._make()

@@ -32,11 +32,11 @@ Entry = Mapping[str, Any]
 """One of report.json's inputs, as docs/batch.md describes them"""
 
 _SECTIONS: Final = {
-    "failed": ("Failed", "Nothing of these is there. What went wrong, and in which attempts:"),
+    "failed": ("Failed", "These are not done. What went wrong, and in which attempts:"),
     "doubtful": ("Doubtful", "Look at these first: the worst one is on top."),
     "good": ("Good", "Nothing speaks against these."),
     "running": ("Running", ""),
-    "pending": ("Not begun", ""),
+    "pending": ("Waiting", ""),
 }
 """Section -> its title and what stands below, in the order of the page"""
 
@@ -55,6 +55,7 @@ nav{display:flex;flex-wrap:wrap;gap:.5rem;margin:.8rem 0}
 nav a{padding:.25rem .8rem;border:1px solid;border-radius:1rem;text-decoration:none;font-weight:600}
 table{border-collapse:collapse;margin:.6rem 0}td,th{padding:.1rem 1.4rem .1rem 0;text-align:right;
 font-weight:400;font-variant-numeric:tabular-nums}td:first-child,th:first-child{text-align:left}
+td+td,th{white-space:nowrap}
 th{color:var(--faint);font-size:.87rem}
 input{width:min(100%,30rem);padding:.45rem .7rem;font:inherit;color:inherit;background:var(--card);
 border:1px solid var(--line);border-radius:.4rem}
@@ -73,7 +74,7 @@ article.failed,article.doubtful,article.good,article.running,article.pending{col
 article.failed{border-left-color:var(--failed)}article.doubtful{border-left-color:var(--doubtful)}
 article.good{border-left-color:var(--good)}article.running{border-left-color:var(--running)}
 @media (max-width:45rem){article.sheet{grid-template-columns:1fr;gap:.5rem;contain-intrinsic-size:auto 20rem}
-.strip{overflow-x:auto}img{height:9rem;max-width:none}td,th{padding-right:.8rem}}
+.strip{overflow-x:auto}img{height:9rem;max-width:none}td,th{padding-right:.6rem}}
 """
 
 _SCRIPT: Final = """
@@ -143,16 +144,15 @@ def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
     )
     yield f"<nav>{''.join(links) or 'There is nothing in this batch.'}</nav>"
     done = [*sections["doubtful"], *sections["good"]]
-    rows = [("all", done, sections["failed"])]
     hosts = Counter(_host(entry) for name in ("doubtful", "good", "failed") for entry in sections[name])
+    rows = [("all" if len(hosts) > 1 else next(iter(hosts), ""), done, sections["failed"])]
     if len(hosts) > 1:
         rows += [
             (host, *([e for e in some if _host(e) == host] for some in (done, sections["failed"])))
             for host, _ in hosts.most_common()
         ]
     if hosts:
-        alone = next(iter(hosts)) if len(hosts) == 1 else ""
-        yield f"<table><tr><th>{_name(alone)}<th>done<th>failed<th>frames<th>time<th>frames/s</tr>"
+        yield "<table><tr><th><th>done<th>failed<th>frames<th>time<th>frames/s</tr>"
         for host, good, failed in rows:
             frames, seconds = (sum(_number(e, key) for e in good) for key in ("frames", "seconds"))
             rate = f"{frames / seconds:.1f}" if seconds else ""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,9 @@ from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.folder import TaskFolder
 from handfit_core.farm.inputs import Input
 from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
+from handfit_core.media.size_limit import claimed_frames
 from handfit_core.version import __version__
 
 FOLDER: Final = "plans"
@@ -34,10 +36,12 @@ _READ_WHOLE: Final = 4 << 20
 """bytes that the files of one input may have together for their contents to be compared; of larger ones
 names, sizes and times are, since reading a thousand clips costs hours"""
 _BYTES_OF_FRAME: Final = 15_000
-"""Of a video's frame: only for the order of tasks and for guesses of the time left"""
+"""of a video whose header does not tell its frames"""
 _FRAME: Final = 0.02
 _BESIDE: Final = 1.0
-"""seconds for a frame and for what is done once; guesses as well"""
+"""seconds for a frame and for what is done once, for the order of tasks and for guesses of the time left"""
+_FINDING: Final = 0.65
+"""What finding the hands is of a clip's cost"""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,11 @@ class Task:
     """`fingerprint` of the files that it was planned with"""
     cost: float = 0.0
     """seconds that it may take; a guess, good for comparing tasks"""
+    part: str = ""
+    """The frames of the clip in which only hands are to be found, for the task `of` that id"""
+    of: str = ""
+    needs: tuple[str, ...] = ()
+    """The ids of such tasks, which must be done before"""
 
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any]) -> Self:
@@ -98,6 +107,15 @@ class Plan:
     def folder(self, task: Task) -> TaskFolder:
         """Where the results of a task go."""
         return TaskFolder(self.output, task.name, self.flat)
+
+    def is_sealed(self, id: str) -> bool:
+        """Whether the task of that id is done."""
+        return self.folder(self.by_id[id]).sealed(id) is not None
+
+    def part_file(self, id: str) -> Path:
+        """What the task of that id finds in its part of a clip."""
+        task = self.by_id[id]
+        return self.folder(task).path / f"{task.name}.npz"
 
     def task(self, id: str) -> Task:
         """The task of an id, or of a beginning or a name that only one has. Raises OptionError."""
@@ -190,8 +208,12 @@ def make_plan(
     flat: bool = False,
     overwrite: bool = False,
     command: Sequence[str] = (),
+    parts_of: Callable[[Input], Sequence[str]] = lambda _: (),
+    frames: FrameRange | None = None,
 ) -> Plan:
-    """A task for each input. `files`: those that the options name, whose contents count as well.
+    """A task for each input. `files`: those that the options name, whose contents count as well. `parts_of`
+    gives the ranges of frames in which the hands of an input are found by tasks of their own, if any.
+    `frames`: those that the options want of a clip.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
@@ -209,10 +231,13 @@ def make_plan(
         return there.get(folder.name.lower(), folder.name) == folder.name and folder.is_free_for(id)
 
     for each in inputs:
-        task = _task(each, common, taken.values())
+        task = _task(each, common, taken.values(), frames or FrameRange())
         folder = next(f for f in _numbered(output, task.name, flat) if is_free(f, task.id))
         taken[folder.name.lower()] = task.id
-        tasks.append(replace(task, name=folder.name))
+        task = replace(task, name=folder.name)
+        parts = list(_parts(task, parts_of(each)))
+        rest = round(task.cost - sum(part.cost for part in parts), 3)
+        tasks += [*parts, replace(task, needs=tuple(part.id for part in parts), cost=rest)]
     return Plan(output.absolute(), tuple(tasks), options, flat, tuple(command))
 
 
@@ -223,7 +248,7 @@ def _numbered(output: Path, name: str, flat: bool) -> Iterable[TaskFolder]:
         yield TaskFolder(output, f"{name}-{number}", flat)
 
 
-def _task(each: Input, common: str, ids: Iterable[str]) -> Task:
+def _task(each: Input, common: str, ids: Iterable[str], frames: FrameRange) -> Task:
     """An input's task, whose name may be taken."""
     files = [each.take] if each.take else files_of(each.source)
     made_of = fingerprint(files)
@@ -234,8 +259,22 @@ def _task(each: Input, common: str, ids: Iterable[str]) -> Task:
         again += 1  # the same input a second time
     source = tuple(str(Path(part).absolute()) for part in each.source)
     take = str(each.take.absolute()) if each.take else ""
-    cost = _BESIDE + _FRAME * sum(map(_frames, files)) * (not each.take)
+    cost = _BESIDE + (0.0 if each.take else _FRAME * _frames(files, frames))
     return Task(number, each.name, each.shown, source, take, each.error, made_of, round(cost, 3))
+
+
+def _parts(task: Task, ranges: Sequence[str]) -> Iterable[Task]:
+    """The tasks that find the hands in parts of a clip."""
+    for number, frames in enumerate(ranges, 1):
+        yield replace(
+            task,
+            id=hashlib.sha256(f"{task.id} {frames}".encode()).hexdigest()[:16],
+            name=f"{task.name}.part{number}",
+            shown=f"{task.shown}, frames {frames}",
+            cost=round(_FINDING * task.cost / len(ranges), 3),
+            part=frames,
+            of=task.id,
+        )
 
 
 def files_of(source: Sequence[str]) -> list[Path]:
@@ -271,8 +310,12 @@ def _size_and_time(file: Path) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns // 1_000_000
 
 
-def _frames(file: Path) -> float:
-    """How many frames a file may have."""
-    if file.suffix.lower() in PHOTO_SUFFIXES:
-        return 1.0
-    return max(_size_and_time(file)[0], 0) / _BYTES_OF_FRAME
+def _frames(files: Sequence[Path], wanted: FrameRange) -> float:
+    """How many frames of some files may be wanted; headers of videos are believed."""
+    there = 0.0
+    for file in files:
+        claimed = 1
+        if file.suffix.lower() not in PHOTO_SUFFIXES:
+            claimed = claimed_frames(file) or _size_and_time(file)[0] / _BYTES_OF_FRAME
+        there += max(claimed, 0)
+    return len(wanted.within(1, round(there))) or there

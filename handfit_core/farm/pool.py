@@ -22,6 +22,7 @@ from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
 from handfit_core.farm.slot import Slot
+from handfit_core.machine import free_memory, usable_cores
 from handfit_core.worker.runner import Event
 
 ATTEMPTS: Final = 3
@@ -32,12 +33,30 @@ CURABLE: Final = ("WorkerDied", "MemoryRanOut", "OutputError", "Lost", "InputGon
 """Kinds of errors that another attempt may cure: a process killed, no memory, a disk that is full or away"""
 FINAL: Final = ("InputError", "NoHandFoundError", "OptionError", "HandModelError", "TakeError")
 """Kinds that follow from a task's input and options, which its id stands for: not tried again unasked"""
+MEMORY: Final = 1.0e9
+"""bytes that a task may need"""
 _LOOK: Final = 0.02
 """seconds between two looks at all processes"""
 _ELSEWHERE: Final = 2.0
 """seconds between two looks at a task that somebody else is at"""
 _RENEWED: Final = 200
 """Tasks after which a process is replaced, since what it has leaked goes with it"""
+
+
+def is_final(result: Result) -> bool:
+    """Whether a task has failed for a reason that lies in it."""
+    return result.status == "failed" and bool(result.attempts) and result.attempts[-1]["kind"] in FINAL
+
+
+def usable_jobs() -> int:
+    """How many tasks may run at a time where nobody says: one a core, as far as memory reaches."""
+    memory = free_memory()
+    return max(1, usable_cores() if memory is None else min(usable_cores(), int(memory / MEMORY)))
+
+
+def share(jobs: int) -> int | None:
+    """How many cores each of so many tasks at a time may use; None where one has all, and its own choice."""
+    return max(1, usable_cores() // jobs) if jobs > 1 else None
 
 
 class Listener:
@@ -160,6 +179,7 @@ class Pool:
             task=asdict(task),
             options=dict(plan.options),
             folder=str(running.part),
+            parts=[str(plan.part_file(id)) for id in task.needs],
             finished={name: str(folder.path / name) for name in known.get("files", {})},
             **self._here,
         )
@@ -259,7 +279,7 @@ class _Run:
     def _begin_some(self) -> None:
         """Give free slots something to do."""
         while (this := self._next()) is not None:
-            if self._settled(this):
+            if self._settled(this) or self._waits(this):
                 continue
             slot = self._pool.free_slot()
             if slot is None:
@@ -285,6 +305,18 @@ class _Run:
             self._missed(this, task.error, "InputError", 0.0, {}, None)
         return result is not None or bool(task.error)
 
+    def _waits(self, this: _Try) -> bool:
+        """Whether a task cannot be begun, since parts of its clip are not done; it has failed with them."""
+        for id in this.task.needs:
+            result = self._results.get(id)
+            if result is not None and result.status == "failed":
+                self._missed(this, f"{this.task.shown}: {result.error}", "PartFailed", 0.0, {}, None)
+                return True
+            if result is None and not self._plan.is_sealed(id):
+                self._not_ours(this, "parts of the clip are not done yet")
+                return True
+        return False
+
     def _begin(self, this: _Try, slot: Slot) -> None:
         folder = self._plan.folder(this.task)
         claim = None
@@ -305,13 +337,13 @@ class _Run:
         self._pool.occupy(slot, self._plan, _Running(this, claim, part, time.monotonic()))
         self._listener.began(this.task)
 
-    def _not_ours(self, this: _Try) -> None:
-        """Somebody else is at it: see again later."""
+    def _not_ours(self, this: _Try, why: str = "another process is at it") -> None:
+        """Somebody else is at it, or at what it needs: see again later."""
         this.not_before = time.monotonic() + _ELSEWHERE
         others = [each for each in self._open if each.not_before <= time.monotonic()]
         if not self._wait and not others and not self._pool.running:
             result = Result(this.task.shown, this.task.name, status="running")
-            result.error = "another process is at it"
+            result.error = why
             self._end(this, result)
 
     def _take(self, slot: Slot, running: _Running | None, event: Event) -> None:
@@ -357,6 +389,8 @@ class _Run:
                 folder.unseal()
                 folder.take_in(running.part, running.files)
                 folder.seal(task.id, asdict(result), running.files, seconds)
+                for part in task.needs:
+                    self._plan.folder(self._plan.by_id[part]).discard(part)
                 self._pool.put_back(running)
         except HandfitError as error:
             self._failed(running, str(error), type(error).__name__, asdict(result))
@@ -413,19 +447,25 @@ class _Run:
         if this in self._open:
             self._open.remove(this)
         self._results[this.task.id] = result
+        if this.task.of:
+            for other in self._open:
+                if other.task.id == this.task.of:
+                    other.not_before = 0.0
         self._listener.ended(this.task, result)
 
 
 def settled(plan: Plan, task: Task, *, again: bool, retry_failed: bool) -> Result | None:
-    """What came of a task that need not be done: it is sealed, or failed for a reason that lies in it. None:
-    it is still to be done."""
+    """What came of a task that need not be done: it is sealed, the clip is done of which it is a part, or it
+    failed for a reason that lies in it. None: it is still to be done."""
     folder = plan.folder(task)
     if not again and (seal := folder.sealed(task.id)) is not None:
         return Result.of_entry(seal["result"])
     if not (again or retry_failed) and (known := folder.failures(task.id)) is not None:
         result = Result.of_entry(known["result"])
-        if result.status == "failed" and result.attempts[-1]["kind"] in FINAL:
+        if is_final(result):
             return result
+    if task.of and not again and plan.is_sealed(task.of):
+        return Result(task.shown, task.name, "ok", id=task.id)
     return None
 
 

@@ -78,6 +78,8 @@ def line(result: Result) -> str:
     if result.status != "ok":
         named = "" if result.error.startswith(result.input) else f"{result.input}: "
         return f"{result.status}: {named}{result.error}"
+    if not result.hands:  # a part of a clip
+        return f"ok: {result.input}: {result.frames} frames, {result.seconds:.1f} s"
     hands = ", ".join(
         f"{hand['side']} hand in {hand['detected']} of {result.frames} frames{_error(hand)}"
         for hand in result.hands

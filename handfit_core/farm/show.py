@@ -1,10 +1,13 @@
-"""How far a batch is, for people before a terminal and for farms that read what is printed."""
+"""How far a batch is, for people before a terminal and for programs that read what is printed."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
+import unicodedata
+from dataclasses import dataclass
 from typing import Final
 
 from handfit_core.errors import HandfitError
@@ -14,108 +17,173 @@ from handfit_core.farm.pool import Listener
 from handfit_core.farm.report import Result, line
 
 STYLES: Final = ("text", "json", "openjd", "none")
-"""text: a line for each input, and on a terminal a bar; json: an object a line; openjd: Open Job
+"""text: a line for each input, and on a terminal bars; json: an object a line; openjd: Open Job
 Description's lines, which other farms pass over"""
-_EVERY: Final = 0.2
-_EVERY_IN_LOGS: Final = 30.0
-"""seconds between two lines about the whole; farms take what is silent for minutes for dead"""
-_WIDTH: Final = 20
+_EVERY: Final = {"bars": 0.2, "json": 1.0, "openjd": 10.0, "text": 30.0}
+"""seconds between two of them; farms take what is silent for minutes for dead"""
+_STAGES: Final = {"detect": (0.0, 0.65), "fit": (0.65, 0.2)}
+"""How much of a task is done when one begins, and how much it is; files are made in the rest"""
+_TRUST: Final = 5.0
+"""seconds of work after which what was measured counts as much as what was guessed"""
+
+
+@dataclass
+class _AtHand:
+    """A task that is being done."""
+
+    task: Task
+    began: float
+    stage: str = ""
+    done: int = 0
+    total: int = 0
+
+    @property
+    def share(self) -> float:
+        """How much of it is done, 0 to 1."""
+        before, most = _STAGES.get(self.stage, (0.0, 0.0))
+        return before + (most * min(self.done / self.total, 1.0) if self.total else 0.0)
+
+    @property
+    def left(self) -> float:
+        """Of the task's cost."""
+        return self.task.cost * (1.0 - self.share)
+
+    @property
+    def told(self) -> str:
+        """What it is at."""
+        return f"{self.stage} {self.done}/{self.total or '?'}" if self.stage else "starting"
 
 
 class Shown(Listener):
     """Prints what happens to the tasks of a run, and keeps a report up to date."""
 
     def __init__(self, tasks: list[Task], style: str = "text", report: Report | None = None) -> None:
-        self._tasks, self._style, self._report = tasks, style, report
-        self._left = {task.id: task.cost for task in tasks}
-        self._all = sum(self._left.values())
-        self._skipped = 0.0
-        self._at: dict[str, float] = {}
-        self._what: dict[str, str] = {}
-        self._started, self._last, self._bar = time.monotonic(), time.monotonic(), False
+        self._style, self._report = style, report
+        if style == "text" and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            self._style = "bars"
+            if sys.platform == "win32":
+                os.system("")  # has Windows' own console understand what moves its cursor
+        self._count, self._ended = len(tasks), 0
+        self._all = sum(task.cost for task in tasks) or 1.0
+        self._left = self._all
+        """Costs of what is not over"""
+        self._worked, self._cost = _TRUST, _TRUST
+        """seconds that tasks have taken here, and what they were guessed to take"""
+        self._at: dict[str, _AtHand] = {}
+        self._most = 1
+        """Tasks that were done at the same time"""
+        self._last = time.monotonic()
         self.trouble = ""
         """Why the report could not be written the last time"""
 
     def began(self, task: Task) -> None:
         """A task is being done."""
-        self._at[task.id], self._what[task.id] = 0.0, task.name
+        self._at[task.id] = _AtHand(task, time.monotonic())
+        self._most = max(self._most, len(self._at))
+        if self._report is not None:
+            self._report.set(Result(task.shown, task.name, "running", id=task.id))
 
     def progress(self, task: Task, stage: str, done: int, total: int) -> None:
-        """So much of it is done: detecting takes most of the time."""
-        share = done / total if total else 0.0
-        self._at[task.id] = 0.9 * share if stage == "detect" else 0.9 + 0.1 * share
-        self._what[task.id] = f"{task.name} {stage} {done}/{total or '?'}"
+        """So much of a stage is done."""
+        at = self._at[task.id]
+        at.stage, at.done, at.total = stage, done, total
 
     def ended(self, task: Task, result: Result) -> None:
         """A task is over."""
-        begun = self._at.pop(task.id, None)
-        self._what.pop(task.id, None)
-        cost = self._left.pop(task.id)
-        if begun is None:  # it was sealed, or is somebody else's
-            self._skipped += cost
-        number = len(self._tasks) - len(self._left)
-        self._clear()
+        at = self._at.pop(task.id, None)
+        if at is not None and result.status == "ok":  # else it was done before, or tells nothing of the rest
+            self._worked += time.monotonic() - at.began
+            self._cost += task.cost
+        self._left -= task.cost
+        self._ended += 1
+        self.close()
         if self._style == "json":
-            print(json.dumps({"event": "ended", "task": task.id, "status": result.status}), flush=True)
+            self._say("ended", task=task.id, name=task.name, status=result.status, error=result.error)
         elif self._style != "none":
-            print(f"[{number}/{len(self._tasks)}] {line(result)}", flush=True)
+            print(f"[{self._ended}/{self._count}] {line(result)}", flush=True)
+        if self._style == "openjd" and result.status == "failed":
+            print(f"openjd_fail: {result.error}", flush=True)
         if self._report is not None:
             self._report.set(result)
-            self._write(now=not self._left)
+            self._write(now=self._ended == self._count)
 
     def turn(self) -> None:
-        """Draw the bar, or print a line now and then."""
+        """Tell now and then how far it is."""
         now = time.monotonic()
-        terminal = self._style == "text" and sys.stderr.isatty()
-        if now - self._last < (_EVERY if terminal else _EVERY_IN_LOGS) or self._style == "none":
-            return
-        self._last = now
         if self._report is not None:
             self._write(now=False)
-        done = self._share()
-        left = _time(self._seconds_left())
-        what = "; ".join(self._what.values())
-        if terminal:
-            filled = "#" * round(_WIDTH * done)
-            text = f"[{filled:.<{_WIDTH}}] {done:4.0%}, {left} left  {what}"[:110]
-            print(f"\r{text:<110}", end="", file=sys.stderr, flush=True)
-            self._bar = True
+        if self._style == "none" or now - self._last < _EVERY[self._style]:
+            return
+        self._last = now
+        share, at = 1.0 - self._cost_left() / self._all, self._at.values()
+        if self._style == "bars":
+            self._draw(share)
+            return
+        what = "; ".join(f"{each.task.name} {each.told}" for each in at) or "waiting"
+        if self._style == "json":
+            told = {"share": round(share, 4), "seconds_left": round(self._seconds_left())}
+            tasks = [
+                {"task": e.task.id, "name": e.task.name, "stage": e.stage, "done": e.done, "total": e.total}
+                for e in at
+            ]
+            self._say("progress", **told, tasks=tasks)
         elif self._style == "openjd":
-            print(f"openjd_progress: {100 * done:.1f}\nopenjd_status: {what or 'waiting'}", flush=True)
-        elif self._style == "json":
-            print(json.dumps({"event": "progress", "share": round(done, 4), "at": what}), flush=True)
+            print(f"openjd_progress: {100 * share:.1f}\nopenjd_status: {what}", flush=True)
         else:
-            print(f"{done:.0%}, {left} left: {what or 'waiting'}", file=sys.stderr, flush=True)
+            print(f"{share:.0%}, {self._overall()}: {what}", file=sys.stderr, flush=True)
 
     def interrupted(self, why: str = "") -> None:
         """It was stopped: tasks at hand are left to the next run."""
         if self._report is not None:
-            for task in self._tasks:
-                if task.id in self._at:
-                    result = Result(task.shown, task.name, "interrupted", id=task.id)
-                    result.error = why or "stopped by the user"
-                    self._report.set(result)
+            for at in self._at.values():
+                result = Result(at.task.shown, at.task.name, "interrupted", id=at.task.id)
+                result.error = why or "stopped by the user"
+                self._report.set(result)
             self._write(now=True)
 
     def close(self) -> None:
         """Leave the terminal as it was."""
-        self._clear()
+        if self._style == "bars":
+            print("\r\x1b[J", end="", file=sys.stderr, flush=True)
 
-    def _clear(self) -> None:
-        if self._bar:
-            print("\r" + " " * 110 + "\r", end="", file=sys.stderr, flush=True)
-            self._bar = False
+    def _draw(self, share: float) -> None:
+        """A bar for the whole, and below it one for each task, as many as fit; the cursor stays above them,
+        so that whatever else is printed replaces them."""
+        width, height = _terminal()
+        bar = max(0, min(20, width - 50))
+        rows = [f"{_bar(share, bar)}{share:4.0%}  {self._overall()}"]
+        pace = self._pace()
+        named = max((_columns(at.task.name) for at in self._at.values()), default=0)
+        named = min(named, 40, max(8, width - bar - 40))
+        for at in list(self._at.values())[: height - 2]:
+            name = _cut(at.task.name, named)
+            text = f"{_bar(at.share, bar)}{at.share:4.0%}  {name}{' ' * (named - _columns(name))}"
+            rows.append(f"{text}  {clock(at.left * pace)} left  {at.told}")
+        text = "\n".join(_cut(row, width - 1) for row in rows)
+        up = f"\x1b[{len(rows) - 1}A" if len(rows) > 1 else ""
+        print(f"\r\x1b[J{text}\r{up}", end="", file=sys.stderr, flush=True)
 
-    def _share(self) -> float:
-        """How much of the work is done, 0 to 1."""
-        left = sum(cost * (1.0 - self._at.get(id, 0.0)) for id, cost in self._left.items())
-        return 1.0 - left / self._all if self._all else 1.0
+    def _overall(self) -> str:
+        return f"{self._ended} of {self._count} done, {clock(self._seconds_left())} left"
 
-    def _seconds_left(self) -> float | None:
-        """By how long the work so far has taken; None while nobody can say."""
-        done = self._share() * self._all - self._skipped
-        left = (1.0 - self._share()) * self._all
-        return (time.monotonic() - self._started) * left / done if done > 0.02 * self._all else None
+    def _cost_left(self) -> float:
+        return max(0.0, self._left - sum(at.task.cost - at.left for at in self._at.values()))
+
+    def _pace(self) -> float:
+        """How many seconds a task takes for each that was guessed, by those that were done and those at hand
+        that tell how far they are."""
+        now = time.monotonic()
+        telling = [at for at in self._at.values() if at.share > 0.0]
+        worked = self._worked + sum(now - at.began for at in telling)
+        return worked / (self._cost + sum(at.task.cost - at.left for at in telling))
+
+    def _seconds_left(self) -> float:
+        """Of as many tasks at a time as there were, and of the longest at hand, which nobody can share."""
+        longest = max((at.left for at in self._at.values()), default=0.0)
+        return self._pace() * max(self._cost_left() / self._most, longest)
+
+    def _say(self, event: str, **fields: object) -> None:
+        print(json.dumps({"event": event, **fields}), flush=True)
 
     def _write(self, *, now: bool) -> None:
         """Write the report; what is left to do may still succeed where it cannot be written."""
@@ -125,13 +193,38 @@ class Shown(Listener):
             self.trouble = ""
         except HandfitError as error:
             if str(error) != self.trouble:
-                self._clear()
+                self.close()
                 print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
             self.trouble = str(error)
 
 
-def _time(seconds: float | None) -> str:
-    if seconds is None:
-        return "?"
+def _terminal() -> tuple[int, int]:
+    """Columns and rows of the terminal of stderr; some tell 0."""
+    try:
+        size = os.get_terminal_size(sys.stderr.fileno())
+    except (OSError, ValueError):
+        size = os.terminal_size((0, 0))
+    return size.columns or 80, size.lines or 24
+
+
+def _bar(share: float, width: int) -> str:
+    return f"[{'#' * round(width * share):.<{width}}] " if width else ""
+
+
+def _columns(text: str) -> int:
+    """How many columns of a terminal a text takes."""
+    return sum(2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
+
+
+def _cut(text: str, columns: int) -> str:
+    """As much of a text as fits; what would move the cursor is replaced."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    while _columns(text) > columns:
+        text = text[:-1]
+    return text
+
+
+def clock(seconds: float) -> str:
+    """Seconds as hours, minutes and seconds: 1:02:03 or 2:03."""
     hours, rest = divmod(round(seconds), 3600)
     return f"{hours}:{rest // 60:02}:{rest % 60:02}" if hours else f"{rest // 60}:{rest % 60:02}"

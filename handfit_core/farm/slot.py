@@ -8,7 +8,6 @@ task. It answers in JSON lines: `progress`, `file` for each result that is finis
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -113,35 +112,3 @@ def _other_version(message: Mapping[str, Any]) -> str:
         f"this plan is for version {__version__}, and the program that does its tasks is version "
         f"{message.get('version')}; use the same version on all machines"
     )
-
-
-def usable_cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def share(jobs: int) -> int | None:
-    """How many cores each of so many tasks at a time may use; None where one has all, and its own choice."""
-    return max(1, usable_cores() // jobs) if jobs > 1 else None
-
-
-def usable_jobs() -> int:
-    """How many tasks may run at a time where nobody says: one a core, as far as memory reaches."""
-    cores, memory = usable_cores(), _free_memory()
-    return max(1, cores if memory is None else min(cores, int(memory / MEMORY)))
-
-
-MEMORY: Final = 1.5e9
-"""bytes that a task may need: Blender 0.3, the capturing process 0.5, the rest for large pictures"""
-
-
-def _free_memory() -> float | None:
-    """bytes; None where the system does not tell."""
-    if sys.platform.startswith("linux"):
-        try:
-            with open("/proc/meminfo", encoding="ascii") as lines:
-                found = {name: value for name, _, value in (line.partition(":") for line in lines)}
-            return float(found["MemAvailable"].split()[0]) * 1024
-        except (OSError, KeyError, ValueError):
-            return None
-    return None

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import BinaryIO, Final
 
 _MOST_STEPS: Final = 100_000
@@ -36,6 +36,8 @@ class Header:
     """How much memory decoding takes, in units of a picture with 8 bits per channel that is decoded row by
     row: three times as much with 16 bits, which Blender makes floats of, four times with floats, and 1.4
     times where a decoder must keep all coefficients (progressive JPEG)"""
+    frames: int = field(default=0, compare=False)
+    """How many a video claims to have, good for guessing how long it takes; 0 where that is not told"""
 
 
 _Readers = tuple[tuple[bytes, Callable[[BinaryIO], Header | None]], ...]
@@ -250,10 +252,14 @@ _PICTURES: Final[_Readers] = (
 
 # Videos
 
+_MOST_FRAMES: Final = 1e9
+"""Half a year at 60 a second; what claims more is damaged"""
 
-def _largest(sizes: list[tuple[int, int]]) -> Header | None:
+
+def _largest(sizes: list[tuple[int, int]], frames: float = 0) -> Header | None:
     width, height = max(sizes, key=lambda size: size[0] * size[1], default=(0, 0))
-    return Header(width, height) if width > 0 and height > 0 else None
+    count = round(frames) if 0 < frames < _MOST_FRAMES else 0
+    return Header(width, height, frames=count) if width > 0 and height > 0 else None
 
 
 # MP4 and QuickTime: boxes of a size and a name; some hold boxes again.
@@ -285,7 +291,7 @@ def _boxes(stream: BinaryIO, end: int) -> Iterator[tuple[bytes, int, int]]:
 def _mp4(stream: BinaryIO) -> Header | None:
     end = stream.seek(0, 2)
     sizes: list[tuple[int, int]] = []
-    handler, claimed, frames = b"", (0, 0), 0
+    handler, claimed, frames, shown = b"", (0, 0), 0, 0
     for name, start, box_end in _boxes(stream, end):
         if name == b"trak":
             handler, claimed = b"", (0, 0)
@@ -300,12 +306,14 @@ def _mp4(stream: BinaryIO) -> Header | None:
         elif name == b"stsd" and handler == b"vide":
             sizes += _sample_entries(stream, start + 8, box_end, claimed)
         elif name == b"stsz":
-            frames += struct.unpack(">I", _at(stream, start + 8, 4))[0]
+            samples = struct.unpack(">I", _at(stream, start + 8, 4))[0]
+            frames += samples
+            shown = max(shown, samples) if handler == b"vide" else shown
         elif name == b"trun":
             frames += struct.unpack(">I", _at(stream, start + 4, 4))[0]
         if frames > end:  # FFmpeg makes a list of them
             raise _Lies("more frames than bytes")
-    return _largest(sizes)
+    return _largest(sizes, shown)
 
 
 def _sample_entries(
@@ -322,16 +330,18 @@ def _sample_entries(
 # Matroska and WebM: elements of an identifier and a size.
 
 _SEGMENT, _TRACKS, _ENTRY, _VIDEO, _WIDTH, _HEIGHT = 0x18538067, 0x1654AE6B, 0xAE, 0xE0, 0xB0, 0xBA
-_WITHIN: Final = frozenset({_SEGMENT, _TRACKS, _ENTRY, _VIDEO})
+_INFO, _UNIT, _DURATION, _FRAME_TIME = 0x1549A966, 0x2AD7B1, 0x4489, 0x23E383
+_WITHIN: Final = frozenset({_SEGMENT, _TRACKS, _ENTRY, _VIDEO, _INFO})
 
 
 def _matroska(stream: BinaryIO) -> Header | None:
     end = stream.seek(0, 2)
     sizes: list[tuple[int, int]] = []
     position, width = 0, 0
+    unit, duration, frame_time, of_video = 1_000_000, 0.0, 0, 0  # the second in units, the others in ns
     for _ in range(_MOST_STEPS):
         if position >= end:
-            return _largest(sizes)
+            break
         head = _at(stream, position, 12)
         id_length = 9 - head[0].bit_length()
         size_length = 9 - head[id_length].bit_length()
@@ -339,16 +349,23 @@ def _matroska(stream: BinaryIO) -> Header | None:
         size = int.from_bytes(head[id_length : id_length + size_length], "big") - (1 << 7 * size_length)
         position += id_length + size_length
         if name in _WITHIN:
+            width, frame_time = (0, 0) if name == _ENTRY else (width, frame_time)
             continue
-        if name in (_WIDTH, _HEIGHT):
+        if name in (_WIDTH, _HEIGHT, _UNIT, _FRAME_TIME):
             value = int.from_bytes(_at(stream, position, min(size, 8)), "big")
             width = value if name == _WIDTH else width
+            unit = value if name == _UNIT else unit
+            frame_time = value if name == _FRAME_TIME else frame_time
             if name == _HEIGHT:
                 sizes.append((width, value))
+        elif name == _DURATION and size in (4, 8):
+            (duration,) = struct.unpack(">f" if size == 4 else ">d", _at(stream, position, size))
+        if name in (_HEIGHT, _FRAME_TIME) and width:  # of a track either may stand first
+            of_video = frame_time or of_video
         if size == (1 << 7 * size_length) - 1:  # of unknown size, as live recordings have: frames begin
-            return _largest(sizes)
+            break
         position += size
-    return _largest(sizes)
+    return _largest(sizes, unit * duration / of_video if of_video else 0)
 
 
 # AVI: chunks of a name and a size.
@@ -357,7 +374,7 @@ def _matroska(stream: BinaryIO) -> Header | None:
 def _avi(stream: BinaryIO) -> Header | None:
     end = stream.seek(0, 2)
     sizes: list[tuple[int, int]] = []
-    position, kind = 12, b""
+    position, kind, length, frames = 12, b"", 0, 0
     for _ in range(_MOST_STEPS):
         if position + 8 > end:
             break
@@ -369,13 +386,15 @@ def _avi(stream: BinaryIO) -> Header | None:
             continue
         if name == b"strh":
             kind = _at(stream, position + 8, 4)
+            length = int.from_bytes(_at(stream, position + 40, 4), "little") if size >= 36 else 0
         elif name == b"strf" and kind == b"iavs":  # DV with its sound in one stream tells its size itself
             return Header()
         elif name == b"strf" and kind == b"vids":
             width, height = struct.unpack("<ii", _at(stream, position + 12, 8))
             sizes.append((width, abs(height)))
+            frames = max(frames, length)
         position += 8 + size + size % 2
-    return _largest(sizes)
+    return _largest(sizes, frames)
 
 
 _ASF_STREAM: Final = bytes.fromhex("9107dcb7b7a9cf118ee600c00c205365")

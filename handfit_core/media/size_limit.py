@@ -118,6 +118,16 @@ def is_video(path: Path) -> bool:
         return read_video_header(stream) is not None
 
 
+def claimed_frames(path: Path) -> int:
+    """How many frames a video claims to have; 0 where it does not tell, is none, or cannot be read."""
+    try:
+        with _opened(path) as stream:
+            header = read_video_header(stream)
+    except InputError:
+        return 0
+    return 0 if header is None else header.frames
+
+
 def not_a_video(path: Path) -> str:
     """What is said of a file that cannot be read as a video."""
     return (

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from handfit_core.detect.networks import usable_cores
+from handfit_core.detect.networks import usable_threads
 from handfit_core.detect.stretches import (
     ClipDetector,
     Stretch,
@@ -69,7 +69,7 @@ def expected_frames(media: Media, part: slice = ALL) -> int:
 
 def usable_processes(asked: int | None, frames: int) -> int:
     """How many look at a clip of that many frames (0: nobody knows). Not asked: all cores but one."""
-    wanted = min(usable_cores() - 1, MOST) if asked is None else asked
+    wanted = min(usable_threads() - 1, MOST) if asked is None else asked
     return max(1, min(wanted, -(-frames // STRETCH)) if frames else wanted)
 
 

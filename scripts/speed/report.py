@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
+from handfit_core.machine import usable_cores
 from scripts.speed.memory import Peak
 from scripts.speed.timings import Timing
 
@@ -112,7 +113,7 @@ def machine_facts() -> dict[str, Any]:
     return {
         "processor": _processor() if on_linux else platform.processor() or "unknown",
         "cores": os.cpu_count(),
-        "usable_cores": len(os.sched_getaffinity(0)) if on_linux else os.cpu_count(),
+        "usable_cores": usable_cores(),
         "load_before": None if sys.platform == "win32" else round(os.getloadavg()[0], 2),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),

@@ -145,7 +145,7 @@ ARROWS = {
     "media": ("errors", "doors", "files", "geometry", "media"),
     "detect": (
         *("detect", "doors", "errors", "files", "geometry", "hand_model", "media"),
-        *("batch", "options", "registry", "skeleton"),
+        *("batch", "machine", "options", "registry", "skeleton"),
     ),
 }
 """What the rooms at the beginning of the path may know of the core"""

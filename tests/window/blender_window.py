@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -23,10 +24,21 @@ INSTALLED = "bl_ext.user_default.manient"
 """The add-on's name where the zip has brought it"""
 SIGNS_OF_DEFECTS = ("Traceback (most recent call last)", "unknown operator", "rna_ui")
 """What Blender prints where the add-on is wrong"""
+ADDON_FRAME = re.compile(r'File ".*/(blender_manient|handfit_core|user_default/manient)/')
+"""A line of a crash's Python backtrace that is the add-on's, the repository's or the installed one"""
 
 
 class WindowFailure(AssertionError):
     """A scenario failed, or Blender died."""
+
+
+class BlenderCrash(WindowFailure):
+    """A signal ended Blender."""
+
+    @property
+    def in_addon(self) -> bool:
+        """Whether Blender was running Python of the add-on's."""
+        return ADDON_FRAME.search(str(self)) is not None
 
 
 @dataclass(frozen=True)
@@ -65,9 +77,25 @@ class BlenderWindow:
         self._starts = 0
         self._number = 0
         self._folder = folder
+        self.crashes: list[BlenderCrash] = []
+        """Those after which a scenario was played again; conftest.py shows them at the end of the run"""
 
     def play(self, scenario: str, timeout: float = 120.0, **arguments: Any) -> Played:
-        """Play scenarios.MODULE.FUNCTION; WindowFailure with its traceback where it fails."""
+        """Play scenarios.MODULE.FUNCTION; WindowFailure with its traceback where it fails.
+
+        Blender and Mesa have rare crashes of their own: where a signal ends Blender while no Python of the
+        add-on's runs, the scenario gets a second Blender, once.
+        """
+        try:
+            return self._play(scenario, timeout, arguments)
+        except BlenderCrash as crash:
+            if crash.in_addon:
+                raise
+            print(f"Played again, since Blender crashed: {crash}", file=sys.stderr)
+            self.crashes.append(crash)
+        return self._play(scenario, timeout, arguments)
+
+    def _play(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> Played:
         if self._process is None or self._process.poll() is not None:
             self._start()
         printed = len(self._printed())
@@ -142,15 +170,20 @@ class BlenderWindow:
         end = time.monotonic() + timeout + (START_TIMEOUT if self._number == 1 else 0.0)
         while not path.exists():
             if self._process.poll() is not None:
-                raise WindowFailure(
-                    f"Blender ended with {self._process.returncode} in {scenario}\n{self.log()}"
-                )
+                raise self._death(scenario, self._process.returncode)
             if time.monotonic() > end:
                 self.stop()
                 raise WindowFailure(f"{scenario} was not through after {timeout:g} s\n{self.log()}")
             time.sleep(0.02)
         self._keep_screenshots()
         return json.loads(path.read_text(encoding="utf-8"))
+
+    def _death(self, scenario: str, code: int) -> WindowFailure:
+        """With Blender's own backtrace where it has written one."""
+        report = self._folder / "crash"
+        crash = report.read_text(encoding="utf-8", errors="replace") if report.exists() else ""
+        kind = BlenderCrash if code < 0 or code > 128 else WindowFailure
+        return kind(f"Blender ended with {code} in {scenario}\n{self.log()}\n{crash}")
 
     def _write_request(self, scenario: str, arguments: dict[str, Any]) -> None:
         self._number += 1

@@ -11,10 +11,20 @@ from pathlib import Path
 
 import pytest
 
-from tests.window.blender_window import ROOT, BlenderWindow, installed_profile
+from tests.window.blender_window import ROOT, BlenderCrash, BlenderWindow, installed_profile
 from tests.window.inputs import RENDERED_HAND, write_clip, write_long_take
 
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
+CRASHES: list[BlenderCrash] = []
+"""After which a scenario was played again"""
+
+
+def pytest_terminal_summary(terminalreporter) -> None:
+    """Show Blender's crashes, which a second try has otherwise hidden."""
+    if CRASHES:
+        terminalreporter.section(f"Blender crashed: {len(CRASHES)}, each followed by a second try", red=True)
+        for crash in CRASHES:
+            terminalreporter.line(str(crash))
 
 
 @pytest.fixture(scope="session")
@@ -59,6 +69,7 @@ def _window(
     window = BlenderWindow(str(CHROOT), folder, screenshots, size, reachable, profile)
     yield window
     window.stop()
+    CRASHES.extend(window.crashes)
 
 
 @pytest.fixture(scope="session")

@@ -38,6 +38,8 @@ status=0
 blender "${settings[@]}" --enable-event-simulate --no-window-focus \
   --window-geometry 0 0 "$width" "$height" \
   --python "$here/inside/driver.py" -- "$folder" || status=$?
+# The backtrace that Blender has written where it crashed.
+cat /tmp/*.crash.txt >"$folder/crash" 2>/dev/null || rm -f "$folder/crash"
 
 sleep 1
 : >"$folder/left_behind"

@@ -177,7 +177,7 @@ def test_on_top_stands_how_far_it_is(tmp_path: Path) -> None:
     head = " ".join(page.head.split())
     assert tmp_path.name in head
     assert "2026-05-04 03:02 UTC" in head
-    assert "1 failed 4 good 1 500 not begun" in head
+    assert "1 failed 4 good 1 500 waiting" in head
     assert "all 4 1 400 3 min 2.5" in head
     assert "one 3 0 300 1 min 5.0" in head
     assert "two 1 1 100 2 min 1.0" in head

@@ -26,6 +26,22 @@ def test_size(tmp_path: Path, name: str) -> None:
     assert read(clip(tmp_path / name, FILES[name])) == Header(64, 48)
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_frames_that_are_claimed(tmp_path: Path, name: str) -> None:
+    header = read(clip(tmp_path / name, FILES[name], frames=12))
+    assert header is not None
+    assert header.frames == (0 if name == "a.wmv" else 12)
+
+
+def test_a_claimed_length_that_is_none_refuses_nothing(tmp_path: Path) -> None:
+    whole = clip(tmp_path / "a.mkv")
+    at = whole.index(b"\x44\x89\x88") + 3
+    for duration in (float("nan"), float("inf"), -1.0, 1e30):
+        header = read(whole[:at] + struct.pack(">d", duration) + whole[at + 8 :])
+        assert header == Header(64, 48)
+        assert header.frames == 0
+
+
 def test_a_gifs_size() -> None:
     assert read(b"GIF89a" + struct.pack("<HH", 64, 48) + bytes(20)) == Header(64, 48)
     assert read(b"GIF89a" + bytes(20)) is None  # FFmpeg would look for what else it may be

@@ -9,9 +9,11 @@ something that JSON can hold.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import os
+import signal
 import sys
 import time
 import traceback
@@ -96,10 +98,21 @@ class Driver:
         self.number += 1
 
 
+def report_every_crash() -> None:
+    """Have Blender write its backtrace for every signal of a crash; by itself it does for SIGSEGV alone."""
+    libc = ctypes.CDLL(None)
+    libc.signal.restype = ctypes.c_void_p
+    libc.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
+    writes_backtrace = libc.signal(signal.SIGSEGV, None)
+    for number in (signal.SIGSEGV, signal.SIGFPE, signal.SIGABRT, signal.SIGBUS, signal.SIGILL):
+        libc.signal(number, writes_backtrace)
+
+
 def main() -> None:
     """Begin to look for requests once the window is up."""
     folder = Path(sys.argv[sys.argv.index("--") + 1])
     bpy.context.preferences.view.show_splash = False
+    report_every_crash()
     driver = Driver(folder)
     bpy.app.timers.register(driver.tick, first_interval=0.1, persistent=True)
     (folder / "started").write_text(f"{time.time()} {os.getpid()}", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""scripts/contact_sheet.py: rows of frames, and the hands from a second viewpoint."""
+"""Hands from a second viewpoint, and scripts/side_view.py, which shows them moving."""
 
 from __future__ import annotations
 
@@ -10,33 +10,16 @@ import numpy as np
 import pytest
 
 from blender_manient.scene.build import build_take
-from blender_manient.scene.plate import rows_of
 from blender_manient.scene.preview import turned_rows
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from scripts import side_view
-from scripts.contact_sheet import find_takes, main, row
 
 from .conftest import HEIGHT, WIDTH
-
-GAP = 4
-
-
-def picture(path: Path) -> np.ndarray:
-    """(H, W) brightness, the first row on top."""
-    return rows_of(bpy.data.images.load(str(path)))[..., :3].mean(axis=-1)
 
 
 @pytest.fixture
 def take_file(make_take, tmp_path) -> Path:
     return make_take(sides=("right",)).take.save(tmp_path / "one.take.npz")
-
-
-def test_one_row_a_take(take_file, tmp_path):
-    sheet = tmp_path / "sheet.png"
-    assert main([str(take_file), str(take_file), "-o", str(sheet), "--frames", "2", "--height", "30"]) == 0
-    height, width = picture(sheet).shape
-    # A frame and its hand side by side, twice.
-    assert (height, width) == (2 * (30 + GAP), 2 * (2 * WIDTH * 30 // HEIGHT + GAP))
 
 
 @pytest.mark.parametrize("degrees", [0.0, 70.0, -120.0])
@@ -102,23 +85,3 @@ def test_nothing_is_left_behind(make_take):
     before = {name: len(getattr(bpy.data, name)) for name in ("objects", "cameras", "scenes", "materials")}
     turned_rows(built, made.take, [made.seen[0][1]], 30.0)
     assert {name: len(getattr(bpy.data, name)) for name in before} == before
-
-
-def test_row_without_turned_is_narrower(make_take):
-    take = make_take(sides=("right",)).take
-    plain, turned = row(take, 1, 24), row(take, 1, 24, 45.0)
-    cell = round(WIDTH * 24 / HEIGHT)
-    assert plain.shape == (24, 2 * cell + GAP, 3)
-    assert turned.shape == (24, 3 * cell + GAP, 3)
-    np.testing.assert_allclose(turned[:, : 2 * cell - 2], plain[:, : 2 * cell - 2], atol=0.1)
-
-
-def test_folders_and_mistakes(make_take, tmp_path, capsys):
-    for name in ("b", "a"):
-        make_take(sides=("right",)).take.save(tmp_path / "takes" / f"{name}.take.npz")
-    assert len(find_takes(tmp_path / "takes")) == 2
-    (tmp_path / "empty").mkdir()
-    assert main([str(tmp_path / "empty"), "-o", str(tmp_path / "sheet.png")]) == 1
-    assert "no takes" in capsys.readouterr().err
-    assert main([str(tmp_path / "gone.take.npz"), "-o", str(tmp_path / "sheet.png")]) == 1
-    assert not (tmp_path / "sheet.png").exists()
