@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from handfit_core.farm.commands import add_cluster_arguments, add_plan, add_running_arguments
+from handfit_core.farm.commands import add_cluster_arguments, add_plan, add_running_arguments, count
 from handfit_core.options import add_options
 
 from .commands import COMMANDS, SLOT
@@ -43,7 +43,7 @@ def add_arguments(
     _add_grouping_arguments(parser)
     parser.add_argument(
         "--split",
-        type=_count,
+        type=count,
         metavar="FRAMES",
         help="have the hands of clips with more frames found in parts of so many, each a task of its own",
     )

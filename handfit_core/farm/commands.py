@@ -82,7 +82,7 @@ def add_running_arguments(parser: argparse.ArgumentParser, *, of_plan: bool = Fa
     that is there already."""
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
     parser.add_argument(
-        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
+        "--jobs", type=count, metavar="N", help="inputs at a time (default: by cores and memory)"
     )
     parser.add_argument("--again", action="store_true", help="also do what is done already")
     parser.add_argument(
@@ -177,7 +177,8 @@ def _interrupt(_number: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _count(text: str) -> int:
+def count(text: str) -> int:
+    """A number of at least 1."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError("at least 1 is needed")

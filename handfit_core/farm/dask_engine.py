@@ -42,8 +42,9 @@ ELSEWHERE: Final = 15.0
 """seconds between two looks at a task that somebody else is at"""
 _WARM: Final = 60.0
 """seconds that Blender is kept where there is nothing to do, since the next batch may want it"""
-_AHEAD: Final = 32
-"""Tasks that the scheduler holds on top of two for each thread of the workers"""
+_AHEAD: Final = 2
+"""Tasks that the scheduler holds for each thread of the workers: one to do and one to go on with. Of more, Dask
+would hand out all at once, as each has a name of its own: in no order, and lost together with their worker"""
 _NAMED: Final = 10_000
 """Tasks up to which each has its clip's name on the dashboard: the scheduler keeps some kB for every name
 that it has ever heard"""
@@ -377,8 +378,7 @@ class _Run:
         due = [this for this in self._later if this.not_before <= now and not self._waits(this)]
         self._later = [this for this in self._later if this not in due]
         self._open.extendleft(due)
-        # Before there is a worker, none: Dask does not serve in order what waits for the first one.
-        most = _AHEAD + 2 * sum(self._workers.values()) if self._workers else 0
+        most = _AHEAD * sum(self._workers.values())
         while self._open and len(self._at) < most:
             this = self._open.popleft()
             known = settled(self._plan, this.task, again=self._again, retry_failed=self._retry_failed)
