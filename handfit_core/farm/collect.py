@@ -69,6 +69,6 @@ def state(plan: Plan, task: Task) -> Result:
     known: Mapping[str, object] | None = folder.sealed(task.id) or folder.failures(task.id)
     entry = known.get("result") if known is not None else None
     result = Result.of_entry(entry) if isinstance(entry, dict) else Result(task.shown, task.name, id=task.id)
-    if result.status in ("pending", "failed") and folder.alive:
-        result.status = "running"
+    if result.status in ("pending", "failed") and (host := folder.worked_on):
+        result.status, result.host = "running", host
     return result

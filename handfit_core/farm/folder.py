@@ -82,10 +82,11 @@ class TaskFolder:
         return known if known is not None and known.get("id") == id else None
 
     @property
-    def alive(self) -> bool:
-        """Whether somebody seems to be at the task: the sign is there, and not of a process that has gone."""
+    def worked_on(self) -> str:
+        """The host of who seems to be at the task: the sign is there, and not of a process that has gone.
+        Empty where nobody is."""
         sign = _read(self.running)
-        return sign is not None and _lives(sign) is not False
+        return "" if sign is None or _lives(sign) is False else str(sign.get("host") or "another host")
 
     def is_free_for(self, id: str) -> bool:
         """Whether results of that task may go here: there is nothing, or what is there is its own, or tells
