@@ -46,7 +46,8 @@ class Result:
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any]) -> Self:
         """From what `asdict` made of one; what another version has on top is left out."""
-        return cls(**{each.name: entry[each.name] for each in fields(cls) if each.name in entry})
+        known = {each.name: entry[each.name] for each in fields(cls) if each.name in entry}
+        return cls(**{"input": "", "name": "", **known})
 
     def describe(self, take: Take) -> None:
         """Fill in `frames` and `hands`."""
