@@ -110,9 +110,9 @@ def why(error: OSError | ValueError) -> str:
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it over `path` once the block succeeds.
 
-    Makes the folder if need be, but none of `PART`. A crash, a full disk or an error leaves whatever stood at
-    `path` before; the new file is on the disk before it takes the old one's place. Raises OutputError with the
-    remedy when the folder cannot be written.
+    Makes the folder if need be, but none of `PART`. A crash, a full disk or an error leaves whatever stood
+    at `path` before; the new file is on the disk before it takes the old one's place. Raises OutputError with
+    the remedy when the folder cannot be written.
     """
     path = Path(path)
     try:

@@ -51,7 +51,7 @@ class Lost(HandfitError):
 
 
 _held: set[str] = set()
-"""Tokens of the claims of this process; what has another one, though it is from here, nobody is at any more"""
+"""Tokens of the claims of this process; nobody is at what has another one, though it comes from here"""
 
 
 class TaskFolder:
@@ -294,8 +294,8 @@ class Watch:
         return None
 
     def _looks_of_a_dead(self, folder: TaskFolder) -> str | None:
-        """What the sign of who is at the task looks like, if he is gone: for certain where it was a process of
-        this machine, else after a time without a sign; empty where there is none any more, None while he
+        """What the sign of who is at the task looks like, if he is gone: for certain where it was a process
+        of this machine, else after a time without a sign; empty where there is none any more, None while he
         seems to live."""
         try:  # in this order: opening a file has network disks ask how old it is
             looks = (folder.running.read_text("utf-8", "replace"), folder.running.stat().st_mtime_ns)
@@ -347,7 +347,9 @@ class Claim:
             self.last = now
         except OSError as error:  # a disk that is away for a moment may come back
             if now - self.last > STALE:
-                raise Lost(f"{shown(self.folder.path)}: the folder of results is gone ({why(error)})") from error
+                raise Lost(
+                    f"{shown(self.folder.path)}: the folder of results is gone ({why(error)})"
+                ) from error
 
     def check(self) -> None:
         """Raises Lost where it is somebody else's task, and OSError where that cannot be told."""
@@ -387,7 +389,7 @@ def _created(folder: TaskFolder, id: str, inherited: bool) -> Claim | None:
 
 
 def _put(folder: TaskFolder, content: Mapping[str, Any]) -> bool:
-    """Make running.json; whether there was none. Raises OSError, FileNotFoundError where the folder is gone."""
+    """Make running.json; whether there was none. Raises OSError: FileNotFoundError where the folder is gone."""
     text = json.dumps(content)
     aside = folder.aside(text)
     try:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -146,7 +145,7 @@ class Plan:
                 raise ValueError(f"it is no plan of version {_VERSION}")
             tasks = tuple(Task.of_entry(task) for task in content["tasks"])
             for task in tasks:
-                if task.name != _as_folder(task.name) or os.path.basename(task.name) != task.name:
+                if task.name != _as_folder(Path(task.name).name):
                     raise ValueError(f"{shortly(task.name)} is no name of a task")
             plan = cls(
                 path.absolute().parent.parent,

@@ -28,6 +28,7 @@ from handfit_core.farm.report import Result
 from handfit_core.farm.slot import Slot
 from handfit_core.files import shown, why
 from handfit_core.machine import free_memory, usable_cores
+from handfit_core.worker.process import wait_for_killed
 from handfit_core.worker.runner import Event
 
 ATTEMPTS: Final = 3
@@ -47,6 +48,8 @@ _LOOK: Final = 0.02
 _ELSEWHERE: Final = 2.0
 """seconds between two looks at a task that somebody else is at, where there are few"""
 _FEW: Final = 100
+_DEATH: Final = 5.0
+"""seconds that killed processes get to disappear"""
 _RENEWED: Final = 200
 """Tasks after which a process is replaced, since what it has leaked goes with it"""
 
@@ -257,7 +260,8 @@ class Pool:
         running.claim.release()
 
     def clear_up(self) -> None:
-        """Take away what could not be before."""
+        """Take away what could not be before, once those who were killed are gone."""
+        wait_for_killed(_DEATH)
         for part in self._remains:
             shutil.rmtree(part, ignore_errors=True)
         self._remains.clear()
@@ -579,8 +583,8 @@ class _Run:
 
 @contextlib.contextmanager
 def _signals_held() -> Iterator[Callable[[], None]]:
-    """Within, Ctrl-C and SIGTERM wait until what is yielded is called, so that nobody leaves a claim behind or
-    results without their seal; a second one does not."""
+    """Within, Ctrl-C and SIGTERM wait until what is yielded is called, so that nobody leaves a claim behind,
+    or results without their seal; a second one does not."""
     waiting: list[tuple[int, Any]] = []
     before: dict[int, Callable[[int, Any], Any]] = {}
 
