@@ -14,7 +14,6 @@ from pathlib import Path
 
 from handfit_core.errors import OutputError
 
-
 PART = ".part-"
 """What names of folders begin with that hold results which are not whole yet. Whoever made one has taken it
 away where it is gone, or its disk was: nothing may be written where it was"""

@@ -389,7 +389,7 @@ def _created(folder: TaskFolder, id: str, inherited: bool) -> Claim | None:
 
 
 def _put(folder: TaskFolder, content: Mapping[str, Any]) -> bool:
-    """Make running.json; whether there was none. Raises OSError: FileNotFoundError where the folder is gone."""
+    """Make running.json; whether there was none. Raises OSError, as where the folder is gone."""
     text = json.dumps(content)
     aside = folder.aside(text)
     try:
