@@ -13,6 +13,7 @@ from functools import partial
 
 from handfit_core.errors import HandfitError, InputError
 from handfit_core.farm.collect import Report, state
+from handfit_core.farm.folder import Lost
 from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
 from handfit_core.farm.pool import CURABLE, Pool, is_final, usable_jobs
@@ -37,6 +38,9 @@ def run(args: argparse.Namespace, host: Host) -> int:
     with stopped_by_signals():
         try:
             return _COMMANDS[args.command](args, host)
+        except Lost as error:
+            print_error(str(error), args.debug)
+            return EXIT_LATER if args.command == "task" else EXIT_SOME_FAILED
         except HandfitError as error:
             print_error(str(error), args.debug)
             return EXIT_USAGE
@@ -177,8 +181,9 @@ def _tell(plan: Plan, args: argparse.Namespace) -> int:
 
 def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
     """All tasks of some plans that are not sealed. Returns the exit code."""
-    tasks = [(plan, task) for plan in plans for task in plan.tasks]
     report = Report(plans_in(plans[0].output))
+    # Of several plans a later one may have taken a name of an earlier one.
+    tasks = [(plan, task) for plan in plans for task in plan.tasks if len(plans) == 1 or report.has(task)]
     report.look()
     report.write()
     results: list[Result] = []
@@ -187,7 +192,7 @@ def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
             with _pool(args, host, len(tasks)) as pool:
                 for plan in plans:
                     run_here = partial(pool.run, again=args.again, retry_failed=args.retry_failed)
-                    results += run_here(plan, plan.tasks, shown)
+                    results += run_here(plan, [task for of, task in tasks if of is plan], shown)
         except KeyboardInterrupt:
             shown.interrupted()
             raise

@@ -96,6 +96,10 @@ class TaskFolder:
                     found[name] = self.path / name
         return found
 
+    def holds(self, id: str) -> bool:
+        """Whether what lies here is that task's: done, failed, or begun."""
+        return any((_read(f) or {}).get("id") == id for f in (self.done, self.failed, self.running))
+
     @property
     def worked_on(self) -> str:
         """The host of who seems to be at the task: the sign is there, and not of a process that has gone.

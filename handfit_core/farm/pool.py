@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self
 
-from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt, parts_in
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
@@ -164,7 +164,7 @@ class Pool:
 
         `again`: also those that are sealed. `retry_failed`: also those that failed for reasons that lie in
         them. `wait`: for tasks that somebody else is at; else their status is `running`. Raises OptionError
-        where no process can be started that does them, OutputError where the folder of results has gone and
+        where no process can be started that does them, Lost where the folder of results has gone and
         does not come back, and KeyboardInterrupt where it is raised; tasks at hand are then left to others.
         """
         run = _Run(self, plan, tasks, listener or Listener(), wait=wait)
@@ -364,13 +364,13 @@ class _Run:
 
     def _is_away(self) -> bool:
         """Whether the folder of results has gone: its disk may come back, and nothing may be written where it
-        was. Raises OutputError after some time."""
+        was. Raises Lost after some time."""
         if self._plan.path.is_file():
             self._away_since = None
             return False
         self._away_since = self._away_since or time.monotonic()
         if time.monotonic() - self._away_since > AWAY:
-            raise OutputError(
+            raise Lost(
                 f"{shown(self._plan.path)}: the plan is gone, and with it the folder of results; what was "
                 "finished lies where the folder is: bring it back, and start the batch again"
             )
@@ -447,7 +447,7 @@ class _Run:
             this.elsewhere = True
             self._put_off(this, _ELSEWHERE * max(1.0, len(self._later) / _FEW))
             return
-        result = Result(this.task.shown, this.task.name, status="running", attempts=this.attempts)
+        result = Result(this.task.shown, this.task.name, "running", id=this.task.id, attempts=this.attempts)
         result.error = why
         self._end(this, result)
 
