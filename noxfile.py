@@ -25,6 +25,8 @@ PAPER = ["torch"]
 """What the paper's experiments, the differentiable layer and training need on top."""
 EVALUATION = ["pandas", "matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
+FARM = ["distributed", "dask-jobqueue"]
+"""What a batch on many machines needs on top."""
 PYTEST = ["pytest", "pytest-xdist"]
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
@@ -104,7 +106,7 @@ def tests(session: nox.Session, part: str) -> None:
     Those with numbers run twice: what only this processor's rounding makes true is not true.
     """
     if part == "core":
-        install(session, *RUN_TIME, *PAPER, *EVALUATION, *SBOM_CHECK, CORE_NUMPY, *PYTEST)
+        install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, *SBOM_CHECK, CORE_NUMPY, *PYTEST)
         fetch_landmark_model(session)
         run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx", workers=2)
         run_again_as_another_processor(session, *NUMBERS)

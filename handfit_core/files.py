@@ -14,6 +14,10 @@ from pathlib import Path
 
 from handfit_core.errors import OutputError
 
+PART = ".part-"
+"""What names of folders begin with that hold results which are not whole yet. Whoever made one has taken it
+away where it is gone, or its disk was: nothing may be written where it was"""
+
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise OutputError if `written_whole(path)` could not work; leaves nothing behind."""
@@ -105,13 +109,14 @@ def why(error: OSError | ValueError) -> str:
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it over `path` once the block succeeds.
 
-    Makes the folder if need be. A crash, a full disk or an error leaves whatever stood at `path`
-    before; the new file is on the disk before it takes the old one's place. Raises OutputError with the
-    remedy when the folder cannot be written.
+    Makes the folder if need be, but none of `PART`. A crash, a full disk or an error leaves whatever stood
+    at `path` before; the new file is on the disk before it takes the old one's place. Raises OutputError with
+    the remedy when the folder cannot be written.
     """
     path = Path(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.parent.name.startswith(PART):
+            path.parent.mkdir(parents=True, exist_ok=True)
         # The suffix stays last: some exporters append it themselves when they miss it.
         # Only a part of the name: with what mkstemp adds, a long name would be too long.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
@@ -121,7 +126,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     beside = Path(name)
     try:
         yield beside
-        _flush(beside)
+        flush(beside)
         # mkstemp makes files that only their owner may read; results are ordinary files.
         mask = os.umask(0)
         os.umask(mask)
@@ -140,8 +145,9 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 _NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
-def _flush(path: Path) -> None:
-    """Have the system write the file out: network disks and quotas report only then what did not fit."""
+def flush(path: Path) -> None:
+    """Have the system write a file out: network disks and quotas report only then what did not fit. Raises
+    OSError."""
     with path.open("rb+") as stream:
         try:
             os.fsync(stream.fileno())

@@ -28,6 +28,7 @@ TAKE_SUFFIX = ".take.npz"
 _SHEET_LIMIT = 300.0
 """seconds that a contact sheet may take; where a long video cannot be jumped in, it needs minutes"""
 _WHILE_READ = "while it was read: if it is still being copied, wait until it is complete"
+_SINCE = "since the batch was planned: see that it is what it should be"
 
 
 class InputGone(InputError):
@@ -98,7 +99,7 @@ def _finished_take(work: Work, name: str) -> Take | None:
     return None
 
 
-def _check_input(task: Task, when: str = "since the batch was planned") -> None:
+def _check_input(task: Task, when: str = _SINCE) -> None:
     """Raise InputError where the input's files are not those that the task is for."""
     files = [Path(task.take)] if task.take else files_of(task.source)
     if task.made_of == fingerprint(files):
@@ -106,7 +107,7 @@ def _check_input(task: Task, when: str = "since the batch was planned") -> None:
     gone = [file for file in files if not file.exists()]
     if gone or not files:
         raise InputGone(f"{task.shown}: is gone; bring it back, or start the batch again without it")
-    raise InputError(f"{task.shown}: has changed {when}; then start the batch again")
+    raise InputError(f"{task.shown}: has changed {when}, and start the batch again")
 
 
 def sheet(runner: Runner, take: Path, path: Path, max_megapixels: float | None = None) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.farm.collect import Report, state
 from handfit_core.farm.commands import do, given_plans, work_words
+from handfit_core.farm.folder import Lost
 from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
 from handfit_core.farm.pool import CURABLE, Pool, is_final, share, usable_jobs
@@ -39,6 +40,9 @@ def run(args: argparse.Namespace, host: Host) -> int:
     with stopped_by_signals():
         try:
             return _COMMANDS[args.command](args, host)
+        except Lost as error:
+            print_error(str(error), args.debug)
+            return EXIT_LATER if args.command == "task" else EXIT_SOME_FAILED
         except HandfitError as error:
             print_error(str(error), args.debug)
             return EXIT_USAGE

@@ -22,6 +22,7 @@ from handfit_core.farm.plan import Task
 from handfit_core.farm.report import Result
 from handfit_core.version import __version__
 from handfit_core.worker.client import Advice
+from handfit_core.worker.process import SAME_GROUP
 from handfit_core.worker.protocol import encode
 from handfit_core.worker.runner import Runner
 
@@ -145,8 +146,9 @@ def _end_with_parent() -> None:
 
 
 def _end_group() -> None:
-    """End this process and what it has started, if they are a group of their own."""
-    if hasattr(os, "killpg") and os.getpgid(0) == os.getpid():
+    """End this process and what it has started, if they are a group of their own; a script that starts
+    Blender may lead it."""
+    if hasattr(os, "killpg") and os.environ.get(SAME_GROUP):
         with contextlib.suppress(OSError):
             os.killpg(0, signal.SIGKILL)
     os._exit(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import signal
 import sys
 from collections.abc import Mapping, Sequence
@@ -48,16 +49,16 @@ def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse
     """Have all tasks of some plans of one folder done that are not sealed, and keep the report up to date.
     Returns whether all are done. `args`: what `add_running_arguments` adds."""
     report = Report(plans_in(plans[0].output))
+    # Of several plans a later one may have taken a name of an earlier one.
+    tasks = [[task for task in plan.tasks if len(plans) == 1 or report.has(task)] for plan in plans]
     report.look()
     report.write()
     results: list[Result] = []
-    with closing(Shown([task for plan in plans for task in plan.tasks], args.progress, report)) as shown:
+    with closing(Shown(list(itertools.chain(*tasks)), args.progress, report)) as shown:
         try:
             with doer as it:
-                for plan in plans:
-                    results += it.run(
-                        plan, plan.tasks, shown, again=args.again, retry_failed=args.retry_failed
-                    )
+                for plan, some in zip(plans, tasks, strict=True):
+                    results += it.run(plan, some, shown, again=args.again, retry_failed=args.retry_failed)
         except (KeyboardInterrupt, HandfitError) as error:
             shown.interrupted(str(error))
             raise

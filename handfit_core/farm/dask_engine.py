@@ -43,8 +43,8 @@ ELSEWHERE: Final = 15.0
 _WARM: Final = 60.0
 """seconds that Blender is kept where there is nothing to do, since the next batch may want it"""
 _AHEAD: Final = 2
-"""Tasks that the scheduler holds for each thread of the workers: one to do and one to go on with. Of more, Dask
-would hand out all at once, as each has a name of its own: in no order, and lost together with their worker"""
+"""Tasks that the scheduler holds for each thread of the workers: one to do and one to go on with. Of more,
+Dask would hand out all at once, as each has a name of its own: in no order, and lost with their worker"""
 _NAMED: Final = 10_000
 """Tasks up to which each has its clip's name on the dashboard: the scheduler keeps some kB for every name
 that it has ever heard"""
@@ -90,7 +90,16 @@ def do_task(packed: bytes, settings: Mapping[str, Any]) -> dict[str, Any]:
         raise Reschedule from None
     except OptionError as error:
         return {"refused": f"{worker.address}: {error}"}
+    except HandfitError as error:  # the disk with the results is not here, as it may be elsewhere
+        result = _failed(plan.tasks[0], f"{worker.address}: {error}", type(error).__name__)
     return {"result": asdict(result), "worker": worker.address, "begun": listener.begun}
+
+
+def _failed(task: Task, error: str, kind: str) -> Result:
+    """What came of a task that nobody could even try."""
+    result = Result(task.shown, task.name, "failed", id=task.id, error=" ".join(error.split()))
+    result.attempts = [attempt(result.error, kind, 0.0)]
+    return result
 
 
 class _NotWanted(Exception):
@@ -491,9 +500,7 @@ class _Run:
 
     def _give_up(self, this: _Try, error: str, kind: str) -> None:
         """No worker has an answer: note it where they would have."""
-        result = Result(this.task.shown, this.task.name, "failed", id=this.task.id)
-        result.error = " ".join(error.split())
-        result.attempts = [attempt(result.error, kind, 0.0)]
+        result = _failed(this.task, error, kind)
         with contextlib.suppress(HandfitError):
             self._plan.folder(this.task).fail(this.task.id, asdict(result), {})
         self._end(this, result)

@@ -22,13 +22,13 @@ import socket
 import time
 import uuid
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 from handfit_core.errors import HandfitError, OutputError
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import PART, flush, read_file, shown, why
 from handfit_core.version import __version__
 
 BEAT: Final = 10.0
@@ -48,6 +48,10 @@ Files = Mapping[str, Mapping[str, Any]]
 
 class Lost(HandfitError):
     """Somebody else has taken a task over, or the folder of results is gone."""
+
+
+_held: set[str] = set()
+"""Tokens of the claims of this process; nobody is at what has another one, though it comes from here"""
 
 
 class TaskFolder:
@@ -74,18 +78,34 @@ class TaskFolder:
             whole = all((self.path / name).stat().st_size == f["size"] for name, f in seal["files"].items())
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
-        return seal if whole else None
+        return seal if whole and isinstance(seal.get("result"), dict) else None
 
     def failures(self, id: str) -> dict[str, Any] | None:
         """What is known of a task that failed: its `result`, and the `files` that are there all the same."""
         known = _read(self.failed)
-        return known if known is not None and known.get("id") == id else None
+        if known is None or known.get("id") != id or not isinstance(known.get("result"), dict):
+            return None
+        return known
+
+    def kept(self, id: str) -> dict[str, Path]:
+        """The results that a failed attempt at that task has left, as they were then, by their names."""
+        found = {}
+        for name, known in ((self.failures(id) or {}).get("files") or {}).items():
+            with contextlib.suppress(OSError):
+                if files_in(self.path, [name])[name] == known:
+                    found[name] = self.path / name
+        return found
+
+    def holds(self, id: str) -> bool:
+        """Whether what lies here is that task's: done, failed, or begun."""
+        return any((_read(f) or {}).get("id") == id for f in (self.done, self.failed, self.running))
 
     @property
-    def alive(self) -> bool:
-        """Whether somebody seems to be at the task: the sign is there, and not of a process that has gone."""
+    def worked_on(self) -> str:
+        """The host of who seems to be at the task: the sign is there, and not of a process that has gone.
+        Empty where nobody is."""
         sign = _read(self.running)
-        return sign is not None and _lives(sign) is not False
+        return "" if sign is None or _lives(sign) is False else str(sign.get("host") or "another host")
 
     def is_free_for(self, id: str) -> bool:
         """Whether results of that task may go here: there is nothing, or what is there is its own, or tells
@@ -110,8 +130,9 @@ class TaskFolder:
 
     def part(self) -> Path:
         """A new folder for results that are not whole yet; with `flat` the common one, whose files are each
-        written beside their place. Raises OutputError."""
+        written beside their place, so that an older seal does not hold any more. Raises OutputError."""
         if self.flat:
+            self._unseal()
             return self.path
         path = self.beside()
         try:
@@ -121,30 +142,36 @@ class TaskFolder:
         return path
 
     @property
-    def _parts(self) -> str:
+    def parts(self) -> str:
         """What its parts' names begin with; the task's own name may be too long, and begin another's."""
-        return f".part-{hashlib.sha256(os.fsencode(self.name)).hexdigest()[:10]}-"
+        return f"{PART}{hashlib.sha256(os.fsencode(self.name)).hexdigest()[:10]}-"
 
     def beside(self) -> Path:
         """A new name for something that is not whole yet."""
-        return self.output / f"{self._parts}{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        return self.output / f"{self.parts}{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
     def remove_parts(self) -> None:
         """Take away what those left behind who ended in the middle; nobody else may be at the task."""
-        with contextlib.suppress(OSError):
-            for path in [Path(entry.path) for entry in os.scandir(self.output)]:
-                if path.name.startswith(self._parts):
-                    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else _remove(path)
+        for name in parts_in(self.output):
+            if name.startswith(self.parts):
+                path = self.output / name
+                shutil.rmtree(path, ignore_errors=True) if path.is_dir() else _remove(path)
 
     def take_in(self, part: Path, files: Files) -> None:
-        """Move results from their part folder into their place. Raises OutputError, before anything is moved
-        where one of them is not as long as it was."""
+        """Move results from their part folder into their place, where no seal is any more. Raises
+        OutputError, before anything is touched where one of them is not as long as it was."""
         try:
+            to_move = [name for name in files if part != self.path and (part / name).exists()]
             for name, known in files.items():
-                if (part / name).stat().st_size != known["size"]:
+                if name in to_move or part == self.path:
+                    same = (part / name).stat().st_size == known["size"]
+                else:  # an earlier call has moved it, before something went wrong
+                    same = files_in(self.path, [name])[name] == known
+                if not same:
                     raise OutputError(f"{shown(part / name)}: has changed since it was written; try again")
             self._make()
-            for name in files if part != self.path else ():
+            self._unseal()
+            for name in to_move:
                 place = self.path / name
                 place.parent.mkdir(exist_ok=True)
                 (part / name).replace(place)
@@ -155,11 +182,10 @@ class TaskFolder:
     def seal(self, id: str, result: Mapping[str, Any], files: Files, seconds: float) -> None:
         """Say that the task is done. Raises OutputError."""
         seal = {"result": dict(result), "files": dict(files), "versions": {"manient": __version__}}
-        _write(self.done, id, **seal, host=socket.gethostname(), seconds=round(seconds, 3))
+        self._write(self.done, id, **seal, host=socket.gethostname(), seconds=round(seconds, 3))
         _remove(self.failed)
 
-    def unseal(self) -> None:
-        """What was done here is done anew. Raises OutputError."""
+    def _unseal(self) -> None:
         try:
             self.done.unlink(missing_ok=True)
         except OSError as error:
@@ -177,11 +203,29 @@ class TaskFolder:
     def fail(self, id: str, result: Mapping[str, Any], files: Files) -> None:
         """Tell of a task that failed. Raises OutputError."""
         self._make()
-        _write(self.failed, id, result=dict(result), files=dict(files))
+        self._write(self.failed, id, result=dict(result), files=dict(files))
 
-    def forget_failure(self) -> None:
-        """Nothing is known of a failure any more."""
-        _remove(self.failed)
+    def _write(self, path: Path, id: str, **content: Any) -> None:
+        try:
+            aside = self.aside(json.dumps(_content(id, **content), indent=1) + "\n")
+            try:
+                aside.replace(path)
+            finally:
+                _remove(aside)
+        except OSError as error:
+            raise _not_written(path, error) from error
+
+    def aside(self, text: str) -> Path:
+        """A new file with this text, which is on the disk, to take its place at once; what is left of it is
+        taken away with the parts. Raises OSError."""
+        path = self.beside()
+        try:
+            path.write_text(text, encoding="ascii")
+            flush(path)
+        except OSError:
+            _remove(path)
+            raise
+        return path
 
     def _make(self) -> None:
         try:
@@ -200,6 +244,13 @@ def attempt(error: str, kind: str, seconds: float) -> dict[str, Any]:
         "seconds": round(seconds, 3),
         "at": now,
     }
+
+
+def parts_in(output: Path) -> list[str]:
+    """The names of what is not whole yet, or was left behind."""
+    with contextlib.suppress(OSError), os.scandir(output) as entries:
+        return [entry.name for entry in entries if entry.name.startswith(PART)]
+    return []
 
 
 def files_in(part: Path, names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -230,47 +281,50 @@ class Watch:
 
     def claim(self, folder: TaskFolder, id: str) -> Claim | None:
         """Take a task; None where somebody is at it. Raises OutputError."""
-        folder._make()
+        inherited = False
         try:
-            for _ in range(2):  # once more after one that is dead was taken away
-                if (claim := _created(folder, id)) is not None:
-                    self._signs.pop(folder.running, None)
-                    return claim
-                if not self._is_dead(folder) or not self._taken_away(folder):
-                    return None
+            for _ in range(3):  # again where another one was quicker, or the folder went with its last claim
+                folder._make()
+                with contextlib.suppress(FileNotFoundError):
+                    looks = self._looks_of_a_dead(folder)
+                    if looks is None or (looks and not _taken_away(folder, looks)):
+                        return None
+                    inherited = inherited or bool(looks)
+                    if (claim := _created(folder, id, inherited)) is not None:
+                        self._signs.pop(folder.running, None)
+                        return claim
         except OSError as error:
             raise _not_written(folder.running, error) from error
         return None
 
-    def _is_dead(self, folder: TaskFolder) -> bool:
-        """Whether who is at the task has gone: for certain where it was a process of this machine, else after
-        a time without a sign."""
-        try:
+    def _looks_of_a_dead(self, folder: TaskFolder) -> str | None:
+        """What the sign of who is at the task looks like, if he is gone: for certain where it was a process
+        of this machine, else after a time without a sign; empty where there is none any more, None while he
+        seems to live."""
+        try:  # in this order: opening a file has network disks ask how old it is
             looks = (folder.running.read_text("utf-8", "replace"), folder.running.stat().st_mtime_ns)
         except FileNotFoundError:
-            return True
+            return ""
         alive = _lives(_read(folder.running) or {})
-        if alive is not None:
-            return not alive
         sign = self._signs.setdefault(folder.running, _Sign(looks, time.monotonic()))
         if sign.looks != looks:
             sign.looks, sign.since = looks, time.monotonic()
-        return time.monotonic() - sign.since > STALE
+        dead = time.monotonic() - sign.since > STALE if alive is None else not alive
+        return looks[0] if dead else None
 
-    def _taken_away(self, folder: TaskFolder) -> bool:
-        """Remove the sign of somebody who is gone, unless another one does at this moment."""
-        expected = _read(folder.running) or {}
-        aside = folder.beside()
-        try:
-            folder.running.rename(aside)
-        except FileNotFoundError:
-            return True
-        mine = (_read(aside) or {}).get("token") == expected.get("token")
-        if not mine:  # another one was quicker, and has begun
-            with contextlib.suppress(OSError):
-                os.link(aside, folder.running)
-        _remove(aside)
-        return mine
+
+def _taken_away(folder: TaskFolder, looks: str) -> bool:
+    """Remove the sign of somebody who is gone, unless it is another's by now. Raises OSError."""
+    aside = folder.beside()
+    if folder.running.read_text("utf-8", "replace") != looks:
+        return False
+    folder.running.rename(aside)
+    mine = aside.read_text("utf-8", "replace") == looks
+    if not mine:  # another one was quicker, and has begun; he puts it back himself where this cannot
+        with contextlib.suppress(OSError):
+            os.link(aside, folder.running)
+    _remove(aside)
+    return mine
 
 
 @dataclass
@@ -278,31 +332,45 @@ class Claim:
     """A task that is ours, as long as signs of life are given."""
 
     folder: TaskFolder
-    token: str
-    last: float = 0.0
+    content: Mapping[str, Any]
+    """What running.json says"""
+    inherited: bool
+    """Whether somebody has left it, perhaps with parts of results"""
+    last: float = field(default_factory=time.monotonic)
+    """When a sign was given, on this machine's clock"""
 
     def beat(self) -> None:
-        """Give a sign of life where one is due. Raises Lost where it is somebody else's task by now."""
-        if time.monotonic() - self.last > BEAT:
+        """Give a sign of life where one is due. Raises Lost where it is somebody else's task by now, or the
+        folder has been gone for so long that it may be."""
+        now = time.monotonic()
+        if now - self.last <= BEAT:
+            return
+        try:
             self.check()
-            with contextlib.suppress(OSError):  # a disk that is away for a moment may come back
-                os.utime(self.folder.running)
-            self.last = time.monotonic()
+            os.utime(self.folder.running)
+            self.last = now
+        except OSError as error:  # a disk that is away for a moment may come back
+            if now - self.last > STALE:
+                raise Lost(
+                    f"{shown(self.folder.path)}: the folder of results is gone ({why(error)})"
+                ) from error
 
     def check(self) -> None:
-        """Raises Lost where it is somebody else's task."""
+        """Raises Lost where it is somebody else's task, and OSError where that cannot be told."""
         try:
             found = _read(self.folder.running, missing_ok=False)
-        except OSError as error:
-            if isinstance(error, FileNotFoundError) and self.folder.path.is_dir():
-                raise Lost(f"{self.folder.name}: another process has taken this task over") from error
-            raise Lost(f"{shown(self.folder.path)}: the folder of results is gone ({why(error)})") from error
-        if found is None or found.get("token") != self.token:
+        except FileNotFoundError:
+            # Taken for one that is left behind, and not begun: it is his whose sign is there first.
+            if _put(self.folder, self.content):
+                return
+            found = None
+        if found is None or found.get("token") != self.content["token"]:
             raise Lost(f"{self.folder.name}: another process has taken this task over")
 
     def release(self) -> None:
         """Leave the task to others."""
-        with contextlib.suppress(Lost):
+        _held.discard(self.content["token"])
+        with contextlib.suppress(Lost, OSError):
             self.check()
             _remove(self.folder.running)
         if not self.folder.flat:
@@ -310,33 +378,43 @@ class Claim:
                 self.folder.path.rmdir()  # only where nothing was written
 
 
-def _created(folder: TaskFolder, id: str) -> Claim | None:
+def _created(folder: TaskFolder, id: str, inherited: bool) -> Claim | None:
     """Make running.json, as the only one; None where it is there. Raises OSError."""
-    claim = Claim(folder, uuid.uuid4().hex, time.monotonic())
-    content = json.dumps(
-        {"format": _FORMAT, "version": _VERSION, "id": id, "token": claim.token, **_this_process()}
-    )
-    aside = folder.beside()
-    aside.write_text(content, encoding="utf-8")
+    content = _content(id, token=uuid.uuid4().hex, **_this_process())
+    _held.add(content["token"])
+    try:
+        if _put(folder, content):
+            return Claim(folder, content, inherited)
+    except OSError:
+        _held.discard(content["token"])
+        raise
+    _held.discard(content["token"])
+    return None
+
+
+def _put(folder: TaskFolder, content: Mapping[str, Any]) -> bool:
+    """Make running.json; whether there was none. Raises OSError, as where the folder is gone."""
+    text = json.dumps(content)
+    aside = folder.aside(text)
     try:
         os.link(aside, folder.running)
     except FileExistsError:
-        return None
+        return False
     except FileNotFoundError:
         if folder.path.is_dir():  # whoever is at the task has taken it for something left behind
-            return None
+            return False
         raise
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise
         try:
-            with folder.running.open("x", encoding="utf-8") as stream:
-                stream.write(content)
+            with folder.running.open("x", encoding="ascii") as stream:
+                stream.write(text)
         except FileExistsError:
-            return None
+            return False
     finally:
         _remove(aside)
-    return claim
+    return True
 
 
 @cache
@@ -350,10 +428,12 @@ def _boot() -> str:
         return ""
 
 
-def _started(pid: int) -> str:
-    """When a process was started, in the machine's own count: numbers of processes are used again."""
-    with contextlib.suppress(OSError, IndexError):
-        return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[19]
+def _started(pid: object) -> str:
+    """When a process was started, in the machine's own count: numbers of processes are used again. Empty
+    where there is none that runs: one that has ended may be there until its parent asks for it."""
+    with contextlib.suppress(OSError, IndexError, ValueError):
+        fields = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        return "" if fields[0] in "ZX" else fields[19]
     return ""
 
 
@@ -363,10 +443,13 @@ def _this_process() -> dict[str, Any]:
 
 
 def _lives(sign: Mapping[str, Any]) -> bool | None:
-    """Whether the process that gave it runs; None where that cannot be told from here."""
-    if not _boot() or sign.get("boot") != _boot():
+    """Whether the process that gave it is at the task; None where that cannot be told from here."""
+    mine = _this_process()
+    if {**sign, **mine} == sign:
+        return sign.get("token") in _held
+    if not _boot() or (sign.get("boot"), sign.get("host")) != (_boot(), mine["host"]):
         return None
-    return _started(int(sign.get("pid", 0))) == sign.get("started")
+    return _started(sign.get("pid")) == sign.get("started")
 
 
 def _read(path: Path, *, missing_ok: bool = True) -> dict[str, Any] | None:
@@ -384,10 +467,8 @@ def _read(path: Path, *, missing_ok: bool = True) -> dict[str, Any] | None:
     return content if known and content.get("version") == _VERSION else None
 
 
-def _write(path: Path, id: str, **content: Any) -> None:
-    with written_whole(path) as beside:
-        text = json.dumps({"format": _FORMAT, "version": _VERSION, "id": id, **content}, indent=1)
-        beside.write_text(text + "\n", encoding="ascii")
+def _content(id: str, **more: Any) -> dict[str, Any]:
+    return {"format": _FORMAT, "version": _VERSION, "id": id, **more}
 
 
 def _remove(path: Path) -> None:

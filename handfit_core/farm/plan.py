@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -87,6 +87,8 @@ class Plan:
     """What is to be done of every input, as JSON holds it; whoever does the tasks understands them"""
     flat: bool = False
     """Whether all results lie in one folder"""
+    overwrite: bool = False
+    """Whether results replace those of other tasks that have their name"""
     command: tuple[str, ...] = ()
     """What does tasks of this plan on the machine that made it, but for the name of the command"""
     made_by: str = __version__
@@ -153,11 +155,15 @@ class Plan:
         if content["format"] != _FORMAT or content["version"] != _VERSION:
             raise ValueError(f"it is no plan of version {_VERSION}")
         tasks = tuple(Task.of_entry(task) for task in content["tasks"])
+        for task in tasks:
+            if task.name != _as_folder(Path(task.name).name):
+                raise ValueError(f"{shortly(task.name)} is no name of a task")
         plan = cls(
             path.absolute().parent.parent,
             tasks,
             content["options"],
             bool(content["flat"]),
+            bool(content["overwrite"]),
             tuple(map(str, content["command"])),
             str(content["made_by"]),
             str(content["created"]),
@@ -182,9 +188,7 @@ class Plan:
             return type(value)(map(here, value)) if isinstance(value, list | tuple) else value
 
         tasks = tuple(replace(t, source=here(t.source), take=here(t.take)) for t in self.tasks)
-        plan = Plan(
-            self.output, tasks, here(self.options), self.flat, self.command, self.made_by, self.created
-        )
+        plan = replace(self, tasks=tasks, options=here(self.options))
         vars(plan)["path"] = self.path
         return plan
 
@@ -220,7 +224,10 @@ def make_plan(
     """
     common = json.dumps([__version__, options, [fingerprint([Path(file)]) for file in files]], sort_keys=True)
     there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
-    taken: dict[str, str] = {}
+    taken = set() if flat else {FOLDER, "report.json", "overview.html"}
+    first: dict[str, int] = {}
+    """By name, the lowest number that no other input of this plan has"""
+    ids: set[str] = set()
     tasks = []
 
     def is_free(folder: TaskFolder, id: str) -> bool:
@@ -231,30 +238,37 @@ def make_plan(
         return there.get(folder.name.lower(), folder.name) == folder.name and folder.is_free_for(id)
 
     for each in inputs:
-        task = _task(each, common, taken.values(), frames or FrameRange())
-        folder = next(f for f in _numbered(output, task.name, flat) if is_free(f, task.id))
-        taken[folder.name.lower()] = task.id
+        task = _task(each, common, ids, frames or FrameRange())
+        ids.add(task.id)
+        name = _as_folder(task.name)
+        number = first.get(name.lower(), 1)
+        while not is_free(folder := TaskFolder(output, _numbered(name, number), flat), task.id):
+            number += 1
+        taken.add(folder.name.lower())
+        while _numbered(name, first.setdefault(name.lower(), 1)).lower() in taken:
+            first[name.lower()] += 1
         task = replace(task, name=folder.name)
         parts = list(_parts(task, parts_of(each)))
         rest = round(task.cost - sum(part.cost for part in parts), 3)
         tasks += [*parts, replace(task, needs=tuple(part.id for part in parts), cost=rest)]
-    return Plan(output.absolute(), tuple(tasks), options, flat, tuple(command))
+    return Plan(output.absolute(), tuple(tasks), options, flat, overwrite, tuple(command))
 
 
-def _numbered(output: Path, name: str, flat: bool) -> Iterable[TaskFolder]:
-    yield TaskFolder(output, name, flat)
-    number = 1
-    while number := number + 1:
-        yield TaskFolder(output, f"{name}-{number}", flat)
+def _as_folder(name: str) -> str:
+    """An input's name, or another where a folder of that name would not lie in the folder of results."""
+    return name if name not in ("", ".", "..") else "input"
 
 
-def _task(each: Input, common: str, ids: Iterable[str], frames: FrameRange) -> Task:
-    """An input's task, whose name may be taken."""
+def _numbered(name: str, number: int) -> str:
+    return name if number == 1 else f"{name}-{number}"
+
+
+def _task(each: Input, common: str, ids: Collection[str], frames: FrameRange) -> Task:
+    """An input's task, whose name may be taken; `ids` are those of other ones."""
     files = [each.take] if each.take else files_of(each.source)
     made_of = fingerprint(files)
     what = [common, each.name, made_of, bool(each.take), each.error, each.shown if not files else ""]
     again = 0
-    ids = set(ids)
     while (number := hashlib.sha256(json.dumps([*what, again]).encode()).hexdigest()[:16]) in ids:
         again += 1  # the same input a second time
     source = tuple(str(Path(part).absolute()) for part in each.source)

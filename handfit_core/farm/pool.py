@@ -8,27 +8,35 @@ processes that it has started: what was sealed stays, and everything else is beg
 from __future__ import annotations
 
 import contextlib
+import heapq
+import itertools
 import shutil
 import signal
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from functools import partial
+from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self
 
-from handfit_core.errors import HandfitError, OptionError, OutputError
-from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt, parts_in
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
 from handfit_core.farm.slot import Slot
+from handfit_core.files import shown, why
 from handfit_core.machine import free_memory, usable_cores
+from handfit_core.worker.process import wait_for_killed
 from handfit_core.worker.runner import Event
 
 ATTEMPTS: Final = 3
 """How often a task is tried where it may go better another time"""
 BACK_OFF: Final = (1.0, 5.0)
 """seconds before the second and the third attempt"""
+AWAY: Final = 600.0
+"""seconds that a folder of results which has gone is waited for"""
 CURABLE: Final = ("WorkerDied", "MemoryRanOut", "OutputError", "Lost", "InputGone")
 """Kinds of errors that another attempt may cure: a process killed, no memory, a disk that is full or away"""
 FINAL: Final = ("InputError", "NoHandFoundError", "OptionError", "HandModelError", "TakeError")
@@ -38,14 +46,18 @@ MEMORY: Final = 1.0e9
 _LOOK: Final = 0.02
 """seconds between two looks at all processes"""
 _ELSEWHERE: Final = 2.0
-"""seconds between two looks at a task that somebody else is at"""
+"""seconds between two looks at a task that somebody else is at, where there are few"""
+_FEW: Final = 100
+_DEATH: Final = 5.0
+"""seconds that killed processes get to disappear"""
 _RENEWED: Final = 200
 """Tasks after which a process is replaced, since what it has leaked goes with it"""
 
 
 def is_final(result: Result) -> bool:
     """Whether a task has failed for a reason that lies in it."""
-    return result.status == "failed" and bool(result.attempts) and result.attempts[-1]["kind"] in FINAL
+    kind = result.attempts[-1].get("kind") if result.attempts else None
+    return result.status == "failed" and kind in FINAL
 
 
 def usable_jobs() -> int:
@@ -75,19 +87,20 @@ class Listener:
         """Now and then, whatever happens."""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Try:
     """A task that is not over."""
 
     task: Task
-    not_before: float = 0.0
+    elsewhere: bool = False
+    """Whether somebody else was at it"""
     alone: bool = False
     """Whether nothing else may run beside it"""
     attempts: list[dict[str, Any]] = field(default_factory=list)
     """Those of this run"""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Running:
     """A task that a slot is at."""
 
@@ -120,6 +133,8 @@ class Pool:
         self._failed_starts = 0
         self._slots: dict[Slot, _Running | None] = {}
         self._watch = Watch()
+        self._remains: list[Path] = []
+        """Parts that could not be taken away while a process that was killed still wrote"""
 
     def __enter__(self) -> Self:
         return self
@@ -129,14 +144,16 @@ class Pool:
 
     def stop(self) -> None:
         """End all processes; tasks at hand are left to others."""
-        for slot, running in self._slots.items():
-            if running is None:
-                slot.end()
-                continue
-            slot.kill()
-            with _undisturbed():
-                self.put_back(running)
-        self._slots.clear()
+        with _signals_held():
+            for slot, running in self._slots.items():
+                if running is not None:
+                    slot.kill()
+                    self.put_back(running)
+            for slot, running in self._slots.items():
+                if running is None:
+                    slot.end()
+            self._slots.clear()
+            self.clear_up()
 
     def run(
         self,
@@ -152,8 +169,8 @@ class Pool:
 
         `again`: also those that are sealed. `retry_failed`: also those that failed for reasons that lie in
         them. `wait`: for tasks that somebody else is at; else their status is `running`. Raises OptionError
-        where no process can be started that does them, and KeyboardInterrupt where it is raised; tasks at
-        hand are then left to others.
+        where no process can be started that does them, Lost where the folder of results has gone and
+        does not come back, and KeyboardInterrupt where it is raised; tasks at hand are then left to others.
         """
         run = _Run(self, plan, tasks, listener or Listener(), wait=wait)
         run.again, run.retry_failed = again, retry_failed or again
@@ -161,18 +178,22 @@ class Pool:
 
     # What a run does with slots
 
-    def free_slot(self) -> Slot | None:
-        """One that is ready and idle; starts another where there may be more. Raises OptionError."""
+    @property
+    def has_room(self) -> bool:
+        """Whether a process is idle, or another one may be started."""
+        return len(self._slots) < self._jobs or None in self._slots.values()
+
+    def free_slot(self, wanted: int) -> Slot | None:
+        """One that is ready and idle; starts another where `wanted` are more than are idle, and there may be
+        more. Raises OptionError."""
         idle = [slot for slot, running in self._slots.items() if running is None]
-        ready = [slot for slot in idle if slot.ready]
-        if not ready and not idle and len(self._slots) < self._jobs:
+        if len(idle) < wanted and len(self._slots) < self._jobs:
             self._slots[Slot(self._command, debug=self._debug)] = None
-        return ready[0] if ready else None
+        return next((slot for slot in idle if slot.ready), None)
 
     def occupy(self, slot: Slot, plan: Plan, running: _Running) -> None:
         """Give a slot its task."""
         task, folder = running.this.task, plan.folder(running.this.task)
-        known = folder.failures(task.id) or {}
         self._slots[slot] = running
         slot.send(
             request="task",
@@ -180,17 +201,18 @@ class Pool:
             options=dict(plan.options),
             folder=str(running.part),
             parts=[str(plan.part_file(id)) for id in task.needs],
-            finished={name: str(folder.path / name) for name in known.get("files", {})},
+            finished={name: str(path) for name, path in folder.kept(task.id).items()},
             **self._here,
         )
 
     def news(self) -> Iterator[tuple[Slot, _Running | None, Event]]:
         """What all slots have said; waits a moment where none has."""
         heard = False
-        for slot, running in list(self._slots.items()):
+        for slot in list(self._slots):
             for event in slot.events():
                 heard = True
-                yield slot, running, event
+                if slot in self._slots:  # what it said before may have been its last
+                    yield slot, self._slots[slot], event
         if not heard:
             time.sleep(_LOOK)
 
@@ -232,16 +254,22 @@ class Pool:
 
     def claim(self, plan: Plan, task: Task) -> Claim | None:
         """Take a task; None where somebody is at it. Raises OutputError."""
-        if not plan.path.is_file():  # the disk was taken away: nothing may be written where it was
-            raise OutputError(f"{plan.path}: the plan is gone, and with it the folder of results")
         return self._watch.claim(plan.folder(task), task.id)
 
-    @staticmethod
-    def put_back(running: _Running) -> None:
+    def put_back(self, running: _Running) -> None:
         """Leave a task to others."""
         if not running.claim.folder.flat:
             shutil.rmtree(running.part, ignore_errors=True)
+            if running.part.exists():
+                self._remains.append(running.part)
         running.claim.release()
+
+    def clear_up(self) -> None:
+        """Take away what could not be before, once those who were killed are gone."""
+        wait_for_killed(_DEATH)
+        for part in self._remains:
+            shutil.rmtree(part, ignore_errors=True)
+        self._remains.clear()
 
 
 class _Run:
@@ -255,45 +283,103 @@ class _Run:
         self._pool, self._plan, self._listener = pool, plan, listener
         self._tasks, self._wait = tasks, wait
         self._results: dict[str, Result] = {}
-        self._open = [_Try(task) for task in sorted(tasks, key=lambda task: -task.cost)]
+        self._open: deque[_Try] = deque()
+        """What may be begun now"""
+        self._alone: list[_Try] = []
+        """What may be once nothing else is left"""
+        self._later: list[tuple[float, int, _Try]] = []
+        """What may be from a time on, as a heap"""
+        self._count = itertools.count()
+        self._left_behind: list[str] = []
+        """Parts that lay there at first"""
+        self._away_since: float | None = None
 
     def results(self) -> list[Result]:
         """Do them."""
-        while self._open or self._pool.running:
-            self._listener.turn()
-            self._begin_some()
-            for slot, running, event in self._pool.news():
-                self._take(slot, running, event)
-            for slot, running in self._pool.overdue():
-                self._pool.drop(slot)
-                self._failed(
-                    running,
-                    f"the capture took longer than {self._pool.timeout:g} seconds and was stopped; allow it "
-                    "more time, or give it fewer frames",
-                    "Timeout",
-                )
-            for running in self._pool.running:
-                self._beat(running)
+        with _signals_held() as look:
+            self._settle(look)
+            while self._open or self._alone or self._later or self._pool.running:
+                look()
+                self._listener.turn()
+                self._begin_some()
+                for slot, running, event in self._pool.news():
+                    self._take(slot, running, event)
+                for slot, running in self._pool.overdue():
+                    self._pool.drop(slot)
+                    self._failed(
+                        running,
+                        f"the capture took longer than {self._pool.timeout:g} seconds and was stopped; allow "
+                        "it more time, or give it fewer frames",
+                        "Timeout",
+                    )
+                for running in self._pool.running:
+                    self._beat(running)
+            self._pool.clear_up()
         return [self._results[task.id] for task in self._tasks]
+
+    def _settle(self, look: Callable[[], None]) -> None:
+        """Sort out what need not be done; what is left lies open, the longest first."""
+        if len(self._tasks) > 1:  # who does one of many does not look at all; its claim tells
+            self._left_behind = parts_in(self._plan.output)
+        for task in sorted(self._tasks, key=lambda task: -task.cost):
+            look()
+            this = _Try(task)
+            if not self._settled(this):
+                self._open.append(this)
+            elif self._has_parts(task):
+                with contextlib.suppress(HandfitError):
+                    if (claim := self._pool.claim(self._plan, task)) is not None:
+                        claim.folder.remove_parts()
+                        claim.release()
+
+    def _has_parts(self, task: Task) -> bool:
+        beginning = self._plan.folder(task).parts
+        return any(name.startswith(beginning) for name in self._left_behind)
 
     def _begin_some(self) -> None:
         """Give free slots something to do."""
-        while (this := self._next()) is not None:
-            if self._settled(this) or self._waits(this):
+        while self._pool.has_room and (this := self._next()) is not None:
+            if (this.elsewhere and self._settled(this)) or self._waits(this):
                 continue
-            slot = self._pool.free_slot()
-            if slot is None:
+            this.elsewhere = False
+            slot = self._pool.free_slot(len(self._open) + 1)
+            if slot is None or self._is_away():
+                self._open.appendleft(this)
                 return
             self._begin(this, slot)
 
     def _next(self) -> _Try | None:
-        now, at_hand = time.monotonic(), self._pool.running
+        at_hand = self._pool.running
         if any(running.this.alone for running in at_hand):
             return None
-        for this in self._open:
-            if this.not_before <= now and not (this.alone and at_hand):
-                return this
-        return None
+        while self._later and self._later[0][0] <= time.monotonic():
+            this = heapq.heappop(self._later)[2]
+            if this.elsewhere:
+                self._open.append(this)
+            elif this.alone:
+                self._alone.append(this)
+            else:
+                self._open.appendleft(this)
+        if self._open:
+            return self._open.popleft()
+        return self._alone.pop() if self._alone and not at_hand else None
+
+    def _put_off(self, this: _Try, seconds: float) -> None:
+        heapq.heappush(self._later, (time.monotonic() + seconds, next(self._count), this))
+
+    def _is_away(self) -> bool:
+        """Whether the folder of results has gone: its disk may come back, and nothing may be written where it
+        was. Raises Lost after some time."""
+        if self._plan.path.is_file():
+            self._away_since = None
+            return False
+        self._away_since = self._away_since or time.monotonic()
+        if time.monotonic() - self._away_since > AWAY:
+            raise Lost(
+                f"{shown(self._plan.path)}: the plan is gone, and with it the folder of results; what was "
+                "finished lies where the folder is: bring it back, and start the batch again"
+            )
+        return True
 
     def _settled(self, this: _Try) -> bool:
         """Whether a task needs no slot: it is sealed, or cannot even be tried."""
@@ -318,56 +404,86 @@ class _Run:
         return False
 
     def _begin(self, this: _Try, slot: Slot) -> None:
-        folder = self._plan.folder(this.task)
+        task, folder = this.task, self._plan.folder(this.task)
         claim = None
         try:
-            claim = self._pool.claim(self._plan, this.task)
+            claim = self._pool.claim(self._plan, task)
             if claim is None:
                 self._not_ours(this)
                 return
-            if not folder.flat:
+            if claim.inherited or self._has_parts(task):
                 folder.remove_parts()
+            if self._settled(this):  # by another one, since we looked
+                claim.release()
+                return
+            if not (folder.flat or self._plan.overwrite or folder.is_free_for(task.id)):
+                claim.release()
+                result = Result(task.shown, task.name, "failed", id=task.id)
+                result.error = (
+                    f"{shown(folder.path)} has got results of another batch since this one was planned; "
+                    "start this one again, and its results get another name"
+                )
+                result.attempts = [attempt(result.error, "OptionError", 0.0)]
+                self._end(this, result)
+                return
             part = folder.part()
         except HandfitError as error:
             if claim is not None:
                 claim.release()
             self._missed(this, str(error), "OutputError", 0.0, {}, None)
             return
-        self._open.remove(this)
         self._pool.occupy(slot, self._plan, _Running(this, claim, part, time.monotonic()))
-        self._listener.began(this.task)
+        self._listener.began(task)
 
     def _not_ours(self, this: _Try, why: str = "another process is at it") -> None:
         """Somebody else is at it, or at what it needs: see again later."""
-        this.not_before = time.monotonic() + _ELSEWHERE
-        others = [each for each in self._open if each.not_before <= time.monotonic()]
-        if not self._wait and not others and not self._pool.running:
-            result = Result(this.task.shown, this.task.name, status="running")
-            result.error = why
-            self._end(this, result)
+        others = self._open or self._alone or self._pool.running
+        if self._wait or others or not all(each.elsewhere for *_, each in self._later):
+            this.elsewhere = True
+            self._put_off(this, _ELSEWHERE * max(1.0, len(self._later) / _FEW))
+            return
+        result = Result(this.task.shown, this.task.name, "running", id=this.task.id, attempts=this.attempts)
+        result.error = why
+        self._end(this, result)
 
     def _take(self, slot: Slot, running: _Running | None, event: Event) -> None:
         """Take in what a slot has said."""
-        kind = event.get("event")
         if running is None:
-            if kind == "error":
+            if event.get("event") == "error":
                 self._pool.lost(slot, event)
             return
+        try:
+            act = self._understood(slot, running, event)
+        except (KeyError, TypeError, ValueError, AttributeError):
+            self._pool.drop(slot)
+            error = "the process that does tasks said what nobody understands; try --debug"
+            self._failed(running, error, "ProtocolError")
+        else:
+            act()
+
+    def _understood(self, slot: Slot, running: _Running, event: Event) -> Callable[[], None]:
+        """What to do about an event of a slot that has a task. Raises KeyError, TypeError, ValueError or
+        AttributeError where it does not say what it must."""
+        kind = event.get("event")
         if kind == "progress":
-            self._listener.progress(running.this.task, event["stage"], event["done"], event["total"])
-        elif kind == "file":
-            running.files[event["name"]] = {"size": event["size"], "sha256": event["sha256"]}
-        elif kind == "warning":
-            running.warnings.append(str(event["message"]))
-        elif kind == "done":
-            self._pool.release(slot)
-            self._seal(running, Result.of_entry(event["result"]))
-        elif kind == "error":
-            if "result" in event:
-                self._pool.release(slot)
-            else:
-                self._pool.drop(slot)
-            self._failed(running, str(event.get("message")), str(event.get("type")), event.get("result"))
+            done, total = int(event["done"]), int(event["total"])
+            return partial(self._listener.progress, running.this.task, str(event["stage"]), done, total)
+        if kind == "file":
+            path = PurePosixPath(event["name"])
+            if path.is_absolute() or ".." in path.parts:
+                raise ValueError
+            known = {"size": int(event["size"]), "sha256": str(event["sha256"])}
+            return partial(running.files.__setitem__, str(path), known)
+        if kind == "warning":
+            return partial(running.warnings.append, str(event["message"]))
+        if kind == "done":
+            return partial(self._seal, slot, running, Result.of_entry(event["result"]))
+        if kind == "error":
+            entry = event.get("result")
+            (self._pool.release if entry else self._pool.drop)(slot)
+            result = Result.of_entry(entry) if entry else None
+            return partial(self._failed, running, str(event.get("message")), str(event.get("type")), result)
+        return lambda: None
 
     def _beat(self, running: _Running) -> None:
         try:
@@ -376,43 +492,50 @@ class _Run:
             self._pool.drop(self._pool.slot_of(running))
             self._failed(running, str(error), "Lost")
 
-    def _seal(self, running: _Running, result: Result) -> None:
+    def _seal(self, slot: Slot, running: _Running, result: Result) -> None:
         """Put the results in their place and seal them."""
         task, folder = running.this.task, self._plan.folder(running.this.task)
         seconds = time.monotonic() - running.began
         result.status, result.id, result.seconds = "ok", task.id, round(seconds, 3)
         result.attempts, result.host = running.this.attempts, socket.gethostname()
         result.files = [folder.relative(name) for name in running.files]
+        self._pool.release(slot)
         try:
-            with _undisturbed():
-                running.claim.check()
-                folder.unseal()
+            running.claim.check()
+            seal = None if self.again else folder.sealed(task.id)
+            if seal is not None:  # by another one, who had taken it over; it stays as it is
+                result = Result.of_entry(seal["result"])
+            else:
                 folder.take_in(running.part, running.files)
                 folder.seal(task.id, asdict(result), running.files, seconds)
-                for part in task.needs:
-                    self._plan.folder(self._plan.by_id[part]).discard(part)
-                self._pool.put_back(running)
+            for part in task.needs:
+                self._plan.folder(self._plan.by_id[part]).discard(part)
+        except OSError as error:
+            self._failed(running, f"{shown(folder.path)}: {why(error)}", "Lost", result)
         except HandfitError as error:
-            self._failed(running, str(error), type(error).__name__, asdict(result))
-            return
-        self._end(running.this, result)
+            self._failed(running, str(error), type(error).__name__, result)
+        else:
+            self._pool.put_back(running)
+            self._end(running.this, result)
 
-    def _failed(self, running: _Running, error: str, kind: str, entry: dict[str, Any] | None = None) -> None:
+    def _failed(self, running: _Running, error: str, kind: str, result: Result | None = None) -> None:
         """An attempt has failed: what is whole is kept, and it is tried again or given up."""
         this, folder = running.this, self._plan.folder(running.this.task)
-        result = Result.of_entry(entry) if entry else Result(this.task.shown, this.task.name)
-        result.warnings = result.warnings or running.warnings
-        files: Files = running.files
-        kept = (folder.failures(this.task.id) or {}).get("files", {})
-        try:
-            with _undisturbed():
-                running.claim.check()
-                if files:
-                    folder.take_in(running.part, files)
-        except HandfitError:
-            files = {}
         seconds = time.monotonic() - running.began
-        self._missed(this, error, kind, seconds, {**kept, **files}, result)
+        if kind == "Lost":
+            this.attempts.append(attempt(error, kind, seconds))
+            self._pool.put_back(running)
+            self._not_ours(this)
+            return
+        result = result or Result(this.task.shown, this.task.name)
+        result.warnings = result.warnings or running.warnings
+        files: Files = (folder.failures(this.task.id) or {}).get("files", {})
+        with contextlib.suppress(HandfitError, OSError):
+            running.claim.check()
+            if running.files and not folder.done.exists():  # finished work stays as it is
+                folder.take_in(running.part, running.files)
+                files = {**files, **running.files}
+        self._missed(this, error, kind, seconds, files, result)
         self._pool.put_back(running)
 
     def _missed(
@@ -423,11 +546,11 @@ class _Run:
         result.error, result.id = " ".join(error.split()), this.task.id
         this.attempts.append(attempt(result.error, kind, seconds))
         result.attempts, result.host = this.attempts, socket.gethostname()
-        if kind in CURABLE and len(this.attempts) < self._pool.attempts:
-            this.not_before = time.monotonic() + BACK_OFF[min(len(this.attempts), len(BACK_OFF)) - 1]
+        tried = sum(each["kind"] != "Lost" for each in this.attempts)
+        if kind in CURABLE and tried < self._pool.attempts:
+            result.status = "pending"
             this.alone = this.alone or kind == "MemoryRanOut"
-            if this not in self._open:
-                self._open.append(this)
+            self._put_off(this, BACK_OFF[min(tried, len(BACK_OFF)) - 1])
             if files:
                 self._note(this, result, files)
             return
@@ -444,13 +567,12 @@ class _Run:
                 folder.fail(this.task.id, asdict(result), files)
 
     def _end(self, this: _Try, result: Result) -> None:
-        if this in self._open:
-            self._open.remove(this)
         self._results[this.task.id] = result
-        if this.task.of:
-            for other in self._open:
-                if other.task.id == this.task.of:
-                    other.not_before = 0.0
+        for place, (_, number, other) in enumerate(self._later if this.task.of else ()):
+            if other.task.id == this.task.of:  # it may be done now
+                self._later[place] = 0.0, number, other
+                heapq.heapify(self._later)
+                break
         self._listener.ended(this.task, result)
 
 
@@ -470,20 +592,30 @@ def settled(plan: Plan, task: Task, *, again: bool, retry_failed: bool) -> Resul
 
 
 @contextlib.contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Within, Ctrl-C and SIGTERM wait: results would be in their place, and not sealed."""
+def _signals_held() -> Iterator[Callable[[], None]]:
+    """Within, Ctrl-C and SIGTERM wait until what is yielded is called, so that nobody leaves a claim behind,
+    or results without their seal; a second one does not."""
     waiting: list[tuple[int, Any]] = []
     before: dict[int, Callable[[int, Any], Any]] = {}
+
+    def hold(number: int, frame: Any) -> None:
+        if waiting:
+            before[number](number, frame)
+        waiting.append((number, frame))
+
+    def look() -> None:
+        if waiting:
+            number, frame = waiting.pop()
+            before[number](number, frame)
+
     with contextlib.suppress(ValueError):  # not the main thread, which alone gets signals
         for number in (signal.SIGINT, signal.SIGTERM):
-            handler = signal.signal(number, lambda n, frame: waiting.append((n, frame)))
-            if callable(handler):
+            if callable(handler := signal.getsignal(number)):
                 before[number] = handler
+                signal.signal(number, hold)
     try:
-        yield
+        yield look
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        for number, frame in waiting:
-            if number in before:
-                before[number](number, frame)
+        look()

@@ -46,7 +46,8 @@ class Result:
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any]) -> Self:
         """From what `asdict` made of one; what another version has on top is left out."""
-        return cls(**{each.name: entry[each.name] for each in fields(cls) if each.name in entry})
+        known = {each.name: entry[each.name] for each in fields(cls) if each.name in entry}
+        return cls(**{"input": "", "name": "", **known})
 
     def describe(self, take: Take) -> None:
         """Fill in `frames` and `hands`."""
@@ -70,7 +71,9 @@ def write_report(path: Path, results: Sequence[Result]) -> None:
     """Write report.json whole. Raises OutputError."""
     report = {"format": "handfit-batch", "version": 1, "inputs": [vars(r) for r in results]}
     with written_whole(path) as beside:
-        beside.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
+        # Of a name that is no UTF-8 an escape is left, which says the same in JSON.
+        beside.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def line(result: Result) -> str:

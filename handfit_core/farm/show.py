@@ -105,6 +105,8 @@ class Shown(Listener):
             print(f"openjd_fail: {result.error}", flush=True)
         if self._report is not None:
             self._report.set(result)
+            if self._ended == self._count:  # others may have been at work beside
+                self._report.look()
             self._write(now=self._ended == self._count)
 
     def turn(self) -> None:
@@ -139,6 +141,7 @@ class Shown(Listener):
                 result = Result(at.task.shown, at.task.name, "interrupted", id=at.task.id)
                 result.error = why or "stopped by the user"
                 self._report.set(result)
+            self._report.look()
             self._write(now=True)
 
     def close(self) -> None:

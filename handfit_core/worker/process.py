@@ -80,7 +80,12 @@ class ChildProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; -N where signal N ended it."""
+        """None while it runs; -N where signal N ended it. What it has started ends with it."""
+        if self._process.returncode is None and "start_new_session" in _apart() and hasattr(os, "waitid"):
+            with contextlib.suppress(OSError):
+                # Until we ask for its end, nobody else's group can have its number.
+                if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                    os.killpg(self.pid, signal.SIGKILL)
         return self._process.poll()
 
     def send(self, line: bytes) -> None:

@@ -9,6 +9,7 @@ word is how often it is so, before all goes well ("a-crash2" crashes twice), and
     memory, input, gone, disk     it fails with MemoryRanOut, InputError, InputGone, OutputError
     nonsense             it says what is no message, and messages that nobody knows, and then all goes well
     bad                  it says messages that lack what they must have
+    last                 it ends by SIGKILL once it has said that all is done
     liar                 it tells of a file that it has not written
     slow                 it takes half a second, in ten steps
     deep                 one of its files is in a folder of its own
@@ -140,6 +141,8 @@ def do(request: dict[str, Any]) -> None:
         if step in (4, 9):
             write("first" if step == 4 else "second")
     say("done", result=result)
+    if is_("last"):
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _written_down(name: str, request: dict[str, Any]) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 from collections.abc import Callable
 from datetime import UTC, datetime
 from html.parser import HTMLParser
@@ -14,7 +15,10 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import pytest
 
 from handfit_core.errors import OutputError
+from handfit_core.farm.collect import Report
+from handfit_core.farm.folder import Watch, files_in
 from handfit_core.farm.overview import section_of, write_overview
+from tests.core.farm.peers import plan_of
 
 VOID = {"meta", "input", "img", "br", "li", "th", "td"}
 """Without an end of their own here"""
@@ -302,6 +306,38 @@ def test_it_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OutputError):
         write_overview(tmp_path / "overview.html", [ok("a")])
     assert [path.name for path in tmp_path.iterdir()] == ["overview.html"]
+
+
+def test_a_folder_of_results_is_shown_as_it_is_now(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, ["done", "broken", "at-hand", "left"])
+    done, broken, at_hand, _ = (plan.folder(task) for task in plan.tasks)
+    ids = [task.id for task in plan.tasks]
+    done.path.mkdir()
+    (done.path / "done.sheet.jpg").write_bytes(b"a picture")
+    files = files_in(done.path, ["done.sheet.jpg"])
+    done.seal(ids[0], {**ok("done"), "id": ids[0], "files": ["done/done.sheet.jpg"]}, files, 1.0)
+    broken.fail(ids[1], {**failed("broken"), "id": ids[1]}, {})
+    claim = Watch().claim(at_hand, ids[2])
+    assert claim is not None
+    report = Report([plan])
+    report.look()
+    report.write()
+    page = Page(tmp_path / "overview.html")
+    assert {
+        section: names(found, "done broken at-hand left") for section, found in page.sections.items()
+    } == {
+        "failed": ["broken"],
+        "good": ["done"],
+        "running": ["at-hand"],
+        "pending": ["left"],
+    }
+    assert socket.gethostname() in page.sections["running"][0]
+    assert all((tmp_path / link).is_file() for link in page.files)
+    told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["inputs"]
+    assert [entry["status"] for entry in told] == ["ok", "failed", "running", "pending"]
+    claim.release()
+    report.look()
+    assert [result.status for result in report.results] == ["ok", "failed", "pending", "pending"]
 
 
 def test_entries_of_a_report_are_understood(tmp_path: Path) -> None:

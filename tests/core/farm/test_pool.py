@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import signal
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
-from handfit_core.farm.pool import Pool
-from tests.core.farm.peers import COMMAND, attempts, content, plan_of
+from handfit_core.errors import OptionError
+from handfit_core.farm.collect import state
+from handfit_core.farm.folder import TaskFolder, Watch, files_in
+from handfit_core.farm.plan import Task
+from handfit_core.farm.pool import ATTEMPTS, Listener, Pool
+from handfit_core.farm.report import Result
+from tests.core.farm.peers import COMMAND, attempts, content, plan_of, planned
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
 
@@ -21,12 +34,39 @@ def log(tmp_path, monkeypatch):
     return tmp_path / "log"
 
 
-def exists(pid: int) -> bool:
+def assert_gone(*pids: int | None) -> None:
+    """No process is left; the system's init may need a moment to let go of one."""
+    deadline = time.monotonic() + 10
+    while left := [pid for pid in pids if pid and Path(f"/proc/{pid}").exists()]:
+        assert time.monotonic() < deadline, left
+        time.sleep(0.02)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def sealed(folder: TaskFolder, id: str) -> None:
+    """Give a task a result and its seal."""
+    claim = Watch().claim(folder, id)
+    assert claim is not None
+    part = folder.part()
+    (part / "result.txt").write_text("of before")
+    files = files_in(part, ["result.txt"])
+    folder.take_in(part, files)
+    folder.seal(id, {"status": "ok"}, files, 1.0)
+    part.rmdir()
+    claim.release()
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Within, SIGTERM is as Ctrl-C, as in a batch (blender_manient/batch/console.py)."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 CURED = [
@@ -62,4 +102,231 @@ def test_what_another_attempt_cures(tmp_path, log, jobs):
     assert sorted(p.name for p in out.iterdir()) == sorted([*CURED, "plans"]), "no part is left"
     assert not list(out.rglob("running.json"))
     assert not list(out.rglob("failed.json"))
-    assert not any(exists(a["pid"]) for a in attempts(log))
+    assert_gone(*[a["pid"] for a in attempts(log)])
+
+
+KEPT_FAILING = {
+    "crash": "WorkerDied",
+    "kill": "WorkerDied",
+    "memory": "MemoryRanOut",
+    "gone": "InputGone",
+    "disk": "OutputError",
+    "liar": "OutputError",
+}
+"""What it does each time -> the kind of its attempts, of which there are several"""
+
+
+def test_what_no_attempt_cures_has_failed_with_its_sentences(tmp_path, log):
+    out = tmp_path / "out"
+    plan = plan_of(out, [*KEPT_FAILING, "input", "bad", "fine"])
+    with Pool(COMMAND, jobs=2) as pool:
+        results = {r.name: r for r in pool.run(plan, plan.tasks)}
+    for name, kind in KEPT_FAILING.items():
+        assert results[name].status == "failed"
+        assert [a["kind"] for a in results[name].attempts] == [kind] * ATTEMPTS
+        assert all(a["error"] for a in results[name].attempts)
+    assert [a["kind"] for a in results["input"].attempts] == ["InputError"]
+    assert [a["kind"] for a in results["bad"].attempts] == ["ProtocolError"]
+    assert results["fine"].status == "ok"
+    assert not [p for p in out.iterdir() if p.name.startswith(".")]
+    assert not (tmp_path / "outside").exists()
+    begun = len(attempts(log))
+    with Pool(COMMAND) as pool:
+        again = {r.name: r for r in pool.run(plan, [plan.task("input"), plan.task("fine")])}
+        assert len(attempts(log)) == begun, "one is done, and the other's fault lies in it"
+        (tried,) = pool.run(plan, [plan.task("input")], retry_failed=True)
+    assert (again["input"].status, again["fine"].status) == ("failed", "ok")
+    assert len(attempts(log)) == begun + 1
+    assert tried.status == "failed"
+
+
+def test_what_a_failed_attempt_has_finished_is_used_if_it_is_still_that(tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["half1"])
+    (task,) = plan.tasks
+    with Pool(COMMAND, attempts=1) as pool:
+        (result,) = pool.run(plan, plan.tasks)
+        assert (result.status, result.files) == ("failed", ["half1/half1.first"])
+        first = plan.folder(task).path / "half1.first"
+        whole = first.read_bytes()
+        first.write_bytes(whole[::-1])  # as long as it was
+        assert plan.folder(task).kept(task.id) == {}
+        first.write_bytes(whole)
+        (result,) = pool.run(plan, plan.tasks)
+    assert result.status == "ok"
+    assert [a["finished"] for a in attempts(log)] == [[], ["half1.first"]]
+
+
+@pytest.mark.parametrize("word", ["hang", "stop"])
+def test_the_time_limit_ends_all_that_was_started(tmp_path, log, word):
+    plan = plan_of(tmp_path / "out", [word, "fine"])
+    with Pool(COMMAND, jobs=2, timeout=3.0) as pool:
+        hung, fine = pool.run(plan, plan.tasks)
+    assert (hung.status, fine.status) == ("failed", "ok")
+    assert hung.attempts[-1]["kind"] == "Timeout"
+    assert_gone(*[number for a in attempts(log) for number in (a["pid"], a.get("child"))])
+
+
+def test_what_a_killed_process_has_started_ends_with_it(tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["hang1"])
+
+    class Killer(Listener):
+        def turn(self) -> None:
+            if len(attempts(log)) == 2:
+                with suppress(ProcessLookupError):
+                    os.kill(attempts(log)[0]["pid"], signal.SIGKILL)
+
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks, Killer())
+    assert result.status == "ok"
+    assert [a["kind"] for a in result.attempts] == ["WorkerDied"]
+    assert_gone(attempts(log)[0]["pid"], attempts(log)[1]["child"])
+
+
+def test_memory_that_ran_out_is_tried_again_alone(tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["memory1", *(f"slow-{n}" for n in range(4))])
+
+    class Beside(Listener):
+        at: ClassVar[set[str]] = set()
+        seen: ClassVar[list[set[str]]] = []
+
+        def began(self, task: Task) -> None:
+            self.at.add(task.name)
+            self.seen.append(set(self.at))
+
+        def ended(self, task: Task, result: Result) -> None:
+            assert result.status == "ok"
+            self.at.discard(task.name)
+
+    with Pool(COMMAND, jobs=3) as pool:
+        results = pool.run(plan, plan.tasks, Beside())
+    assert all(result.status == "ok" for result in results)
+    assert Beside.seen[-1] == {"memory1"}
+    assert len(Beside.seen) == 6
+
+
+def test_finished_work_stays_where_it_is_done_again_and_fails(tmp_path, log):
+    out = tmp_path / "out"
+    plan = plan_of(out, ["fine-half"])
+    (task,) = plan.tasks
+    folder = plan.folder(task)
+    sealed(folder, task.id)
+    before = contents(folder.path)
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks, again=True)
+    assert result.status == "failed"
+    assert len(attempts(log)) == ATTEMPTS
+    assert folder.sealed(task.id)
+    assert {name: held for name, held in contents(folder.path).items() if name != "failed.json"} == before
+    assert state(plan, task).status == "ok"
+
+
+@pytest.mark.parametrize("broken", ["seal", "taken in", "noted"])
+def test_a_disk_that_is_full_while_results_are_sealed(tmp_path, log, monkeypatch, broken):
+    """Two processes have done the work, and nothing of it is done a third time."""
+    plan = plan_of(tmp_path / "out", ["fine"])
+    (task,) = plan.tasks
+    was, left = TaskFolder.aside, [2]
+
+    def aside(self: TaskFolder, text: str) -> Path:
+        if broken == "seal" and '"versions"' in text and left[0]:
+            left[0] -= 1
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if broken == "noted" and '"attempts"' in text and '"pending"' in text:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return was(self, text)
+
+    monkeypatch.setattr(TaskFolder, "aside", aside)
+    if broken == "taken in":
+        replace, moved = Path.replace, []
+
+        def fails_once(self: Path, target: Path) -> Path:
+            if Path(target).name == "fine.second" and not moved:
+                moved.append(target)
+                raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
+            return replace(self, target)
+
+        monkeypatch.setattr(Path, "replace", fails_once)
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks)
+    assert result.status == "ok", result.error
+    tries = {"seal": 3, "taken in": 2, "noted": 1}[broken]
+    assert len(attempts(log)) == tries
+    assert all(a["finished"] == ["fine.first", "fine.second"] for a in attempts(log)[1:])
+    assert plan.folder(task).sealed(task.id)
+    assert sorted(contents(plan.folder(task).path)) == ["done.json", "fine.first", "fine.second"]
+
+
+def test_a_program_that_says_done_and_dies_is_heard_to_the_end(tmp_path, log):
+    plan = plan_of(tmp_path / "out", [f"last-{n}" for n in range(6)])
+    ended = []
+
+    class Counting(Listener):
+        def ended(self, task: Task, result: Result) -> None:
+            ended.append((task.name, result.status))
+
+    with Pool(COMMAND, jobs=2) as pool:
+        pool.run(plan, plan.tasks, Counting())
+    assert sorted(ended) == [(task.name, "ok") for task in plan.tasks]
+    assert len(attempts(log)) == 6
+
+
+def test_another_version_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("PEER_VERSION", "0.0.1")
+    plan = plan_of(tmp_path / "out", ["fine"])
+    with Pool(COMMAND) as pool, pytest.raises(OptionError, match="same version on all machines"):
+        pool.run(plan, plan.tasks)
+    assert not (tmp_path / "out" / "fine").exists()
+
+
+def test_a_program_that_cannot_start_is_named(tmp_path):
+    plan = plan_of(tmp_path / "out", ["fine"])
+    command = (sys.executable, "-c", "raise SystemExit('no Blender here')")
+    with Pool(command) as pool, pytest.raises(OptionError, match="no Blender here"):
+        pool.run(plan, plan.tasks)
+    with Pool(("no such program",)) as pool, pytest.raises(OptionError, match="no such program"):
+        pool.run(plan, plan.tasks)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("stage", ["claim", "occupy", "take_in", "seal", "put_back", "turn"])
+def test_a_stop_at_any_stage_leaves_no_claim_and_no_part(tmp_path, log, monkeypatch, number, stage):
+    plan = plan_of(tmp_path / "out", ["fine", "hang", "an-other"])
+    owner = TaskFolder if stage in ("take_in", "seal") else Listener if stage == "turn" else Pool
+    was = getattr(owner, stage)
+
+    def stopped(*args: Any, **more: Any) -> Any:
+        os.kill(os.getpid(), number)
+        try:
+            return was(*args, **more)
+        finally:
+            monkeypatch.setattr(owner, stage, was)
+
+    monkeypatch.setattr(owner, stage, stopped)
+    with stopped_by_signals(), pytest.raises(KeyboardInterrupt), Pool(COMMAND, jobs=2) as pool:
+        pool.run(plan, plan.tasks)
+    out = plan.output
+    assert not [p for p in out.iterdir() if p.name.startswith(".")]
+    assert not list(out.rglob("running.json"))
+    for task in plan.tasks:
+        folder = plan.folder(task)
+        assert not folder.path.exists() or folder.sealed(task.id)
+    assert_gone(*[a["pid"] for a in attempts(log)])
+    if stage in ("take_in", "seal", "put_back"):
+        assert sum(plan.folder(task).sealed(task.id) is not None for task in plan.tasks) == 1
+
+
+def test_results_of_another_batch_are_not_replaced_unasked(tmp_path, log):
+    """Both were planned before either had anything in the folder."""
+    out = tmp_path / "out"
+    first, second = plan_of(out, ["fine"]), plan_of(out, ["fine", "other"])
+    second = planned(second, tasks=(replace(second.tasks[0], id="0" * 16), second.tasks[1]))
+    with Pool(COMMAND) as pool:
+        pool.run(first, first.tasks)
+        before = contents(out / "fine")
+        taken, other = pool.run(second, second.tasks)
+        assert (taken.status, other.status) == ("failed", "ok")
+        assert "another batch" in taken.error
+        assert contents(out / "fine") == before
+        (replaced, _) = pool.run(planned(second, overwrite=True), second.tasks)
+    assert replaced.status == "ok"
+    assert second.folder(second.tasks[0]).sealed("0" * 16)

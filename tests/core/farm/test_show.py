@@ -125,7 +125,9 @@ def test_logs_get_a_line_at_least_each_minute(clock, capsys):
 
 def test_the_report_says_what_is_running(tmp_path, clock):
     given = tasks("a", "b")
-    report = Report([Plan(tmp_path, tuple(given), {})])
+    plan = Plan(tmp_path, tuple(given), {})
+    plan.save()
+    report = Report([plan])
     shown = Shown(given, "none", report)
     shown.began(given[0])
     shown.turn()
