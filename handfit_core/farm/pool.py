@@ -611,8 +611,8 @@ def _signals_held() -> Iterator[Callable[[], None]]:
     with contextlib.suppress(ValueError):  # not the main thread, which alone gets signals
         for number in (signal.SIGINT, signal.SIGTERM):
             if callable(handler := signal.getsignal(number)):
-                before[number] = handler
                 signal.signal(number, hold)
+                before[number] = handler
     try:
         yield look
     finally:
