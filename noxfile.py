@@ -26,6 +26,8 @@ PAPER = ["torch"]
 EVALUATION = ["pandas", "matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
 PYTEST = ["pytest", "pytest-xdist"]
+FARM_TOOLS = ["openjd-cli"]
+"""What checks and runs farms' job files."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -104,9 +106,9 @@ def tests(session: nox.Session, part: str) -> None:
     Those with numbers run twice: what only this processor's rounding makes true is not true.
     """
     if part == "core":
-        install(session, *RUN_TIME, *PAPER, *EVALUATION, *SBOM_CHECK, CORE_NUMPY, *PYTEST)
+        install(session, *RUN_TIME, *PAPER, *EVALUATION, *SBOM_CHECK, *FARM_TOOLS, CORE_NUMPY, *PYTEST)
         fetch_landmark_model(session)
-        run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx", workers=2)
+        run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx,snakemake", workers=2)
         run_again_as_another_processor(session, *NUMBERS)
     elif part == "open-hand":
         install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
