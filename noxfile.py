@@ -28,6 +28,8 @@ EVALUATION = ["pandas", "matplotlib", "jinja2"]
 FARM = ["distributed", "dask-jobqueue"]
 """What a batch on many machines needs on top."""
 PYTEST = ["pytest", "pytest-xdist"]
+FARM_TOOLS = ["openjd-cli"]
+"""What checks and runs farms' job files."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -106,9 +108,10 @@ def tests(session: nox.Session, part: str) -> None:
     Those with numbers run twice: what only this processor's rounding makes true is not true.
     """
     if part == "core":
-        install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, *SBOM_CHECK, CORE_NUMPY, *PYTEST)
+        tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
+        install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
-        run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx", workers=2)
+        run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx,snakemake", workers=2)
         run_again_as_another_processor(session, *NUMBERS)
     elif part == "open-hand":
         install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)

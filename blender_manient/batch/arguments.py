@@ -7,8 +7,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from handfit_core.farm.commands import add_cluster_arguments, add_plan, add_running_arguments, count
-from handfit_core.options import add_options
+from handfit_core.farm.commands import add_cluster_arguments, add_map, add_plan, add_running_arguments, count
+from handfit_core.farm.templates import KINDS, MOST_JOBS
+from handfit_core.options import OPTIONS, add_options
 
 from .commands import COMMANDS, SLOT
 
@@ -81,17 +82,43 @@ def add_commands(
         if name in ("capture", "apply", "plan"):
             add_arguments(parser, default_inputs, default_python=default_python, command=name)
             continue
+        if name == "farm-template":
+            parser.add_argument("kind", choices=KINDS, help="of the farm")
         if name != SLOT:
             add_plan(parser)
         if name == "task":
-            parser.add_argument("id", metavar="ID", help="of the task, or its name in the plan")
-        if name not in ("task", "work"):
+            parser.add_argument("id", metavar="ID", help="of the task, its name, or numbers, as #3 or #3-7")
+            parser.add_argument(
+                "--accept-failed",
+                action="store_true",
+                help="end with 0 also where the input is why it failed: collect tells",
+            )
+        if name in ("task", "work", "farm-template"):
+            add_map(parser)
+        if name == "farm-template":
+            _add_template_arguments(parser)
+        elif name in ("task", "work"):
+            _add_python(parser, default_python)
+            add_running_arguments(parser)
+            OPTIONS["processes"].add_to(parser)
+        else:
             _add_debug(parser)
-            continue
-        _add_python(parser, default_python)
-        add_running_arguments(parser, of_plan=True)
         if name == "work":
             add_cluster_arguments(parser)
+
+
+def _add_template_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what says how a farm's job file is made."""
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="default: beside the plan")
+    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
+    parser.add_argument(
+        "--jobs",
+        type=count,
+        default=MOST_JOBS,
+        metavar="N",
+        help=f"share the tasks out among at most N jobs of the farm (default: {MOST_JOBS})",
+    )
+    _add_debug(parser)
 
 
 def _add_python(parser: argparse.ArgumentParser, default_python: str) -> None:

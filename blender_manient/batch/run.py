@@ -21,6 +21,7 @@ from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
 from handfit_core.farm.pool import CURABLE, Pool, is_final, share, usable_jobs
 from handfit_core.farm.show import Shown, clock
+from handfit_core.farm.templates import write_template
 from handfit_core.files import check_writable
 from handfit_core.media.frame_range import FrameRange, part_ranges
 from handfit_core.worker.interpreter import find_python, worker_command, worker_environment
@@ -76,19 +77,29 @@ def _work(args: argparse.Namespace, host: Host) -> int:
 
 
 def _task(args: argparse.Namespace, host: Host) -> int:
-    """One task."""
+    """One task, or some that one machine gets together."""
     (plan, *others) = given_plans(args)
     for other in others:
         if args.id in other.by_id:
             plan = other
-    task = plan.task(args.id)
-    with closing(Shown([task], args.progress)) as shown, _pool(args, host, 1) as pool:
-        (result,) = pool.run(
-            plan, [task], shown, again=args.again, retry_failed=args.retry_failed, wait=False
-        )
-    if result.status == "running" or (result.attempts and result.attempts[-1]["kind"] in CURABLE):
-        return EXIT_OK if result.status == "ok" else EXIT_LATER
-    return EXIT_OK if result.status == "ok" else EXIT_SOME_FAILED
+    tasks = plan.chosen(args.id)
+    with closing(Shown(tasks, args.progress)) as shown, _pool(args, host, 1) as pool:
+        results = pool.run(plan, tasks, shown, again=args.again, retry_failed=args.retry_failed, wait=False)
+    missing = [result for result in results if result.status != "ok"]
+    if any(r.status == "running" or (r.attempts and r.attempts[-1]["kind"] in CURABLE) for r in missing):
+        return EXIT_LATER
+    return EXIT_OK if args.accept_failed or not missing else EXIT_SOME_FAILED
+
+
+def _farm_template(args: argparse.Namespace, _host: Host) -> int:
+    """Job files; their names on stdout."""
+    plans = plans_in(args.plan)
+    if args.output and len(plans) > 1:
+        raise OptionError(f"{args.plan} has {len(plans)} plans; name the one that {args.output} is to be for")
+    for plan in plans:
+        how = {"most": args.jobs, "timeout": args.timeout, "places": args.map}
+        print(write_template(args.kind, plan, args.output, **how))
+    return EXIT_OK
 
 
 def _collect(args: argparse.Namespace, _host: Host) -> int:
@@ -112,6 +123,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace, Host], int]] = {
     "plan": _plan,
     "work": _work,
     "task": _task,
+    "farm-template": _farm_template,
     "collect": _collect,
     "slot": _slot,
 }

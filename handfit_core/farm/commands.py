@@ -13,7 +13,7 @@ from typing import Any, Final, NoReturn, Protocol
 
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.farm.collect import Report
-from handfit_core.farm.plan import Plan, Task, plans_in
+from handfit_core.farm.plan import Plan, Task, places_of, plans_in
 from handfit_core.farm.pool import Listener
 from handfit_core.farm.report import Result
 from handfit_core.farm.show import STYLES, Shown
@@ -67,7 +67,7 @@ def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse
 
 def given_plans(args: argparse.Namespace) -> list[Plan]:
     """The plans that a command line names, with paths as they are here. Raises InputError."""
-    places = [tuple(text.partition("=")[::2]) for text in args.map]
+    places = [place for text in args.map for place in places_of(text)]
     return [plan.mapped(places) for plan in plans_in(args.plan)]
 
 
@@ -78,9 +78,20 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_running_arguments(parser: argparse.ArgumentParser, *, of_plan: bool = False) -> None:
-    """Add what says how tasks are done, which changes nothing in their results. `of_plan`: those of a plan
-    that is there already."""
+def add_map(parser: argparse.ArgumentParser) -> None:
+    """Add how a plan's paths are called here."""
+    parser.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        metavar="THERE=HERE",
+        help="paths that begin with THERE in the plan begin with HERE on this machine; or a file with Open "
+        "Job Description's path mapping rules",
+    )
+
+
+def add_running_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what says how tasks are done, which changes nothing in their results."""
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
     parser.add_argument(
         "--jobs", type=count, metavar="N", help="inputs at a time (default: by cores and memory)"
@@ -90,15 +101,6 @@ def add_running_arguments(parser: argparse.ArgumentParser, *, of_plan: bool = Fa
         "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
     )
     parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
-    if of_plan:
-        parser.add_argument(
-            "--map",
-            action="append",
-            default=[],
-            metavar="THERE=HERE",
-            help="paths that begin with THERE in the plan begin with HERE on this machine",
-        )
-        OPTIONS["processes"].add_to(parser)
 
 
 def add_cluster_arguments(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
@@ -130,7 +132,9 @@ def add_work_command(commands: Any) -> None:
     )
     parser.set_defaults(handler=_work)
     add_plan(parser)
-    add_running_arguments(parser, of_plan=True)
+    add_map(parser)
+    add_running_arguments(parser)
+    OPTIONS["processes"].add_to(parser)
     add_cluster_arguments(parser, required=True)
     parser.add_argument("--python", metavar="PATH", help="Python that captures, on the workers")
 

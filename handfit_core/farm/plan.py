@@ -10,6 +10,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -127,6 +128,15 @@ class Plan:
             raise OptionError(f"{shown(self.path)}: {several} of the plan is called {shown(id)}")
         return found[0]
 
+    def chosen(self, text: str) -> list[Task]:
+        """The tasks that a text names: one as `task` finds it, or several by their numbers in the plan, from
+        1 on, as in #1-9,12. Raises OptionError."""
+        if re.fullmatch(r"#\d+(-\d+)?(,\d+(-\d+)?)*", text) and text not in (t.name for t in self.tasks):
+            ends = [(int(a), int(b or a)) for a, b in re.findall(r"(\d+)(?:-(\d+))?", text)]
+            if all(1 <= first <= last <= len(self.tasks) for first, last in ends):
+                return [task for first, last in ends for task in self.tasks[first - 1 : last]]
+        return [self.task(text)]
+
     def save(self) -> Path:
         """Write it; returns its file. Raises OutputError."""
         with written_whole(self.path) as beside:
@@ -173,16 +183,18 @@ class Plan:
 
     def mapped(self, places: Sequence[tuple[str, str]]) -> Plan:
         """The plan with other beginnings of paths: what is called `places[i][0]` where it was made is called
-        `places[i][1]` here."""
+        `places[i][1]` here. Only whole names of folders count, and the first that fits."""
         if not places:
             return self
 
         def here(value: Any) -> Any:
             if isinstance(value, str):
                 for there, now in places:
-                    if value.startswith(there):
-                        wrong, right = ("\\", "/") if "/" in now else ("/", "\\")
-                        return (now + value[len(there) :]).replace(wrong, right)
+                    if (rest := _below(value, there)) is not None:
+                        if _is_windows(there) != _is_windows(now):
+                            wrong, right = ("\\", "/") if _is_windows(there) else ("/", "\\")
+                            rest = rest.replace(wrong, right)
+                        return now.rstrip("/\\" if _is_windows(now) else "/") + rest
             if isinstance(value, Mapping):
                 return {key: here(inner) for key, inner in value.items()}
             return type(value)(map(here, value)) if isinstance(value, list | tuple) else value
@@ -191,6 +203,39 @@ class Plan:
         plan = replace(self, tasks=tasks, options=here(self.options))
         vars(plan)["path"] = self.path
         return plan
+
+
+def places_of(text: str) -> list[tuple[str, str]]:
+    """What `Plan.mapped` takes, of THERE=HERE or of a file with Open Job Description's path mapping rules.
+    Raises OptionError."""
+    file = Path(text)
+    if not file.is_file() and "=" in text:
+        there, _, now = text.partition("=")
+        return [(there, now)]
+    try:
+        rules = json.loads(read_file(file, _LARGEST)).get("path_mapping_rules", [])
+        return [(str(rule["source_path"]), str(rule["destination_path"])) for rule in rules]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise OptionError(
+            f"{shown(text)} says of no paths what they are called here; give THERE=HERE, or a file with path "
+            "mapping rules of Open Job Description"
+        ) from error
+
+
+def _is_windows(path: str) -> bool:
+    return "\\" in path or path[1:2] == ":"
+
+
+def _below(path: str, folder: str) -> str | None:
+    """What follows the folder in a path, with the slash before it; None where it is not in that folder."""
+    windows = _is_windows(folder)
+    folder = folder.rstrip("/\\" if windows else "/")
+    start, rest = path[: len(folder)], path[len(folder) :]
+
+    def plain(text: str) -> str:
+        return text.replace("\\", "/").lower() if windows else text
+
+    return rest if plain(start) == plain(folder) and plain(rest[:1]) in ("", "/") else None
 
 
 def plans_in(path: Path) -> list[Plan]:

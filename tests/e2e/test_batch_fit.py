@@ -373,6 +373,36 @@ def test_photos_and_videos(batch, tmp_path):
                 assert [Path(p).resolve() for p in found["pictures"]] == [source.resolve()]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="SLURM's job file is for bash")
+def test_a_job_file_for_a_farm_does_the_plan(take_file, tmp_path):
+    """With the wheel alone: the job file starts what has written it."""
+    out, takes = tmp_path / "it's ünï", [take_file("wave 1"), take_file("wave#2")]
+    (tmp_path / "wave 3.npz").write_bytes(b"no take")
+
+    def told(*words: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, SCRIPT, *words]
+        return subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=TIMEOUT)
+
+    plan = Path(told("plan", *takes, tmp_path / "wave 3.npz", "-o", out, "--format", "blend").stdout.strip())
+    file = Path(told("farm-template", "slurm", out, "--jobs", "2").stdout.strip())
+    assert file == plan.with_suffix(".slurm.sh")
+
+    def in_job(*words: str, **variables: str) -> int:
+        return subprocess.run(
+            ["bash", file, *words], env={**os.environ, **variables}, timeout=TIMEOUT
+        ).returncode
+
+    codes = [in_job("task", SLURM_ARRAY_TASK_ID=place) for place in "01"]
+    assert sorted(codes) == [0, 1], "an input that is no take is no reason to be queued again"
+    assert in_job("report") == 1
+    assert [entry["status"] for entry in report(out)] == ["ok", "ok", "failed"]
+    assert (out / "wave#2" / "wave#2.blend").is_file()
+    accepted = told("task", plan, "#1-3", "--accept-failed", "--progress", "openjd")
+    assert accepted.returncode == 0, accepted.stdout
+    assert "openjd_fail: " in accepted.stdout
+    assert told("task", plan, "#1-4").returncode == 2
+
+
 @needs_capture
 def test_two_hands_in_one_photo_are_two_rigs_of_the_right_sides(batch, tmp_path):
     """The bundled right hand beside its mirror image, which is a left hand."""

@@ -171,7 +171,9 @@ def test_a_photo_and_a_video_become_files(commands):
         assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
         sizes = [(commands.folder / "results" / file).stat().st_size for file in entry["files"]]
         assert min(sizes) > 1000, sizes
-    told = [line.partition(":")[0].split() for line in commands["capture"].out.splitlines() if line[:1] == "["]
+    told = [
+        line.partition(":")[0].split() for line in commands["capture"].out.splitlines() if line[:1] == "["
+    ]
     assert [number for number, _ in told] == ["[1/3]", "[2/3]", "[3/3]"]
     assert sorted(status for _, status in told) == ["failed", "ok", "ok"]
     assert "Traceback" not in commands["capture"].err

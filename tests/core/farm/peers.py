@@ -16,11 +16,14 @@ word is how often it is so, before all goes well ("a-crash2" crashes twice), and
 
 Every task gives NAME.first and NAME.second, whose contents follow from the task. What it does is written
 down, a JSON line each, in the file that $PEER_LOG names: {"task", "attempt", "pid", "host", "finished"}.
+
+It also takes the commands that farms' job files give, `task` and `collect`, and notes them: {"told"}.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -36,7 +39,9 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT))
 
-from handfit_core.farm.plan import Plan, Task  # noqa: E402
+from handfit_core.farm import show  # noqa: E402
+from handfit_core.farm.plan import Plan, Task, places_of  # noqa: E402
+from handfit_core.farm.pool import Pool  # noqa: E402
 from handfit_core.version import __version__  # noqa: E402
 
 COMMAND = (sys.executable, str(Path(__file__).resolve()))
@@ -150,7 +155,7 @@ def _written_down(name: str, request: dict[str, Any]) -> int:
     if "PEER_LOG" not in os.environ:
         return 1
     before = sum(
-        each["task"] == name and "attempt" in each for each in attempts(Path(os.environ["PEER_LOG"]))
+        each.get("task") == name and "attempt" in each for each in attempts(Path(os.environ["PEER_LOG"]))
     )
     whence = {"pid": os.getpid(), "host": socket.gethostname()}
     _note({"task": name, "attempt": before + 1, **whence, "finished": sorted(request["finished"])})
@@ -162,5 +167,20 @@ def _note(what: dict[str, Any]) -> None:
         log.write(json.dumps(what) + "\n")
 
 
+def commanded(command: str, plan: str, *words: str) -> int:
+    """What a batch does with a command, as far as that can be done without Blender."""
+    _note({"told": [command, plan, *words]})
+    if command == "collect":
+        return 0
+    options = dict(itertools.pairwise(words))
+    mapped = Plan.load(Path(plan)).mapped(places_of(options["--map"]) if "--map" in options else [])
+    tasks = mapped.chosen(words[0])
+    _note({"sources": [task.source for task in tasks]})
+    show._EVERY.update(dict.fromkeys(show._EVERY, 0.0))
+    with Pool(COMMAND) as pool:
+        results = pool.run(mapped, tasks, show.Shown(tasks, options.get("--progress", "text")), wait=False)
+    return int("--accept-failed" not in words and any(result.status != "ok" for result in results))
+
+
 if __name__ == "__main__":
-    serve()
+    serve() if sys.argv[1] == "slot" else sys.exit(commanded(*sys.argv[1:]))
