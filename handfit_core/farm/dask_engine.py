@@ -407,7 +407,7 @@ class _Run:
             self._workers = self._cluster.client.nthreads()
         self._counted = time.monotonic()
         if not self._workers and not self._alone:
-            _say("there is no Dask worker yet; start some with 'dask worker', as docs/batch.md tells")
+            _say("there is no Dask worker; start some with 'dask worker', where handfit-core is installed")
         self._alone = not self._workers
 
     def _submit(self, this: _Try) -> None:
@@ -484,6 +484,11 @@ class _Run:
         """Dask has given a task up: workers died of it or beside it, or it broke in a way nobody foresaw."""
         from distributed import KilledWorker
 
+        if "deserialization of the task graph" in str(error):
+            raise OptionError(
+                "the Dask scheduler cannot load handfit_core; install the same version there, too: "
+                'pip install "handfit-core[farm]"'
+            )
         died = isinstance(error, KilledWorker)
         this.deaths += 1
         if died and this.deaths < ATTEMPTS:

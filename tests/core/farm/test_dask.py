@@ -72,9 +72,11 @@ class Machines:
         self._all.append(process)
         return process
 
-    def start_scheduler(self) -> None:
+    def start_scheduler(self, **variables: str) -> None:
         host, port = self.address.removeprefix("tcp://").split(":")
-        self.scheduler = self.start("scheduler", "--host", host, "--port", port, "--no-dashboard")
+        self.scheduler = self.start(
+            "scheduler", "--host", host, "--port", port, "--no-dashboard", **variables
+        )
 
     def start_worker(self, *, nanny: bool = False, **variables: str) -> None:
         nannied = "--nanny" if nanny else "--no-nanny"
@@ -239,6 +241,22 @@ def test_another_version_is_told_and_not_tried_again(machines, tmp_path, log, wh
     with Cluster(scheduler=machines.address) as cluster, pytest.raises(OptionError, match=said):
         cluster.run(plan, plan.tasks)
     assert not attempts(log)
+
+
+def test_machines_without_the_package(machines, tmp_path):
+    """Of workers, Dask takes those for dead; a scheduler is told of."""
+    plan = plan_of(tmp_path / "out", ["a", "b"])
+    machines.start_worker(PYTHONPATH="")
+    machines.start_worker()
+    with Cluster(scheduler=machines.address) as cluster:
+        assert [r.status for r in cluster.run(plan, plan.tasks)] == ["ok", "ok"]
+    machines.scheduler.kill()
+    machines.scheduler.wait()
+    machines.start_scheduler(PYTHONPATH="")
+    machines.start_worker()
+    said = r"cannot load handfit_core .*pip install"
+    with Cluster(scheduler=machines.address) as cluster, pytest.raises(OptionError, match=said):
+        cluster.run(plan, plan.tasks, again=True)
 
 
 def test_what_somebody_else_is_at_waits(machines, tmp_path, log, monkeypatch):
