@@ -255,7 +255,7 @@ def test_slurm_ends_what_it_has_started_when_the_time_is_over(tmp_path):
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_snakemake_does_the_plan(plan, log, flat):
+def test_snakemake_does_the_plan(plan, log, flat, tmp_path):
     program = shutil.which("snakemake")
     if program is None:
         pytest.skip("snakemake is not here, which runs its job file; pip install snakemake")
@@ -265,10 +265,12 @@ def test_snakemake_does_the_plan(plan, log, flat):
     plan = planned(plan, flat=flat, tasks=tuple(without))
     file = write_template("snakemake", plan)
     command = [program, "-s", file, "--cores", "1", "--keep-going"]
-    run = subprocess.run(command, capture_output=True, text=True)
+    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     all_done_in_order(plan, log)
-    assert "Nothing to be done" in subprocess.run(command, capture_output=True, text=True).stderr
+    assert (
+        "Nothing to be done" in subprocess.run(command, capture_output=True, text=True, cwd=tmp_path).stderr
+    )
     assert len(done(log)) == len(NAMES)
 
 
