@@ -289,11 +289,11 @@ def test_the_job_file_of_snakemake_is_python_where_it_names_things(plan):
 
 
 def many(folder: Path, count: int) -> Plan:
-    """Every tenth task takes a hundred times as long, and every hundredth needs the one before it."""
+    """Every tenth task costs much; every hundredth needs the one before it, and the first a later one."""
     tasks = [
         Task(f"{i:016x}", f"clip {i}", f"{i}.mp4", cost=100.0 if i % 10 == 0 else 1.0) for i in range(count)
     ]
-    needs = {i: (tasks[i - 1].id,) for i in range(99, count, 100)}
+    needs = {i: (tasks[i - 1].id,) for i in range(99, count, 100)} | {0: (tasks[5].id,)} if count > 5 else {}
     tasks = [replace(task, needs=needs.get(i, ())) for i, task in enumerate(tasks)]
     plan = Plan(folder / "out", tuple(tasks), {}, command=COMMAND)
     plan.save()
