@@ -61,13 +61,13 @@ def measure_memory(
     return peaks
 
 
-def write_clip(source: str, path: Path, frames: int) -> Path:
-    """Write a small .mp4 of `frames` frames: the first of `source`, there and back again, which no
-    tracker loses. Raises HandfitError."""
+def write_clip(source: str, path: Path, frames: int, largest: int = SMALL, scale: float = 1.0) -> Path:
+    """Write an .mp4 of `frames` frames, with sides of at most `largest` pixels: the first of `source`, there
+    and back again, which no tracker loses. Raises HandfitError."""
     import cv2
 
     media = open_media(source)
-    scale = min(1.0, SMALL / max(media.width, media.height))
+    scale = min(scale, largest / max(media.width, media.height))
     # Video codecs want even sides.
     width, height = (max(2, 2 * round(side * scale / 2)) for side in (media.width, media.height))
     with closing(read_ahead(media.frames())) as pictures:

@@ -76,11 +76,13 @@ def dealt(plan: Plan, most: int = MOST_JOBS) -> list[Job]:
 
     Where tasks must share jobs, neighbours in the plan do, so that all jobs cost about the same.
     """
-    level: dict[str, int] = {}
     members: dict[int, list[tuple[int, Task]]] = defaultdict(list)
+
+    def level(task: Task) -> int:
+        return max((level(plan.by_id[id]) + 1 for id in task.needs), default=0)
+
     for number, task in enumerate(plan.tasks, 1):
-        level[task.id] = max((level[id] + 1 for id in task.needs), default=0)
-        members[level[task.id]].append((number, task))
+        members[level(task)].append((number, task))
     jobs: list[Job] = []
     place: dict[str, int] = {}
     for depth in sorted(members):

@@ -65,3 +65,14 @@ def test_a_clip_alone_waits_for_its_parts(tmp_path, log):
         (result,) = pool.run(plan, plan.tasks[:1], wait=False)
     assert result.status == "ok"
     assert [each["task"] for each in attempts(log)] == ["one", "clip"]
+
+
+def test_a_clip_alone_fails_with_parts_that_another_process_has_given_up(tmp_path, log):
+    """As on farms, where each task is a process of its own: it would wait for ever."""
+    plan = clip_of(tmp_path / "out", "one", "two-input")
+    for number, status in ((1, "ok"), (2, "failed"), (0, "failed")):
+        with Pool(COMMAND) as pool:
+            (result,) = pool.run(plan, [plan.tasks[number]], wait=False)
+        assert result.status == status
+    assert "two-input: input" in result.error
+    assert [each["task"] for each in attempts(log)] == ["one", "two-input"]

@@ -255,7 +255,7 @@ def test_slurm_ends_what_it_has_started_when_the_time_is_over(tmp_path):
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_snakemake_does_the_plan(plan, log, flat):
+def test_snakemake_does_the_plan(plan, log, flat, tmp_path):
     program = shutil.which("snakemake")
     if program is None:
         pytest.skip("snakemake is not here, which runs its job file; pip install snakemake")
@@ -265,10 +265,12 @@ def test_snakemake_does_the_plan(plan, log, flat):
     plan = planned(plan, flat=flat, tasks=tuple(without))
     file = write_template("snakemake", plan)
     command = [program, "-s", file, "--cores", "1", "--keep-going"]
-    run = subprocess.run(command, capture_output=True, text=True)
+    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     all_done_in_order(plan, log)
-    assert "Nothing to be done" in subprocess.run(command, capture_output=True, text=True).stderr
+    assert (
+        "Nothing to be done" in subprocess.run(command, capture_output=True, text=True, cwd=tmp_path).stderr
+    )
     assert len(done(log)) == len(NAMES)
 
 
@@ -287,11 +289,11 @@ def test_the_job_file_of_snakemake_is_python_where_it_names_things(plan):
 
 
 def many(folder: Path, count: int) -> Plan:
-    """Every tenth task takes a hundred times as long, and every hundredth needs the one before it."""
+    """Every tenth task costs much; every hundredth needs the one before it, and the first a later one."""
     tasks = [
         Task(f"{i:016x}", f"clip {i}", f"{i}.mp4", cost=100.0 if i % 10 == 0 else 1.0) for i in range(count)
     ]
-    needs = {i: (tasks[i - 1].id,) for i in range(99, count, 100)}
+    needs = {i: (tasks[i - 1].id,) for i in range(99, count, 100)} | {0: (tasks[5].id,)} if count > 5 else {}
     tasks = [replace(task, needs=needs.get(i, ())) for i, task in enumerate(tasks)]
     plan = Plan(folder / "out", tuple(tasks), {}, command=COMMAND)
     plan.save()
