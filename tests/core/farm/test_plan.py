@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.folder import Watch, files_in
 from handfit_core.farm.inputs import expand
-from handfit_core.farm.plan import Plan, make_plan, plans_in
+from handfit_core.farm.plan import Plan, Task, make_plan, places_of, plans_in
 
 
 @pytest.fixture
@@ -106,6 +107,48 @@ def test_tasks_are_found_by_id_beginning_or_name(photos, tmp_path):
     assert plan.task(task.id) == plan.task(task.id[:8]) == plan.task("b") == task
     with pytest.raises(OptionError, match="no task of the plan is called"):
         plan.task("c")
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "path", "expected"),
+    [
+        ("/mnt/a", "/vol/b", "/mnt/a/x.mp4", "/vol/b/x.mp4"),
+        ("/mnt/a/", "/vol/b/", "/mnt/a/x.mp4", "/vol/b/x.mp4"),
+        ("/mnt/a", "/vol/b", "/mnt/a", "/vol/b"),
+        ("/mnt/a", "/vol/b", "/mnt/ab/x.mp4", "/mnt/ab/x.mp4"),
+        ("/mnt/a", "/vol/b", "/MNT/a/x.mp4", "/MNT/a/x.mp4"),
+        ("/mnt/a", "/vol/b", "/mnt/a/o\\dd.mp4", "/vol/b/o\\dd.mp4"),
+        ("/", "/vol", "/x.mp4", "/vol/x.mp4"),
+        ("/mnt/a", "S:\\b", "/mnt/a/c/x.mp4", "S:\\b\\c\\x.mp4"),
+        ("/mnt/a", "S:/", "/mnt/a/c/x.mp4", "S:\\c\\x.mp4"),
+        ("Z:\\Shots", "/vol/b", "z:\\shots\\Day 1\\x.mp4", "/vol/b/Day 1/x.mp4"),
+        ("Z:/shots/", "/vol/b", "Z:\\shots\\x.mp4", "/vol/b/x.mp4"),
+        ("Z:\\", "/vol", "Z:\\x.mp4", "/vol/x.mp4"),
+        ("\\\\server\\share", "/vol", "\\\\SERVER\\share\\x.mp4", "/vol/x.mp4"),
+        ("Z:\\İ", "/vol", "Z:\\İ\\x.mp4", "/vol/x.mp4"),
+    ],
+)
+def test_beginnings_of_paths_are_whole_folders(tmp_path, there, here, path, expected):
+    plan = Plan(tmp_path, (Task("0" * 16, "x", "x.mp4", (path,)),), {})
+    assert plan.mapped(places_of(f"{there}={here}")).tasks[0].source == (expected,)
+
+
+def test_path_mapping_rules_of_a_farm(tmp_path):
+    rules = tmp_path / "rules=.json"
+    names = ("source_path_format", "source_path", "destination_path")
+    content = [
+        dict(zip(names, rule, strict=True)) for rule in (("WINDOWS", "Z:\\a", "/b"), ("POSIX", "/c", "/d"))
+    ]
+    rules.write_text(json.dumps({"version": "pathmapping-1.0", "path_mapping_rules": content}))
+    assert places_of(str(rules)) == [("Z:\\a", "/b"), ("/c", "/d")]
+    rules.write_text("{}")  # what Open Job Description writes where there are none
+    assert places_of(str(rules)) == []
+    for wrong in ("[]", "nothing", '{"path_mapping_rules": [{}]}', '{"path_mapping_rules": 1}'):
+        rules.write_text(wrong)
+        with pytest.raises(OptionError, match="give THERE=HERE"):
+            places_of(str(rules))
+    with pytest.raises(OptionError, match="give THERE=HERE"):
+        places_of(str(tmp_path / "gone"))
 
 
 def test_paths_of_another_machine(photos, tmp_path):
