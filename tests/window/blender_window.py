@@ -83,8 +83,9 @@ class BlenderWindow:
     def play(self, scenario: str, timeout: float = 120.0, **arguments: Any) -> Played:
         """Play scenarios.MODULE.FUNCTION; WindowFailure with its traceback where it fails.
 
-        Blender and Mesa have rare crashes of their own: where a signal ends Blender while no Python of the
-        add-on's runs, the scenario gets a second Blender, once.
+        Where a signal ends Blender while no Python of the add-on's runs, the scenario gets a second Blender,
+        once: in one of many runs Debian's 4.3.2 died of SIGFPE in MEM_freeN, given a pointer to no block of
+        its own, and nobody could make it do that again or tell who had freed it.
         """
         try:
             return self._play(scenario, timeout, arguments)
