@@ -154,8 +154,7 @@ def work_words(args: argparse.Namespace, plan: Path) -> list[str]:
 def _work(args: argparse.Namespace) -> int:
     from handfit_core.farm.dask_engine import Cluster, words
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         plans = given_plans(args)
         doer = Cluster(
@@ -173,6 +172,9 @@ def _work(args: argparse.Namespace) -> int:
     except (OptionError, InputError) as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USAGE
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _interrupt(_number: int, _frame: object) -> NoReturn:

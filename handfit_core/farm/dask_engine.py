@@ -250,7 +250,7 @@ class Cluster:
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
         try:
             self._client = self._connected()
-        except OSError as error:
+        except (OSError, TypeError, ValueError) as error:  # also what is no address, or needs certificates
             raise OptionError(
                 f"no Dask scheduler answers at {scheduler} ({' '.join(str(error).split())}); start one with "
                 "'dask scheduler', and workers with 'dask worker', or give its address"
@@ -393,6 +393,7 @@ class _Run:
             known = settled(self._plan, this.task, again=self._again, retry_failed=self._retry_failed)
             if known is not None:
                 self._end(this, known)
+                self._listener.turn()
             elif self._waits(this):
                 self._later.append(this)
             else:

@@ -6,6 +6,7 @@ import json
 import os
 import random
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
@@ -51,11 +52,11 @@ def log(tmp_path, monkeypatch):
 class Machines:
     """A scheduler and workers as processes of their own, as on a network."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, protocol: str = "tcp", *words: str) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
-            self.address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        self._folder, self._all = folder, []
+            self.address = f"{protocol}://127.0.0.1:{free.getsockname()[1]}"
+        self._folder, self._words, self._all = folder, words, []
         self.workers: list[subprocess.Popen[bytes]] = []
         self.start_scheduler()
 
@@ -63,7 +64,7 @@ class Machines:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
         with (self._folder / f"{len(self._all)}.txt").open("wb") as said:
             process = subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.dask_{words[0]}", *words[1:]],
+                [sys.executable, "-m", f"distributed.cli.dask_{words[0]}", *words[1:], *self._words],
                 stdout=said,
                 stderr=said,
                 env=environment,
@@ -73,10 +74,9 @@ class Machines:
         return process
 
     def start_scheduler(self, **variables: str) -> None:
-        host, port = self.address.removeprefix("tcp://").split(":")
-        self.scheduler = self.start(
-            "scheduler", "--host", host, "--port", port, "--no-dashboard", **variables
-        )
+        host, _, port = self.address.rpartition(":")
+        words = ("--host", host, "--port", port, "--no-dashboard")
+        self.scheduler = self.start("scheduler", *words, **variables)
 
     def start_worker(self, *, nanny: bool = False, **variables: str) -> None:
         nannied = "--nanny" if nanny else "--no-nanny"
@@ -296,6 +296,46 @@ def test_what_fails_on_one_machine_is_tried_on_another(machines, tmp_path, log):
     assert whole(plan)
 
 
+def test_parts_come_before_their_clip(machines, tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["good", "one", "two", "bad", "input", "fine"])
+    good, one, two, bad, failing, fine = plan.tasks
+    plan = planned(
+        plan,
+        tasks=(
+            replace(good, cost=9.0, needs=(one.id, two.id)),
+            replace(one, of=good.id),
+            replace(two, of=good.id),
+            replace(bad, cost=8.0, needs=(failing.id, fine.id)),
+            replace(failing, of=bad.id),
+            replace(fine, of=bad.id),
+        ),
+    )
+    machines.start_worker()
+    with Cluster(scheduler=machines.address) as cluster:
+        results = cluster.run(plan, plan.tasks)
+    assert [r.status for r in results] == ["ok", "ok", "ok", "failed", "failed", "ok"]
+    assert results[3].attempts[-1]["kind"] == "PartFailed"
+    begun = [each["task"] for each in attempts(log)]
+    assert sorted(begun) == ["fine", "good", "input", "one", "two"]
+    assert begun.index("good") > max(begun.index("one"), begun.index("two"))
+
+
+def test_blender_goes_where_nothing_is_to_do(machines, tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["a", "b"])
+    machines.start_worker()
+    with Cluster(scheduler=machines.address) as cluster:
+        cluster.client.wait_for_workers(1)
+        cluster.run(plan, plan.tasks[:1])
+        cluster.client.run(lambda: setattr(dask_engine, "_WARM", 0.2))
+        cluster.run(plan, plan.tasks[1:])
+        kept, *others = {each["pid"] for each in attempts(log)}
+        assert not others, "one process did both"
+        wait_until(lambda: not runs(kept))
+        assert machines.workers[0].poll() is None
+        cluster.run(plan, plan.tasks[:1], again=True)
+    assert len(attempts(log)) == 3
+
+
 def test_threads_that_dask_thinks_of_are_not_ours(machines):
     machines.start_worker(nanny=True)
     with Cluster(scheduler=machines.address) as cluster:
@@ -341,11 +381,33 @@ def test_the_command_and_its_exit_codes(machines, tmp_path, capsys):
     assert "choose from local, " in capsys.readouterr().err
 
 
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl, which makes certificates")
+def test_with_certificates_and_without(tmp_path, monkeypatch, capsys):
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    words = "req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=handfit".split()
+    subprocess.run(["openssl", *words, "-keyout", key, "-out", cert], check=True, capture_output=True)
+    (tmp_path / "machines").mkdir()
+    tls = [f"--tls-{what}={file}" for what, file in (("ca-file", cert), ("cert", cert), ("key", key))]
+    found = Machines(tmp_path / "machines", "tls", *tls)
+    try:
+        found.start_worker()
+        plan = plan_of(tmp_path / "out", ["a"])
+        work = ["work", str(plan.path), "--scheduler", found.address]
+        assert main([*work, "--tls", f"{cert},{cert},{key}"]) == 0
+        assert "[1/1] ok" in capsys.readouterr().out
+        monkeypatch.setattr(dask_engine, "_CONNECT", 0.5)
+        for address in (found.address, found.address.replace("tls", "tcp")):
+            assert main([*work[:-1], address]) == 2, "who has no certificate stays outside"
+    finally:
+        found.end()
+
+
 def test_nobody_answers(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(dask_engine, "_CONNECT", 0.5)
     plan = plan_of(tmp_path / "out", ["a"])
     assert main(["work", str(plan.path), "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
+    assert main(["work", str(plan.path), "--scheduler", "carrier-pigeon://1"]) == 2
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["work", str(plan.path), "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert 'pip install "handfit-core[farm]"' in capsys.readouterr().err
