@@ -23,6 +23,7 @@ if str(ROOT) not in sys.path:
 
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.collect import Report
+from handfit_core.farm.folder import files_in
 from handfit_core.farm.inputs import Input
 from handfit_core.farm.plan import Plan, make_plan
 from handfit_core.farm.pool import Pool
@@ -50,7 +51,7 @@ What a batch costs, each part with its table:
   jobs      ten clips with --jobs N against --jobs 1, each process with one thread, or with
             --with OPTIONS against --jobs N, as in --with '--scheduler tcp://127.0.0.1:8786'
   memory    the most that a task's processes hold: a photo, CLIP, and both enlarged
-  empty     tasks in which nothing is done: planning, doing, skipping, reporting
+  empty     tasks that only write four small files: planning, doing, skipping, reporting
 
 Runs that are compared take turns. Run it on an idle machine, with a Python that has bpy."""
 
@@ -199,12 +200,12 @@ def overhead_part(args: argparse.Namespace, folder: Path) -> Part:
     photos.mkdir()
     for i in range(args.clips):
         shutil.copy(args.photo, photos / f"photo_{i:02}{args.photo.suffix}")
-    found: dict[str, list[float]] = {"a process for each task": [], "one warm process": [], "all sealed": []}
+    found: dict[str, list[float]] = {"a process for each": [], "one warm process": [], "nothing to do": []}
     for number in range(args.rounds):
         out = folder / f"overhead{number}"
         batch("plan", photos, "-o", out)
         for name in list(found):
-            if name == "a process for each task":
+            if name == "a process for each":
                 ids = [task["id"] for task in _plan_in(out)["tasks"]]
                 seconds = sum(batch("task", out, id, "--jobs", "1")[0] for id in ids)
             else:
@@ -216,7 +217,9 @@ def overhead_part(args: argparse.Namespace, folder: Path) -> Part:
         [name, significant(median(each)), f"{significant(min(each))}-{significant(max(each))}"]
         for name, each in found.items()
     ]
-    notes = [f"{args.clips} photos, {args.rounds} rounds; the last is the start of the command alone"]
+    notes = [
+        f"{args.clips} photos, {args.rounds} rounds; the last is the start of the command, shared by all"
+    ]
     return Part("What a task costs", header, rows, notes, {"overhead": found})
 
 
@@ -289,20 +292,27 @@ def memory_part(args: argparse.Namespace, folder: Path) -> Part:
 
 
 def do_nothing() -> int:
-    """Be a process that does tasks in which there is nothing to do (handfit_core/farm/slot.py)."""
+    """Be a process that does tasks (handfit_core/farm/slot.py) which only write four small files."""
     out = sys.stdout.buffer
-    out.write(encode({"event": "ready", "version": __version__, "pid": os.getpid()}))
-    out.flush()
-    for line in sys.stdin:
-        task = json.loads(line)["task"]
-        result = {"input": task["shown"], "name": task["name"], "status": "ok", "id": task["id"]}
-        out.write(encode({"event": "done", "result": result}))
+
+    def say(event: str, **fields: Any) -> None:
+        out.write(encode({"event": event, **fields}))
         out.flush()
+
+    say("ready", version=__version__, pid=os.getpid())
+    for line in sys.stdin:
+        request = json.loads(line)
+        task, folder = request["task"], Path(request["folder"])
+        for suffix in ("take.npz", "sheet.jpg", "blend", "glb"):
+            name = f"{task['name']}.{suffix}"
+            (folder / name).write_bytes(bytes(1000))
+            say("file", name=name, **files_in(folder, [name])[name])
+        say("done", result={"input": task["shown"], "name": task["name"], "status": "ok", "id": task["id"]})
     return 0
 
 
 def empty_part(args: argparse.Namespace, folder: Path) -> Part:
-    """What the pool itself needs for a task: planning, doing, skipping what is sealed, reporting."""
+    """What a task costs beside its work: planning, doing, skipping what is sealed, reporting."""
     rows, numbers = [], []
     for count in (args.tasks // 10, args.tasks):
         out = folder / f"empty{count}"
@@ -323,7 +333,7 @@ def empty_part(args: argparse.Namespace, folder: Path) -> Part:
         took["reporting"] = time.perf_counter() - began
         rows.append([f"{count}", *(f"{1000 * seconds / count:.2f}" for seconds in took.values())])
         numbers.append({"tasks": count, **took})
-    title = f"Tasks in which nothing is done, --jobs {args.jobs}: milliseconds a task"
+    title = f"Tasks that only write four small files, --jobs {args.jobs}: milliseconds a task"
     header = ["tasks", "planning", "doing", "skipping", "reporting"]
     return Part(title, header, rows, (), {"empty": numbers})
 

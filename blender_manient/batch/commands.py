@@ -6,7 +6,7 @@ COMMANDS = {
     "apply": "put the motion of takes, or of photos and videos, onto a character",
     "plan": "write down what capture would do, as tasks for many machines",
     "work": "do what is left of a plan, beside others who do the same",
-    "task": "do one task of a plan",
+    "task": "do one task of a plan, or several",
     "farm-template": "write a farm's job file for a plan",
     "collect": "report what came of a plan so far",
     SLOT: "do tasks that come on stdin, for the commands above",

@@ -41,7 +41,7 @@ _BYTES_OF_FRAME: Final = 15_000
 _FRAME: Final = 0.02
 _BESIDE: Final = 1.0
 """seconds for a frame and for what is done once, for the order of tasks and for guesses of the time left"""
-_FINDING: Final = 0.65
+FINDING: Final = 0.65
 """What finding the hands is of a clip's cost"""
 
 
@@ -330,7 +330,7 @@ def _parts(task: Task, ranges: Sequence[str]) -> Iterable[Task]:
             id=hashlib.sha256(f"{task.id} {frames}".encode()).hexdigest()[:16],
             name=f"{task.name}.part{number}",
             shown=f"{task.shown}, frames {frames}",
-            cost=round(_FINDING * task.cost / len(ranges), 3),
+            cost=round(FINDING * task.cost / len(ranges), 3),
             part=frames,
             of=task.id,
         )

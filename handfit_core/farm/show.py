@@ -12,7 +12,7 @@ from typing import Final
 
 from handfit_core.errors import HandfitError
 from handfit_core.farm.collect import Report
-from handfit_core.farm.plan import Task
+from handfit_core.farm.plan import FINDING, Task
 from handfit_core.farm.pool import Listener
 from handfit_core.farm.report import Result, line
 
@@ -21,8 +21,8 @@ STYLES: Final = ("text", "json", "openjd", "none")
 Description's lines, which other farms pass over"""
 _EVERY: Final = {"bars": 0.2, "json": 1.0, "openjd": 10.0, "text": 30.0}
 """seconds between two of them; farms take what is silent for minutes for dead"""
-_STAGES: Final = {"detect": (0.0, 0.65), "fit": (0.65, 0.2)}
-"""How much of a task is done when one begins, and how much it is; files are made in the rest"""
+_FITTING: Final = 0.6
+"""What fitting is of a task's cost behind finding hands; files are made in the rest"""
 _TRUST: Final = 5.0
 """seconds of work after which what was measured counts as much as what was guessed"""
 
@@ -40,7 +40,8 @@ class _AtHand:
     @property
     def share(self) -> float:
         """How much of it is done, 0 to 1."""
-        before, most = _STAGES.get(self.stage, (0.0, 0.0))
+        finding = 1.0 if self.task.of else 0.0 if self.task.needs else FINDING
+        before, most = (finding, _FITTING * (1.0 - finding)) if self.stage == "fit" else (0.0, finding)
         return before + (most * min(self.done / self.total, 1.0) if self.total else 0.0)
 
     @property

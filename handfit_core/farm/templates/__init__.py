@@ -14,7 +14,7 @@ from typing import Final
 from handfit_core.farm.plan import Plan
 from handfit_core.files import written_whole
 
-from .farm import MOST_JOBS, Farm, dealt
+from .farm import MOST_JOBS, PATIENCE, Farm, dealt
 from .filled import flamenco, slurm, snakemake
 from .openjd import openjd
 
@@ -26,8 +26,6 @@ KINDS: Final[Mapping[str, tuple[str, Callable[[Farm], str]]]] = {
 }
 """What a farm's job file is called beside a plan, and what makes it. Open Job Description's is JSON, which is
 YAML too: files that end in .json are plans there."""
-_PATIENCE: Final = 20.0
-"""Times the seconds that the longest task is guessed to take: when it is ended where nobody says"""
 _AT_LEAST: Final = 3600.0
 """seconds"""
 
@@ -49,7 +47,7 @@ def write_template(
     name, make = KINDS[kind]
     file = (file or plan.path.with_name(name.format(plan.path.stem))).absolute()
     if timeout is None:
-        timeout = max(_AT_LEAST, _PATIENCE * max((task.cost for task in plan.tasks), default=0.0))
+        timeout = max(_AT_LEAST, PATIENCE * max((task.cost for task in plan.tasks), default=0.0))
     text = make(Farm(plan, file, dealt(plan, most), math.ceil(timeout), places))
     with written_whole(file) as beside:
         beside.write_text(text, encoding="utf-8", errors="surrogateescape", newline="\n")

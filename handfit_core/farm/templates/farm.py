@@ -14,6 +14,8 @@ from handfit_core.farm.pool import MEMORY
 
 MOST_JOBS: Final = 1000
 """An array of SLURM ends there where nobody has set it otherwise, and Open Job Description at 1024 values"""
+PATIENCE: Final = 20.0
+"""Times the seconds that tasks are guessed to take, before they are ended where nobody says"""
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,8 @@ class Job:
     after: tuple[int, ...]
     """The jobs that must be done before, by their places in the list"""
     count: int
+    cost: float
+    """seconds that they may take; a guess"""
 
 
 @dataclass(frozen=True)
@@ -55,8 +59,9 @@ class Farm:
 
     @property
     def longest(self) -> float:
-        """seconds after which no job can still be at work."""
-        return math.ceil(self.timeout * max((job.count for job in self.jobs), default=1)) + 600
+        """seconds after which a job is ended: every task may take its time, but not all may hang."""
+        most = (min(self.timeout * job.count, self.timeout + PATIENCE * job.cost) for job in self.jobs)
+        return math.ceil(max(most, default=0.0)) + 600
 
     @property
     def memory(self) -> int:
@@ -87,13 +92,17 @@ def dealt(plan: Plan, most: int = MOST_JOBS) -> list[Job]:
     place: dict[str, int] = {}
     for depth in sorted(members):
         pieces = _pieces(members[depth], max(1, most // len(members)))
-        for piece in sorted(pieces, key=lambda piece: -sum(task.cost for _, task in piece)):
+        for cost, piece in sorted(((_cost(piece), piece) for piece in pieces), key=lambda pair: -pair[0]):
             more = f" and {len(piece) - 1} more" if len(piece) > 1 else ""
             after = {place[id] for _, task in piece for id in task.needs}
             place |= {task.id: len(jobs) for _, task in piece}
             numbers = _ranges([number for number, _ in piece])
-            jobs.append(Job(piece[0][1].name + more, numbers, depth, tuple(sorted(after)), len(piece)))
+            jobs.append(Job(piece[0][1].name + more, numbers, depth, tuple(sorted(after)), len(piece), cost))
     return jobs
+
+
+def _cost(tasks: Iterable[tuple[int, Task]]) -> float:
+    return sum(task.cost or 1.0 for _, task in tasks)
 
 
 def _pieces(tasks: Sequence[tuple[int, Task]], most: int) -> Iterable[list[tuple[int, Task]]]:
@@ -101,7 +110,7 @@ def _pieces(tasks: Sequence[tuple[int, Task]], most: int) -> Iterable[list[tuple
     if len(tasks) <= most:
         return [[each] for each in tasks]
     found: dict[int, list[tuple[int, Task]]] = defaultdict(list)
-    whole, before = sum(task.cost or 1.0 for _, task in tasks), 0.0
+    whole, before = _cost(tasks), 0.0
     for number, task in tasks:
         cost = task.cost or 1.0
         found[min(most - 1, int(most * (before + cost / 2) / whole))].append((number, task))

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import logging
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -298,6 +299,20 @@ def many(folder: Path, count: int) -> Plan:
     plan = Plan(folder / "out", tuple(tasks), {}, command=COMMAND)
     plan.save()
     return plan
+
+
+def test_jobs_have_time_for_their_tasks_but_not_for_all_of_them_to_hang(tmp_path):
+    tasks = [Task(f"{i:016x}", f"photo {i}", "a.jpg", cost=3.0) for i in range(500)]
+    plan = planned(plan_of(tmp_path / "out", []), tasks=tuple(tasks), command=COMMAND)
+
+    def minutes(**how: float) -> int:
+        text = write_template("slurm", plan, **how).read_text()
+        return int(re.findall(r"--time=(\d+)", text)[0]) - 10
+
+    assert minutes() == 60, "an hour at least"
+    assert minutes(timeout=300) == 5
+    assert minutes(most=5) == 60 + 100 * 20 * 3 / 60
+    assert minutes(most=5, timeout=6) == 100 * 6 / 60, "every one may take its time"
 
 
 @pytest.mark.parametrize(
