@@ -25,7 +25,7 @@ from handfit_core.farm.templates import write_template
 from handfit_core.files import check_writable
 from handfit_core.media.frame_range import FrameRange, part_ranges
 from handfit_core.worker.interpreter import find_python, worker_command, worker_environment
-from handfit_core.worker.runner import Runner
+from handfit_core.worker.runner import Runner, WorkerDied
 
 from . import slot
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
@@ -163,7 +163,7 @@ def _parts_of(most: int, order: Order, runner: Runner, each: Input) -> list[str]
         return []
     try:
         known = runner.wait(runner.submit("probe", input=list(each.source)))
-    except InputError:  # which its task will tell
+    except (InputError, WorkerDied):  # which its task will tell
         return []
     frames = (order.options.frames or FrameRange()).within(known["first"], known["last"])
     ranges = part_ranges(frames, -(-len(frames) // most))

@@ -70,15 +70,31 @@ class TaskFolder:
         return file if self.flat else f"{self.name}/{file}"
 
     def sealed(self, id: str) -> dict[str, Any] | None:
-        """The seal of that task, where all that it names is there; None: it is still to be done."""
+        """The seal of that task, where all that it names is there; None: it is still to be done.
+
+        A result that somebody has changed since is his work by now: then the task is done, whatever else is
+        missing, and a warning of its result says so.
+        """
         seal = _read(self.done)
-        if seal is None or seal.get("id") != id:
+        if seal is None or seal.get("id") != id or not isinstance(seal.get("result"), dict):
             return None
+        missing, changed = [], []
         try:
-            whole = all((self.path / name).stat().st_size == f["size"] for name, f in seal["files"].items())
+            for name, known in seal["files"].items():
+                try:
+                    if (self.path / name).stat().st_size != known["size"]:
+                        changed.append(name)
+                except FileNotFoundError:
+                    missing.append(name)
+            if changed:
+                said = f"{', '.join(changed)}: changed since the batch wrote it, and left alone"
+                said += f"; {', '.join(missing)}: gone" if missing else ""
+                result = seal["result"]
+                warnings = [*result.get("warnings", []), f"{said}; --again makes all anew"]
+                return {**seal, "result": {**result, "warnings": warnings}}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
-        return seal if whole and isinstance(seal.get("result"), dict) else None
+        return None if missing else seal
 
     def failures(self, id: str) -> dict[str, Any] | None:
         """What is known of a task that failed: its `result`, and the `files` that are there all the same."""
@@ -107,9 +123,10 @@ class TaskFolder:
         sign = _read(self.running)
         return "" if sign is None or _lives(sign) is False else str(sign.get("host") or "another host")
 
-    def is_free_for(self, id: str) -> bool:
-        """Whether results of that task may go here: there is nothing, or what is there is its own, or tells
-        of another one's failure."""
+    @property
+    def owner(self) -> str | None:
+        """The id of the task whose results lie here, empty where nobody knows whose they are. None: other
+        results may go here, since there is nothing, or what tells of a failure."""
         for file in (self.done, self.failed, self.running):
             if (known := _read(file)) is None:
                 continue
@@ -118,13 +135,13 @@ class TaskFolder:
                 self.failed: known.get("files"),
                 self.running: _lives(known) is not False,
             }
-            return known.get("id") == id or not taken[file]
+            return str(known.get("id", "")) if taken[file] else None
         try:
-            return not any(self.path.iterdir())
+            return "" if any(self.path.iterdir()) else None
         except FileNotFoundError:
-            return True
+            return None
         except OSError:
-            return False
+            return ""
 
     # Results
 

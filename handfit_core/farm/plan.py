@@ -271,28 +271,34 @@ def make_plan(
     there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
     taken = set() if flat else {FOLDER, "report.json", "overview.html"}
     first: dict[str, int] = {}
-    """By name, the lowest number that no other input of this plan has"""
+    """By name, the lowest number that may be free"""
+    owned: dict[tuple[str, str], int] = {}
+    """By name and id, the number under which results of that task lie"""
     ids: set[str] = set()
     tasks = []
 
-    def is_free(folder: TaskFolder, id: str) -> bool:
+    def owner(folder: TaskFolder) -> str | None:
         if folder.name.lower() in taken:
-            return False
+            return ""
         if flat or overwrite:
-            return True
-        return there.get(folder.name.lower(), folder.name) == folder.name and folder.is_free_for(id)
+            return None
+        return folder.owner if there.get(folder.name.lower(), folder.name) == folder.name else ""
 
     for each in inputs:
         task = _task(each, common, ids, frames or FrameRange())
         ids.add(task.id)
         name = _as_folder(task.name)
-        number = first.get(name.lower(), 1)
-        while not is_free(folder := TaskFolder(output, _numbered(name, number), flat), task.id):
+        known = owned.get((name.lower(), task.id))
+        number = known or first.get(name.lower(), 1)
+        while known is None:
+            whose = owner(TaskFolder(output, _numbered(name, number), flat))
+            if whose is None or whose == task.id:
+                break
+            owned[name.lower(), whose] = number
             number += 1
-        taken.add(folder.name.lower())
-        while _numbered(name, first.setdefault(name.lower(), 1)).lower() in taken:
-            first[name.lower()] += 1
-        task = replace(task, name=folder.name)
+        first[name.lower()] = max(first.get(name.lower(), 1), number + (known is None))
+        task = replace(task, name=_numbered(name, number))
+        taken.add(task.name.lower())
         parts = list(_parts(task, parts_of(each)))
         rest = round(task.cost - sum(part.cost for part in parts), 3)
         tasks += [*parts, replace(task, needs=tuple(part.id for part in parts), cost=rest)]

@@ -425,7 +425,7 @@ class _Run:
             if self._settled(this):  # by another one, since we looked
                 claim.release()
                 return
-            if not (folder.flat or self._plan.overwrite or folder.is_free_for(task.id)):
+            if not (folder.flat or self._plan.overwrite or folder.owner in (None, task.id)):
                 claim.release()
                 result = Result(task.shown, task.name, "failed", id=task.id)
                 result.error = (

@@ -73,7 +73,9 @@ class FrameRange:
 def part_ranges(frames: range, most: int) -> list[FrameRange]:
     """At most `most` ranges that tile a clip of those frame numbers, for as many machines to detect: whole
     stretches, about equally many, and at least 384 frames each. The last is open, in case the clip is longer
-    than its header says."""
+    than its header says. None where there are no frames."""
+    if not frames:
+        return []
     stretches = frames[::STRETCH]
     count = max(1, min(most, len(stretches) // _SMALLEST_PART))
     firsts = [stretches[i * len(stretches) // count] for i in range(count)]

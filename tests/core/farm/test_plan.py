@@ -8,7 +8,7 @@ import os
 import pytest
 
 from handfit_core.errors import InputError, OptionError
-from handfit_core.farm.folder import Watch, files_in
+from handfit_core.farm.folder import TaskFolder, Watch, files_in
 from handfit_core.farm.inputs import expand
 from handfit_core.farm.plan import Plan, Task, make_plan, places_of, plans_in
 
@@ -158,3 +158,46 @@ def test_paths_of_another_machine(photos, tmp_path):
     assert there.options["make"]["apply_to"] == "S:\\photos\\hero.blend"
     assert there.tasks[0].id == plan.tasks[0].id
     assert there.path == plan.path
+
+
+def test_equal_names_are_looked_at_once(tmp_path, monkeypatch):
+    """However many there are, and whoever's results lie there."""
+    clips = []
+    for number in range(30):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "rgb.jpg").write_bytes(bytes([number]))
+        clips += expand(str(folder / "rgb.jpg"))
+    out = tmp_path / "out"
+    first = make_plan(clips, out, {})
+    first.save()
+    for task in first.tasks:
+        sealed(first, task.name)
+    looks: list[str] = []
+    owner = TaskFolder.owner.fget
+    assert owner is not None
+    monkeypatch.setattr(TaskFolder, "owner", property(lambda self: looks.append(self.name) or owner(self)))
+    again = make_plan(clips, out, {})
+    assert [t.name for t in again.tasks] == [t.name for t in first.tasks]
+    assert len(looks) == 30
+    looks.clear()
+    other = make_plan(clips, out, {"smoothing": 2})
+    assert [t.name for t in other.tasks] == [f"rgb-{number}" for number in range(31, 61)]
+    assert len(looks) == 60
+    backwards = make_plan(clips[::-1], out, {})
+    assert [t.name for t in backwards.tasks] == [t.name for t in first.tasks][::-1]
+
+
+def test_a_result_that_somebody_has_changed_is_his(photos, tmp_path):
+    plan = planned(photos, tmp_path / "out")
+    plan.save()
+    sealed(plan, "a")
+    task = plan.task("a")
+    folder = plan.folder(task)
+    assert folder.sealed(task.id) is not None
+    (folder.path / "result.txt").write_text("changed by hand")
+    seal = folder.sealed(task.id)
+    assert seal is not None
+    assert "result.txt: changed since the batch wrote it" in seal["result"]["warnings"][0]
+    (folder.path / "result.txt").unlink()
+    assert folder.sealed(task.id) is None
