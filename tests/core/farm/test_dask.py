@@ -254,7 +254,7 @@ def test_machines_without_the_package(machines, tmp_path):
     machines.scheduler.wait()
     machines.start_scheduler(PYTHONPATH="")
     machines.start_worker()
-    said = r"cannot load handfit_core .*pip install"
+    said = r"scheduler cannot load handfit_core; .*pip install"
     with Cluster(scheduler=machines.address) as cluster, pytest.raises(OptionError, match=said):
         cluster.run(plan, plan.tasks, again=True)
 
