@@ -226,6 +226,7 @@ class TaskFolder:
         try:
             aside = self.aside(json.dumps(_content(id, **content), indent=1) + "\n")
             try:
+                flush(aside)
                 aside.replace(path)
             finally:
                 _remove(aside)
@@ -233,12 +234,11 @@ class TaskFolder:
             raise _not_written(path, error) from error
 
     def aside(self, text: str) -> Path:
-        """A new file with this text, which is on the disk, to take its place at once; what is left of it is
-        taken away with the parts. Raises OSError."""
+        """A new file with this text, to take its place at once; what is left of it is taken away with the
+        parts. Raises OSError."""
         path = self.beside()
         try:
             path.write_text(text, encoding="ascii")
-            flush(path)
         except OSError:
             _remove(path)
             raise
