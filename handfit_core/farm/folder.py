@@ -377,8 +377,8 @@ class Claim:
         try:
             found = _read(self.folder.running, missing_ok=False)
         except FileNotFoundError:
-            # Taken for one that is left behind, and not begun: it is his whose sign is there first.
-            if _put(self.folder, self.content):
+            # Taken for one that is left behind: it is his whose sign is there first, unless it is done.
+            if not self.folder.done.exists() and _put(self.folder, self.content):
                 return
             found = None
         if found is None or found.get("token") != self.content["token"]:

@@ -29,12 +29,13 @@ from handfit_core.farm.collect import Report
 from handfit_core.farm.folder import Lost
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.pool import Listener, Pool
+from handfit_core.farm.report import Result
 from handfit_core.farm.show import Shown
 from tests.core.farm.peers import COMMAND, attempts, content, plan_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in Linux's /proc")
 
-KILLS = int(os.environ.get("HANDFIT_KILLS", "8"))
+KILLS = int(os.environ.get("HANDFIT_KILLS", "5"))
 LIMIT = 60
 """seconds after which what should have ended is taken for hung"""
 NAMES = [*(f"slow-{n}" for n in range(8)), "fine", "deep", "half1", "a-crash1"]
@@ -132,7 +133,7 @@ def test_killed_at_random_moments_and_started_again(tmp_path, log, machines):
     killed = 0
     for number in range(4 * KILLS):
         running = machines(plan)
-        time.sleep(chance.uniform(0.0, 1.2))
+        time.sleep(chance.uniform(0.0, 2.0))
         if number % 3 == 2:  # a slot, or what it has started
             slots = [pid for pid in processes_at(tmp_path) if pid != running.pid]
             if slots:
@@ -156,21 +157,12 @@ def test_killed_at_random_moments_and_started_again(tmp_path, log, machines):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_supervisor_that_ends_takes_all_with_it(tmp_path, log, machines, number):
-    plan = plan_of(tmp_path / "out", ["hang", "stop", "fine"])
-    running = machines(plan, 3)
-    wait_for(lambda: sum("child" in each for each in attempts(log)) == 2 and sealings(log))
+    plan = plan_of(tmp_path / "out", ["hang", "fine"])
+    running = machines(plan, 2)
+    wait_for(lambda: any("child" in each for each in attempts(log)) and sealings(log))
     os.kill(running.pid, number)
     running.wait(LIMIT)
-    wait_for(lambda: not [p for p in processes_at(tmp_path) if not stopped(p)])
-    for pid in processes_at(tmp_path):  # one that is stopped cannot see that it is alone
-        os.kill(pid, signal.SIGCONT)
     assert gone(tmp_path)
-
-
-def stopped(pid: int) -> bool:
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
-    return False
 
 
 def test_two_machines_do_nothing_twice(tmp_path, log, machines):
@@ -187,9 +179,9 @@ def test_two_machines_do_nothing_twice(tmp_path, log, machines):
 
 def test_a_machine_takes_over_what_another_has_left(tmp_path, log, machines):
     plan = plan_of(tmp_path / "out", ["hang1", "slow", "slow-2"])
-    one = machines(plan, 1, host="one")
+    one = machines(plan, 1, host="one", PEER_STALE="3")
     wait_for(lambda: attempts(log))
-    two = machines(plan, 1, host="two", PEER_STALE="1.5", PEER_CLOCK="-86400")
+    two = machines(plan, 1, host="two", PEER_STALE="3", PEER_CLOCK="-86400")
     wait_for(lambda: len(sealings(log)) == 2)
     assert attempts(log)[0]["task"] == "hang1"
     os.killpg(one.pid, signal.SIGKILL)
@@ -206,7 +198,9 @@ def test_a_machine_that_slept_destroys_nothing(tmp_path, log, machines):
     one = machines(plan, 1, host="one", PEER_STALE="1")
     wait_for(lambda: attempts(log))
     inside = [pid for pid in processes_at(tmp_path) if pid != one.pid]
-    (supervisor,) = (pid for pid in inside if b"pool" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"))
+    (supervisor,) = (
+        pid for pid in inside if b"pool" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    )
     os.kill(supervisor, signal.SIGSTOP)
     two = machines(plan, 1, host="two", PEER_STALE="1")
     assert two.wait(LIMIT) == 0
@@ -239,10 +233,11 @@ def test_a_disk_that_is_full_and_has_room_again(tmp_path, log, machines):
     plan = plan_of(tmp_path / "out", [*NAMES[:4], *NAMES[8:]])
     kept = tmp_path / "kept"
     kept.mkdir()
-    for size in (24, 96, 160, 4000):
+    for size in (24, 96, 4000):
         mount = f"mount -t tmpfs -o size={size}k tmpfs {plan.output} && cp -a {kept}/. {plan.output}"
         command = f"{sys.executable} {COMMAND[1]} pool {plan.path} 2"
-        first = f"{{ cp -a {plan.output}/plans {kept}; {mount}; {command}; code=$?; cp -a {plan.output}/. {kept}; exit $code; }}"
+        keep = f"code=$?; cp -a {plan.output}/. {kept}; exit $code"
+        first = f"{{ cp -a {plan.output}/plans {kept}; {mount}; {command}; {keep}; }}"
         code = machines(plan, 2, host="one", first=first).wait(LIMIT)
         assert (code == 0) == (size == 4000)
         assert not [p for p in kept.iterdir() if p.name.startswith(".")]
@@ -322,7 +317,9 @@ def test_ten_thousand_that_are_done_are_read_once_each(tmp_path, monkeypatch):
         folder = plan.folder(task)
         folder.path.mkdir()
         seal = {"format": "manient-task", "version": 1, "id": task.id, "files": {}, "host": "", "seconds": 1}
-        folder.done.write_text(json.dumps({**seal, "result": {"input": "", "name": task.name, "status": "ok"}}))
+        folder.done.write_text(
+            json.dumps({**seal, "result": {"input": "", "name": task.name, "status": "ok"}})
+        )
     counts: Counter[str] = Counter()
 
     def counted(owner: object, name: str) -> None:
@@ -355,8 +352,7 @@ def test_tasks_of_others_are_looked_at_seldom(tmp_path, log, monkeypatch):
     names = [f"t{number}" for number in range(300)]
     plan = plan_of(tmp_path / "out", [*names, "slow"])
     for task in plan.tasks[:-1]:
-        claim = folders.Watch().claim(plan.folder(task), task.id)
-        assert claim is not None
+        assert folders.Watch().claim(plan.folder(task), task.id)
     looks: Counter[str] = Counter()
     was = folders.Watch.claim
 
@@ -367,10 +363,10 @@ def test_tasks_of_others_are_looked_at_seldom(tmp_path, log, monkeypatch):
     monkeypatch.setattr(folders.Watch, "claim", claim)
 
     class Until(Listener):
-        def ended(self, task: Task, result: object) -> None:
-            raise InterruptedError
+        def ended(self, task: Task, result: Result) -> None:
+            raise InterruptedError(task.name, result.status)
 
-    with pytest.raises(InterruptedError), Pool(COMMAND, jobs=2) as pool:
+    with pytest.raises(InterruptedError, match=r"slow.*ok"), Pool(COMMAND, jobs=2) as pool:
         pool.run(plan, plan.tasks, Until())
     assert looks["slow"] == 1
     assert len(looks) == 301, "each was looked at"
