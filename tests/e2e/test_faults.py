@@ -92,12 +92,10 @@ def test_a_batch_killed_at_random_moments_ends_as_if_it_was_not(takes, tmp_path)
     while killed < KILLS:
         running = start(takes, out)
         time.sleep(chance.uniform(1.0, 12.0))
-        if killed % 3 == 2:
-            for pid in chance.sample(
-                others := [p for p in processes_of(out) if p != running.pid], len(others)
-            )[:1]:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+        if killed % 3 == 2:  # a slot first, or what it has started
+            others = [pid for pid in processes_of(out) if pid != running.pid] or [running.pid]
+            with suppress(ProcessLookupError):
+                os.kill(chance.choice(others), signal.SIGKILL)
             time.sleep(chance.uniform(0.0, 2.0))
         running.kill()
         running.communicate()
