@@ -12,7 +12,7 @@ import os
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate, groupby
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import path as checked_path
 from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandfitError, InputError, OptionError
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import read_file, samples, shown, why, written_whole
 from handfit_core.media.frame_range import STRETCH, FrameRange
 from handfit_core.media.source import Media
 from handfit_core.options import OPTIONS, CaptureOptions
@@ -41,10 +41,6 @@ _MOST_MEMORY: Final = 1 << 28
 """bytes that the arrays of a small part may have"""
 _MOST_PACKED: Final = 20
 """times the size of a larger file that its arrays may have: where no hand is, they pack well"""
-
-_BLOCKS: Final = 16
-_BLOCK: Final = 1 << 16
-"""bytes that are read at each of so many places of an input: to read all of a long video takes minutes"""
 
 OF_A_MACHINE: Final = ("processes", "landmark_model")
 """Options that may differ between parts: `made_by` knows what the landmark model holds"""
@@ -178,15 +174,10 @@ def fingerprint(media: Media) -> str:
     names = [file.name for file in files] if media.source.kind == "sequence" else []
     try:
         sizes = [file.stat().st_size for file in files]
-        ends = list(accumulate(sizes))
         known = [media.source.kind, media.width, media.height, media.expected_frames, sizes, names]
         digest = hashlib.sha256(json.dumps(known).encode())
-        for i in range(_BLOCKS):
-            at = i * max(ends[-1] - _BLOCK, 0) // (_BLOCKS - 1)
-            index = bisect_right(ends, at)
-            with files[index].open("rb") as stream:
-                stream.seek(at - ends[index] + sizes[index])
-                digest.update(stream.read(_BLOCK))
+        for sample in samples(files, sizes):
+            digest.update(sample)
     except (OSError, IndexError) as error:
         raise InputError(
             f"{media.source.name}: the input changes while it is read; wait until it is there"

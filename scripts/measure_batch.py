@@ -48,12 +48,12 @@ What a batch costs, each part with its table:
   cost      of an hour of footage: two lengths of CLIP, whose difference is that of their
             frames alone, on one core and with --jobs 1 on all of them
   overhead  of a task: its own process, a warm one, and what is sealed and skipped
-  jobs      ten clips with --jobs N against --jobs 1, each process with one thread, or with
-            --with OPTIONS against --jobs N, as in --with '--scheduler tcp://127.0.0.1:8786'
+  jobs      ten clips with --jobs N against --jobs 1, each process with one thread
   memory    the most that a task's processes hold: a photo, CLIP, and both enlarged
   empty     tasks that only write four small files: planning, doing, skipping, reporting
 
-Runs that are compared take turns. Run it on an idle machine, with a Python that has bpy."""
+--with '--scheduler tcp://HOST:8786' has jobs compare Dask's workers with --jobs N, and empty use
+them alone. Runs that are compared take turns. Run it on an idle machine, with a Python that has bpy."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -98,7 +98,7 @@ def parser() -> argparse.ArgumentParser:
     add("--frames", type=int, default=300, metavar="N", help="of each clip (default: 300)")
     add("--clips", type=int, default=10, metavar="N", help="of the part jobs (default: 10)")
     add("--jobs", type=int, default=2, metavar="N", help="processes to compare with one (default: 2)")
-    add("--with", dest="other", metavar="OPTIONS", help="compare --jobs N with these options instead")
+    add("--with", dest="other", metavar="OPTIONS", help="another way to have tasks done")
     add("--tasks", type=int, default=10_000, metavar="N", help="empty ones (default: 10000)")
     add("--rounds", type=int, default=3, metavar="N", help="of runs that take turns (default: 3)")
     add("-o", "--output", type=Path, metavar="OUT.json", help="all measurements as JSON")
@@ -323,8 +323,12 @@ def empty_part(args: argparse.Namespace, folder: Path) -> Part:
         took = {"planning": time.perf_counter() - began}
         for name in ("doing", "skipping"):
             began = time.perf_counter()
-            with Pool(plan.command, jobs=args.jobs) as pool:
-                pool.run(plan, plan.tasks)
+            if args.other:
+                work = [sys.executable, "-m", "handfit_core", "work", str(plan.path), "--progress", "none"]
+                subprocess.run([*work, *args.other.split()], cwd=ROOT, check=True)
+            else:
+                with Pool(plan.command, jobs=args.jobs) as pool:
+                    pool.run(plan, plan.tasks)
             took[name] = time.perf_counter() - began
         began = time.perf_counter()
         report = Report([Plan.load(plan.path)])
@@ -333,7 +337,9 @@ def empty_part(args: argparse.Namespace, folder: Path) -> Part:
         took["reporting"] = time.perf_counter() - began
         rows.append([f"{count}", *(f"{1000 * seconds / count:.2f}" for seconds in took.values())])
         numbers.append({"tasks": count, **took})
-    title = f"Tasks that only write four small files, --jobs {args.jobs}: milliseconds a task"
+    title = (
+        f"Tasks that only write four small files, {args.other or f'--jobs {args.jobs}'}: milliseconds a task"
+    )
     header = ["tasks", "planning", "doing", "skipping", "reporting"]
     return Part(title, header, rows, (), {"empty": numbers})
 

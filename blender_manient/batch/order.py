@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import copy
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.landmark_model import VARIABLE
 from handfit_core.errors import OptionError
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import SOLVERS, get_solver
@@ -99,16 +101,17 @@ def options_of(args: argparse.Namespace, order: Order) -> dict[str, Any]:
 
 
 def files_named(options: Mapping[str, Any]) -> list[str]:
-    """The files that a plan's options name."""
+    """The files and folders that a plan's options name, and what stands for one that they do not name."""
     named = [values.get(name) for values in options.values() for name in _FILES]
-    found = (_file_of(str(name)) for name in named if name)
-    return [str(path) for path in found if path.is_file()]
+    named.append(os.environ.get(VARIABLE))
+    found = (_file_of(str(name)).expanduser() for name in named if name)
+    return [str(path) for path in found if path.exists()]
 
 
 def _full(text: str) -> str:
     """A path in full where there is such a file or folder, with what follows its name."""
     path = _file_of(text)
-    return str(path.absolute()) + text[len(str(path)) :] if path.exists() else ""
+    return str(path.expanduser().absolute()) + text[len(str(path)) :] if path.expanduser().exists() else ""
 
 
 def _file_of(text: str) -> Path:

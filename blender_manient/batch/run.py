@@ -13,7 +13,8 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.detect.detector import DETECTORS
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.collect import Report, state
 from handfit_core.farm.commands import do, given_plans, work_words
 from handfit_core.farm.folder import Lost
@@ -25,7 +26,7 @@ from handfit_core.farm.templates import write_template
 from handfit_core.files import check_writable
 from handfit_core.media.frame_range import FrameRange, part_ranges
 from handfit_core.worker.interpreter import find_python, worker_command, worker_environment
-from handfit_core.worker.runner import Runner, WorkerDied
+from handfit_core.worker.runner import Runner
 
 from . import slot
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
@@ -152,18 +153,22 @@ def _planned(args: argparse.Namespace, host: Host) -> Plan:
     )
     if not args.split:
         return make()
+    if DETECTORS.get(order.options.detector).clip is None:
+        raise OptionError(
+            f"the detector {order.options.detector} looks at whole clips alone: leave out --split"
+        )
     with slot.make_worker(host, args.python, None, args.debug) as runner:
         return make(parts_of=partial(_parts_of, args.split, order, runner))
 
 
 def _parts_of(most: int, order: Order, runner: Runner, each: Input) -> list[str]:
     """The ranges of a clip with more than `most` frames; of other inputs, and of those that cannot be opened,
-    none. Raises WorkerError."""
+    none."""
     if each.take or each.error:
         return []
     try:
         known = runner.wait(runner.submit("probe", input=list(each.source)))
-    except (InputError, WorkerDied):  # which its task will tell
+    except HandfitError:  # which its task will tell
         return []
     frames = (order.options.frames or FrameRange()).within(known["first"], known["last"])
     ranges = part_ranges(frames, -(-len(frames) // most))
@@ -226,5 +231,5 @@ def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
         debug=args.debug,
         python=args.python,
         threads=host.threads or share(jobs),
-        processes=args.processes or share(jobs),
+        processes=args.processes,
     )

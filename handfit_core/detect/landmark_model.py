@@ -28,6 +28,9 @@ _ENTRIES = (
     ("hand_detector.tflite", "mediapipe/modules/palm_detection/palm_detection_full.tflite"),
     ("hand_landmarks_detector.tflite", "mediapipe/modules/hand_landmark/hand_landmark_full.tflite"),
 )
+VARIABLE = "HANDFIT_LANDMARK_MODEL"
+"""Names the file where no option does"""
+
 _ALIGNMENT = 4
 _LOCAL_HEADER_SIZE = 30
 _PADDING_FIELD = 0xD935  # the id that Android's zipalign pads with
@@ -39,7 +42,7 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
     The first that is given or exists of: `explicit`; `$HANDFIT_LANDMARK_MODEL`; the file bundled
     with this package; the one in the cache folder. Raises LandmarkModelError.
     """
-    for named in (explicit, os.environ.get("HANDFIT_LANDMARK_MODEL")):
+    for named in (explicit, os.environ.get(VARIABLE)):
         if named:
             path = Path(named).expanduser()
             if not is_file(path):

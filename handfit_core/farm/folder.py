@@ -226,6 +226,7 @@ class TaskFolder:
         try:
             aside = self.aside(json.dumps(_content(id, **content), indent=1) + "\n")
             try:
+                flush(aside)
                 aside.replace(path)
             finally:
                 _remove(aside)
@@ -233,12 +234,11 @@ class TaskFolder:
             raise _not_written(path, error) from error
 
     def aside(self, text: str) -> Path:
-        """A new file with this text, which is on the disk, to take its place at once; what is left of it is
-        taken away with the parts. Raises OSError."""
+        """A new file with this text, to take its place at once; what is left of it is taken away with the
+        parts. Raises OSError."""
         path = self.beside()
         try:
             path.write_text(text, encoding="ascii")
-            flush(path)
         except OSError:
             _remove(path)
             raise
@@ -377,8 +377,8 @@ class Claim:
         try:
             found = _read(self.folder.running, missing_ok=False)
         except FileNotFoundError:
-            # Taken for one that is left behind, and not begun: it is his whose sign is there first.
-            if _put(self.folder, self.content):
+            # Taken for one that is left behind: it is his whose sign is there first, unless it is done.
+            if not self.folder.done.exists() and _put(self.folder, self.content):
                 return
             found = None
         if found is None or found.get("token") != self.content["token"]:

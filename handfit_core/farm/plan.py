@@ -7,6 +7,7 @@ again, whoever did it.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import hashlib
 import json
@@ -21,7 +22,7 @@ from handfit_core.doors.values import shortly
 from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.folder import TaskFolder
 from handfit_core.farm.inputs import Input
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import read_file, samples, shown, why, written_whole
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
 from handfit_core.media.size_limit import claimed_frames
@@ -260,14 +261,16 @@ def make_plan(
     parts_of: Callable[[Input], Sequence[str]] = lambda _: (),
     frames: FrameRange | None = None,
 ) -> Plan:
-    """A task for each input. `files`: those that the options name, whose contents count as well. `parts_of`
-    gives the ranges of frames in which the hands of an input are found by tasks of their own, if any.
-    `frames`: those that the options want of a clip.
+    """A task for each input. `files`: those, and folders, that the options name; what they hold counts too.
+    `parts_of` gives the ranges of frames in which the hands of an input are found by tasks of their own, if
+    any. `frames`: those that the options want of a clip.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
     """
-    common = json.dumps([__version__, options, [fingerprint([Path(file)]) for file in files]], sort_keys=True)
+    common = json.dumps(
+        [__version__, options, [fingerprint(_within(Path(file))) for file in files]], sort_keys=True
+    )
     there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
     taken = set() if flat else {FOLDER, "report.json", "overview.html"}
     first: dict[str, int] = {}
@@ -284,22 +287,26 @@ def make_plan(
             return None
         return folder.owner if there.get(folder.name.lower(), folder.name) == folder.name else ""
 
-    for each in inputs:
-        task = _task(each, common, ids, frames or FrameRange())
-        ids.add(task.id)
-        name = _as_folder(task.name)
-        known = owned.get((name.lower(), task.id))
+    def free(name: str, id: str) -> str:
+        """The name, or the first of those with numbers, that is free for that task."""
+        known = owned.get((name.lower(), id))
         number = known or first.get(name.lower(), 1)
         while known is None:
             whose = owner(TaskFolder(output, _numbered(name, number), flat))
-            if whose is None or whose == task.id:
+            if whose is None or whose == id:
                 break
             owned[name.lower(), whose] = number
             number += 1
         first[name.lower()] = max(first.get(name.lower(), 1), number + (known is None))
-        task = replace(task, name=_numbered(name, number))
-        taken.add(task.name.lower())
-        parts = list(_parts(task, parts_of(each)))
+        taken.add(_numbered(name, number).lower())
+        return _numbered(name, number)
+
+    for each in inputs:
+        task = _task(each, common, ids, frames or FrameRange())
+        ids.add(task.id)
+        name = _as_folder(task.name)
+        task = replace(task, name=free(name, task.id))
+        parts = [replace(part, name=free(part.name, part.id)) for part in _parts(task, parts_of(each))]
         rest = round(task.cost - sum(part.cost for part in parts), 3)
         tasks += [*parts, replace(task, needs=tuple(part.id for part in parts), cost=rest)]
     return Plan(output.absolute(), tuple(tasks), options, flat, overwrite, tuple(command))
@@ -362,8 +369,17 @@ def fingerprint(files: Sequence[Path]) -> str:
             except (OSError, ValueError) as error:
                 digest.update(str(error).encode("utf-8", "replace"))
         found = [(name, size, 0) for name, size, _ in found]
+    else:
+        with contextlib.suppress(OSError):
+            for sample in samples(files, [size for _, size, _ in found]):
+                digest.update(sample)
     digest.update(json.dumps(found).encode())
     return digest.hexdigest()[:32]
+
+
+def _within(path: Path) -> list[Path]:
+    """The files of a folder; a file itself."""
+    return sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
 
 
 def _size_and_time(file: Path) -> tuple[int, int]:

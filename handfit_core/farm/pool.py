@@ -127,7 +127,7 @@ class Pool:
     ) -> None:
         """`command` starts a slot (slot.py). `timeout`: seconds that a task may take. `here`: what slots are
         told beside a task, since it is this machine's affair."""
-        self._command, self._jobs, self._here = tuple(command), jobs, {**here, "debug": debug}
+        self._command, self.jobs, self._here = tuple(command), jobs, {**here, "debug": debug}
         self._debug = debug
         self.timeout, self.attempts = timeout, attempts
         self._failed_starts = 0
@@ -181,18 +181,18 @@ class Pool:
     @property
     def has_room(self) -> bool:
         """Whether a process is idle, or another one may be started."""
-        return len(self._slots) < self._jobs or None in self._slots.values()
+        return len(self._slots) < self.jobs or None in self._slots.values()
 
     def free_slot(self, wanted: int) -> Slot | None:
         """One that is ready and idle; starts another where `wanted` are more than are idle, and there may be
         more. Raises OptionError."""
         idle = [slot for slot, running in self._slots.items() if running is None]
-        if len(idle) < wanted and len(self._slots) < self._jobs:
+        if len(idle) < wanted and len(self._slots) < self.jobs:
             self._slots[Slot(self._command, debug=self._debug)] = None
         return next((slot for slot in idle if slot.ready), None)
 
-    def occupy(self, slot: Slot, plan: Plan, running: _Running) -> None:
-        """Give a slot its task."""
+    def occupy(self, slot: Slot, plan: Plan, running: _Running, processes: int | None) -> None:
+        """Give a slot its task, for so many processes where nobody has said how many."""
         task, folder = running.this.task, plan.folder(running.this.task)
         self._slots[slot] = running
         slot.send(
@@ -202,7 +202,7 @@ class Pool:
             folder=str(running.part),
             parts=[str(plan.part_file(id)) for id in task.needs],
             finished={name: str(path) for name, path in folder.kept(task.id).items()},
-            **self._here,
+            **{**self._here, "processes": self._here.get("processes") or processes},
         )
 
     def news(self) -> Iterator[tuple[Slot, _Running | None, Event]]:
@@ -284,6 +284,8 @@ class _Run:
         self._tasks, self._wait = tasks, wait
         self._ids = {task.id for task in tasks}
         self._results: dict[str, Result] = {}
+        self._left = sum(task.cost for task in tasks)
+        """Costs of what is not over"""
         self._open: deque[_Try] = deque()
         """What may be begun now"""
         self._alone: list[_Try] = []
@@ -441,8 +443,16 @@ class _Run:
                 claim.release()
             self._missed(this, str(error), "OutputError", 0.0, {}, None)
             return
-        self._pool.occupy(slot, self._plan, _Running(this, claim, part, time.monotonic()))
+        running = _Running(this, claim, part, time.monotonic())
+        self._pool.occupy(slot, self._plan, running, self._share(task))
         self._listener.began(task)
+
+    def _share(self, task: Task) -> int | None:
+        """How many processes may find a clip's hands: of all cores its share of the work that is left, since
+        a long clip would be alone in the end. None: its own choice, where nothing runs beside."""
+        if self._pool.jobs == 1:
+            return None
+        return max(1, round(usable_cores() * min(task.cost / max(self._left, 1e-9), 1.0)))
 
     def _not_ours(self, this: _Try, why: str = "another process is at it") -> None:
         """Somebody else is at it, or at what it needs: see again later."""
@@ -577,6 +587,7 @@ class _Run:
 
     def _end(self, this: _Try, result: Result) -> None:
         self._results[this.task.id] = result
+        self._left -= this.task.cost
         for place, (_, number, other) in enumerate(self._later if this.task.of else ()):
             if other.task.id == this.task.of:  # it may be done now
                 self._later[place] = 0.0, number, other

@@ -101,6 +101,27 @@ def read_back(path: Path) -> dict:
     return json.loads(next(x for x in done.stdout.splitlines() if x.startswith("FOUND"))[6:])
 
 
+def test_a_dry_run_tells_what_would_be_done(batch, take_file, tmp_path):
+    out = tmp_path / "out"
+    broken = tmp_path / "broken.npz"
+    broken.write_bytes(b"no take")
+    inputs, rest = [take_file("wave"), broken], ["--output", out, "--format", "bvh"]
+    assert batch(*inputs, *rest).returncode == 1
+    before = sorted(out.rglob("*"))
+    done = batch(*inputs, take_file("nod"), *rest, "--dry-run")
+    assert done.returncode == 0, done.stderr
+    told = dict(line.split(maxsplit=1) for line in done.stdout.splitlines()[:2])
+    assert told["done"] == f"{inputs[0]} -> {out / 'wave'}"
+    assert told["failed"].startswith(f"{broken} -> {out / 'broken'}: ")
+    assert told["failed"].endswith("; --retry-failed tries it again")
+    *_, left, summary = done.stdout.splitlines()
+    assert left == f"to do    {tmp_path / 'nod.take.npz'} -> {out / 'nod'}"
+    assert summary.startswith("1 of 3 to do, 1 at a time: about 0:0")
+    again = batch(*inputs, *rest, "--dry-run", "--retry-failed")
+    assert again.stdout.splitlines()[-1].startswith("1 of 2 to do")
+    assert sorted(out.rglob("*")) == before, "nothing was done"
+
+
 def test_takes_become_files(batch, take_file, tmp_path):
     take = take_file()
     out = tmp_path / "out"

@@ -26,16 +26,17 @@ submit() {
 }
 
 task() {
-  local child code
+  local stopped= code later
+  trap 'stopped=1; kill -TERM "$!"' TERM # SLURM tells this shell alone that the time is over
   "${command[@]}" task "$plan" "${jobs[SLURM_ARRAY_TASK_ID]}" --processes "${SLURM_CPUS_PER_TASK:-1}" \
     "${options[@]}" &
-  child=$!
-  trap 'kill -TERM "$child"' TERM # SLURM tells this shell alone that the time is over
-  wait "$child"
+  wait "$!"
   code=$?
-  while kill -0 "$child" 2>/dev/null; do
-    wait "$child"
-    code=$?
+  while [ "$stopped" ]; do # the signal has ended `wait`, and not what it waited for
+    stopped=
+    wait "$!"
+    later=$?
+    [ "$later" = 127 ] || code=$later
   done
   # 75: somebody else is at it, or another time may go better. With 1 and 2 the same would come out again.
   if [ "$code" = 75 ] && [ "${SLURM_RESTART_COUNT:-0}" -lt 5 ]; then

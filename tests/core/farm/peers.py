@@ -39,7 +39,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT))
 
-from handfit_core.farm import show  # noqa: E402
+from handfit_core.farm import folder, pool, show  # noqa: E402
+from handfit_core.farm.folder import TaskFolder  # noqa: E402
 from handfit_core.farm.plan import Plan, Task, places_of  # noqa: E402
 from handfit_core.farm.pool import Pool  # noqa: E402
 from handfit_core.version import __version__  # noqa: E402
@@ -94,7 +95,7 @@ def serve() -> None:
 
 
 def do(request: dict[str, Any]) -> None:
-    name, folder = request["task"]["name"], Path(request["folder"])
+    name, part = request["task"]["name"], Path(request["folder"])
     words = dict(re.findall(r"(?<![a-z])([a-z]+)(\d*)", name))
     number = _written_down(name, request)
     result = {"input": request["task"]["shown"], "name": name, "frames": number, "hands": []}
@@ -103,11 +104,11 @@ def do(request: dict[str, Any]) -> None:
         return word in words and (not words[word] or number <= int(words[word]))
 
     def write(which: str) -> None:
-        path = folder / ("in/" * ("deep" in words)) / f"{name}.{which}"
+        path = part / ("in/" * ("deep" in words)) / f"{name}.{which}"
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(content(name, which))
         told = {"size": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        say("file", name=path.relative_to(folder).as_posix(), **told)
+        say("file", name=path.relative_to(part).as_posix(), **told)
 
     say("progress", stage="detect", done=0, total=_STEPS)
     for kind in ("memory", "input", "gone", "disk"):
@@ -177,10 +178,42 @@ def commanded(command: str, plan: str, *words: str) -> int:
     tasks = mapped.chosen(words[0])
     _note({"sources": [task.source for task in tasks]})
     show._EVERY.update(dict.fromkeys(show._EVERY, 0.0))
-    with Pool(COMMAND) as pool:
-        results = pool.run(mapped, tasks, show.Shown(tasks, options.get("--progress", "text")), wait=False)
+    with Pool(COMMAND) as doing:
+        results = doing.run(mapped, tasks, show.Shown(tasks, options.get("--progress", "text")), wait=False)
     return int("--accept-failed" not in words and any(result.status != "ok" for result in results))
 
 
+def run_pool(file: str, jobs: str) -> int:
+    """`peers.py pool PLAN JOBS`: do what is left of a plan, as a machine of its own would. What is sealed is
+    noted, too. $PEER_STALE: seconds without a sign after which another one's task is taken over; $PEER_CLOCK:
+    seconds that this machine's clock is wrong by. Returns how many tasks are not done."""
+    was_sealed, set_time = TaskFolder.seal, os.utime
+
+    def seal(of: TaskFolder, *args: Any) -> None:
+        was_sealed(of, *args)
+        _note({"sealed": of.name, "pid": os.getpid(), "host": socket.gethostname()})
+
+    def wrong(path: Path) -> None:
+        now = time.time() + float(os.environ.get("PEER_CLOCK", "0"))
+        set_time(path, (now, now))
+
+    TaskFolder.seal = seal  # type: ignore[method-assign]
+    os.utime = wrong  # type: ignore[assignment]
+    if "PEER_STALE" in os.environ:
+        folder.STALE = float(os.environ["PEER_STALE"])
+        folder.BEAT = folder.STALE / 10
+    pool.BACK_OFF, pool._ELSEWHERE = (0.05,), 0.1
+    plan = Plan.load(Path(file))
+    with Pool(COMMAND, jobs=int(jobs)) as doing:
+        results = doing.run(plan, plan.tasks)
+    for result in results:
+        print(result.name, result.status, result.error, file=sys.stderr)
+    return sum(result.status != "ok" for result in results)
+
+
 if __name__ == "__main__":
-    serve() if sys.argv[1] == "slot" else sys.exit(commanded(*sys.argv[1:]))
+    _, what, *words = sys.argv
+    if what == "slot":
+        serve()
+    else:
+        sys.exit(run_pool(*words) if what == "pool" else commanded(what, *words))

@@ -201,3 +201,40 @@ def test_a_result_that_somebody_has_changed_is_his(photos, tmp_path):
     assert "result.txt: changed since the batch wrote it" in seal["result"]["warnings"][0]
     (folder.path / "result.txt").unlink()
     assert folder.sealed(task.id) is None
+
+
+def test_parts_have_names_that_no_other_input_has(tmp_path):
+    clips = []
+    for name in ("talk.part1", "talk", "talk.part2"):
+        (tmp_path / f"{name}.mp4").write_bytes(name.encode())
+        clips += expand(str(tmp_path / f"{name}.mp4"))
+
+    def parts_of(each):
+        return ["1-480", "481-"] if each.name == "talk" else []
+
+    plan = make_plan(clips, tmp_path / "out", {}, parts_of=parts_of)
+    assert len({task.name for task in plan.tasks}) == len(plan.tasks) == 5
+    assert {task.name for task in plan.tasks if task.of} == {"talk.part1-2", "talk.part2"}
+
+
+def test_large_files_of_equal_size_and_time_are_others(tmp_path):
+    ids = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        clip = tmp_path / name / "clip.mp4"
+        with clip.open("wb") as stream:
+            stream.write(name.encode())
+            stream.truncate(50_000_000)
+        os.utime(clip, (1, 1))
+        (task,) = planned(clip, tmp_path / "out").tasks
+        ids.append(task.id)
+    assert ids[0] != ids[1]
+
+
+def test_what_lies_in_a_folder_of_the_options_counts(photos, tmp_path):
+    model = tmp_path / "mano"
+    model.mkdir()
+    (model / "right.npz").write_bytes(b"one")
+    first = planned(photos, tmp_path / "out", files=[str(model)])
+    (model / "right.npz").write_bytes(b"two")
+    assert planned(photos, tmp_path / "out", files=[str(model)]).tasks[0].id != first.tasks[0].id

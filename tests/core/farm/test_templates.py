@@ -245,8 +245,8 @@ def test_slurm_queues_again_what_may_go_better_and_nothing_else(tmp_path, slurm,
 
 def test_slurm_ends_what_it_has_started_when_the_time_is_over(tmp_path):
     ready, ended = tmp_path / "ready", tmp_path / "ended"
-    program = "import signal,sys; signal.signal(15, lambda *_: (open(sys.argv[2], 'x'), sys.exit(130))); "
-    program += "open(sys.argv[1], 'x'); signal.pause()"
+    program = "import signal,sys; signal.pthread_sigmask(signal.SIG_BLOCK, [15]); open(sys.argv[1], 'x'); "
+    program += "signal.sigwait([15]); open(sys.argv[2], 'x'); sys.exit(130)"
     command = (sys.executable, "-c", program, str(ready), str(ended))
     file = write_template("slurm", planned(plan_of(tmp_path / "out", ["a"]), command=command))
     script = f'bash "$0" task & until [ -e {ready} ]; do sleep 0.05; done; kill -TERM $!; wait $!'

@@ -1,0 +1,125 @@
+"""A real batch that is killed at random moments and started again ends as one that was left alone.
+
+`HANDFIT_KILLS=30` kills as often as the figures in docs/batch.md were made with.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy", reason="needs one of the bpy wheels")
+if sys.platform != "linux":
+    pytest.skip("processes are looked for in Linux's /proc", allow_module_level=True)
+
+from handfit_core.farm.plan import plans_in
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.source import Source
+from tests.takes import take_of, track_of
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / "scripts" / "batch_fit.py"
+KILLS = int(os.environ.get("HANDFIT_KILLS", "3"))
+INPUTS = 12
+LIMIT = 600
+
+
+@pytest.fixture
+def takes(tmp_path) -> list[Path]:
+    """Takes of different motions, as inputs that need no Python that captures."""
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    made = []
+    for number in range(INPUTS):
+        frames = 5 + number
+        t = np.linspace(0, 1, frames)
+        pose = np.tile(np.tile([0.0, 0.0, 0.1 + 0.05 * number], 15), (frames, 1)) * t[:, None]
+        camera = Intrinsics.assumed(320, 240)
+        orient = np.stack([0.3 + t, t * 0, t], -1)
+        hand = track_of("right", orient, pose, np.tile([0.0, 0.0, 0.6], (frames, 1)), camera)
+        source = Source("photo", (str(folder / "gone.png"),))
+        take = take_of([hand], camera, 320, 240, source=source)
+        made.append(take.save(folder / f"wave{number}.take.npz"))
+    return made
+
+
+def start(takes: list[Path], output: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, SCRIPT, *takes, "-o", output, "--format", "blend,glb,bvh", "--no-sheet"]
+    return subprocess.Popen(
+        list(map(str, [*command, "--jobs", "2"])),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "FAULTS": str(output)},
+    )
+
+
+def processes_of(output: Path) -> list[int]:
+    """All that were started for these results."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if f"FAULTS={output}".encode() in (path / "environ").read_bytes().split(b"\0"):
+                found.append(int(path.name))
+    return found
+
+
+def hashes(output: Path) -> dict[str, str]:
+    """Of all results but .blend files: those hold addresses in memory, and are never the same twice."""
+    names = (p for p in output.glob("*/*") if p.suffix in (".npz", ".glb", ".bvh"))
+    return {p.relative_to(output).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in names}
+
+
+def test_a_batch_killed_at_random_moments_ends_as_if_it_was_not(takes, tmp_path):
+    calm, out = tmp_path / "calm", tmp_path / "out"
+    running = start(takes, calm)
+    said, _ = running.communicate(timeout=LIMIT)
+    assert running.returncode == 0, said
+    chance = random.Random(18)
+    seals: dict[str, tuple[int, int]] = {}
+    killed = 0
+    while killed < KILLS:
+        running = start(takes, out)
+        time.sleep(chance.uniform(1.0, 12.0))
+        if killed % 3 == 2:  # a slot first, or what it has started
+            others = [pid for pid in processes_of(out) if pid != running.pid] or [running.pid]
+            with suppress(ProcessLookupError):
+                os.kill(chance.choice(others), signal.SIGKILL)
+            time.sleep(chance.uniform(0.0, 2.0))
+        running.kill()
+        running.communicate()
+        killed += 1
+        for path in out.glob("*/done.json"):
+            found = path.stat()
+            seal = seals.setdefault(path.parent.name, (found.st_ino, found.st_mtime_ns))
+            assert seal == (found.st_ino, found.st_mtime_ns), "what is sealed is not done again"
+    for _ in range(2):
+        running = start(takes, out)
+        said, _ = running.communicate(timeout=LIMIT)
+        assert running.returncode == 0, said
+    deadline = time.monotonic() + LIMIT
+    while processes_of(out):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    assert len(hashes(out)) == 3 * INPUTS
+    assert hashes(out) == hashes(calm)
+    (plan,) = plans_in(out)
+    assert all(plan.is_sealed(task.id) for task in plan.tasks)
+    for name, seal in seals.items():
+        found = (out / name / "done.json").stat()
+        assert seal == (found.st_ino, found.st_mtime_ns)
+    assert not list(out.glob(".part-*"))
+    assert not list(out.glob("*/running.json"))
+    entries = json.loads((out / "report.json").read_text(encoding="utf-8"))["inputs"]
+    assert [entry["status"] for entry in entries] == ["ok"] * INPUTS
