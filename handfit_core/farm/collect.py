@@ -6,11 +6,12 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Final
 
 from handfit_core.errors import HandfitError, OutputError
 from handfit_core.farm.overview import write_overview
-from handfit_core.farm.plan import FOLDER, Plan, Task, plans_in
+from handfit_core.farm.plan import FOLDER, Plan, Task, files_of, plans_in
 from handfit_core.farm.report import Result, write_report
 from handfit_core.files import shown
 
@@ -37,7 +38,7 @@ class Report:
 
     def _add(self, plans: Iterable[Plan]) -> None:
         for plan in plans:
-            self.output = plan.output
+            self.output, self._latest = plan.output, plan.created
             for task in plan.tasks:
                 if task.of:  # parts of clips are nobody's results
                     continue
@@ -54,9 +55,11 @@ class Report:
         """Take in what the folders of all tasks say that are not done here, and of plans made since."""
         with contextlib.suppress(HandfitError):
             self._add(plans_in(self.output))
-        for name, (plan, task) in self._tasks.items():
+        for name, (plan, task) in list(self._tasks.items()):
             if name not in self._ours:
                 self._results[name] = state(plan, task)
+                if plan.created < self._latest and _is_gone(task, self._results[name]):
+                    del self._tasks[name]
 
     def set(self, result: Result) -> None:
         """Take in what has become of a task; a part of a clip has no place of its own."""
@@ -86,6 +89,15 @@ class Report:
             write_overview(self.output / OVERVIEW, [vars(result) for result in results])
             took = time.monotonic() - began
             self._next = time.monotonic() + max(_OFTEN, _SHARE * took)
+
+
+def _is_gone(task: Task, result: Result) -> bool:
+    """Whether a task of an earlier plan has nothing to show, and its input was renamed or taken away: its
+    folder is there, so that no disk is."""
+    if result.status not in ("pending", "failed") or result.files:
+        return False
+    files = [Path(task.take)] if task.take else files_of(task.source)
+    return not any(file.exists() for file in files) and all(file.parent.is_dir() for file in files)
 
 
 def state(plan: Plan, task: Task) -> Result:

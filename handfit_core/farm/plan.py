@@ -100,7 +100,7 @@ class Plan:
     @cached_property
     def path(self) -> Path:
         """The plan's file, named by what there is to do."""
-        names = json.dumps([[task.id, task.name] for task in self.tasks])
+        names = json.dumps([self.flat, self.overwrite, [[task.id, task.name] for task in self.tasks]])
         return self.output / FOLDER / f"{hashlib.sha256(names.encode()).hexdigest()[:12]}.json"
 
     @cached_property

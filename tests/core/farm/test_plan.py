@@ -8,6 +8,7 @@ import os
 import pytest
 
 from handfit_core.errors import InputError, OptionError
+from handfit_core.farm.collect import Report
 from handfit_core.farm.folder import TaskFolder, Watch, files_in
 from handfit_core.farm.inputs import expand
 from handfit_core.farm.plan import Plan, Task, make_plan, places_of, plans_in
@@ -238,3 +239,16 @@ def test_what_lies_in_a_folder_of_the_options_counts(photos, tmp_path):
     first = planned(photos, tmp_path / "out", files=[str(model)])
     (model / "right.npz").write_bytes(b"two")
     assert planned(photos, tmp_path / "out", files=[str(model)]).tasks[0].id != first.tasks[0].id
+
+
+def test_an_input_that_was_renamed_stands_in_the_report_once(photos, tmp_path):
+    out = tmp_path / "out"
+    planned(photos, out).save()
+    (photos / "b.jpg").rename(photos / "c.jpg")
+    report = Report(plans_in(out))
+    report.look()
+    assert [r.name for r in report.results] == ["a", "b"], "it is the only plan's"
+    planned(photos, out).save()
+    report = Report(plans_in(out))
+    report.look()
+    assert sorted(r.name for r in report.results) == ["a", "c"]
