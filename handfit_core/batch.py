@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Self
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Self
 
 import numpy as np
+
+SLICE: Final = 512
+"""Rows of long batches that are computed at once, where each is computed for itself: bounds the memory"""
 
 Index = np.ndarray | slice
 """Which rows: numbers, booleans or a slice"""
@@ -48,6 +51,18 @@ class Batch:
 
         return self._with(**{name: pick(value, getattr(other, name)) for name, value in self._rows()})
 
+    def replaced(self, index: np.ndarray, rows: Self) -> Self:
+        """The same with other rows at that index, which numbers them."""
+
+        def put(mine: Any, theirs: Any) -> Any:
+            if isinstance(mine, Batch):
+                return mine.replaced(index, theirs)
+            mine = mine.copy()
+            mine[index] = theirs
+            return mine
+
+        return self._with(**{name: put(value, getattr(rows, name)) for name, value in self._rows()})
+
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """The rows of all parts, one after the other; what belongs to all rows is the first part's."""
@@ -57,6 +72,11 @@ class Batch:
             return first.joined(rows) if isinstance(first, Batch) else np.concatenate(rows)
 
         return parts[0]._with(**{name: join(name, value) for name, value in parts[0]._rows()})
+
+
+def slices(count: int, most: int = SLICE) -> Iterator[slice]:
+    """All of `count` rows, `most` at a time; an empty slice where there are none."""
+    return (slice(first, first + most) for first in range(0, max(count, 1), most))
 
 
 def spread(rows: Any, at: Any, count: int, nothing: Any = np.nan) -> np.ndarray:

@@ -246,8 +246,8 @@ class Parts:
         self._stretches[index], self._where[index] = stretch, name
 
     def of(self, media: Media, options: CaptureOptions) -> LookedAt:
-        """What gives the whole clip's stretches to `detection.detect_frames`. Raises InputError unless all
-        are there, are this input's, and were found with these options and this version."""
+        """What gives the whole clip's stretches to `detection.detect_frames`, once. Raises InputError unless
+        all are there, are this input's, and were found with these options and this version."""
         if fingerprint(media) != self._first.fingerprint:
             raise InputError(
                 f"{self._path} is of another input than {media.source.files[0]}, or that has changed since; "
@@ -273,7 +273,7 @@ class Parts:
                 raise InputError(f"{self._where[index]}: the part is damaged; detect it again")
 
         def looked_at(_: Any, __: CaptureOptions, on_frame: Any, ___: Any) -> list[Stretch]:
-            stretches = [self._stretches[index] for index in range(count)]
+            stretches = [self._stretches.pop(index) for index in range(count)]
             on_frame(sum(len(stretch.numbers) for stretch in stretches))
             return stretches
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import slices, spread
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.detect.keypoints import DetectedTrack, side_by_side
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
@@ -181,14 +182,16 @@ def capture_with(
         done += 1
         report(Progress("fit", done, total))
 
-    models = {track.side: load_model(model, track.side) for track in tracks}
+    # A long clip's detections take most of the memory, and those of hands that are fitted are not kept.
+    waiting = deque(replace(track, detections=side_by_side(track.detections)) for track in tracks)
+    del seen, found, tracks
+    models = {track.side: load_model(model, track.side) for track in waiting}
     if hand_length is not None and can.takes_hand_length:
         # Both hands' models have one length.
         tell_of_odd_shapes(next(iter(models.values())), hand_length)
     fitted: list[HandTrack] = []
-    for track in tracks:
-        if fitted and stop():
-            break
+    while waiting and not (fitted and stop()):
+        track = waiting.popleft()
         with SOLVERS.blamed(solver):
             fit = solve(models[track.side], track, intrinsics, one_more, stop)
             fitted.append(hand_track(models[track.side], _reached(track, fit), fit, intrinsics))
@@ -356,10 +359,9 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
     keypoints_2d = points[..., :2]
     none = np.zeros(NUM_KEYPOINTS, dtype=bool)
     overlapped = np.array([none if d.overlapped is None else d.overlapped for d in found])
-    joints = model.keypoints(
-        fit.betas, fit.global_orient[present], fit.hand_pose[present], fit.transl[present]
-    )
-    joints_3d = spread(joints, present, count)
+    posed = fit.global_orient[present], fit.hand_pose[present], fit.transl[present]
+    joints = [model.keypoints(fit.betas, *(rows[part] for rows in posed)) for part in slices(len(posed[0]))]
+    joints_3d = spread(np.concatenate(joints), present, count)
     distance = np.linalg.norm(intrinsics.project(joints_3d) - keypoints_2d, axis=-1)
     return HandTrack(
         side=track.side,

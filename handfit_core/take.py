@@ -12,7 +12,7 @@ import os
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, BinaryIO, Final, Literal
 
 import numpy as np
 
@@ -263,14 +263,18 @@ class Take:
     def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
         """Write the take as `.npz`, whole or not at all; `compact` as in `to_bytes`. Raises OutputError."""
         path = Path(path)
-        data = self.to_bytes(compact=compact)
-        with written_whole(path) as beside:
-            beside.write_bytes(data)
+        with written_whole(path) as beside, beside.open("wb") as stream:
+            self._write(stream, compact)
         return path
 
     def to_bytes(self, compact: bool = True) -> bytes:
         """The take as the bytes of its file. `compact`: numbers of 32 bits, half the size: pixels and
         metres are then rounded in their seventh digit."""
+        stream = io.BytesIO()
+        self._write(stream, compact)
+        return stream.getvalue()
+
+    def _write(self, stream: BinaryIO, compact: bool) -> None:
         number = np.float32 if compact else np.float64
         header = {
             "format": FORMAT_NAME,
@@ -298,9 +302,7 @@ class Take:
                 if (array := getattr(track, name)) is not None:
                     dtype = bool if held.kind == "b" else number
                     arrays[f"hand{i}_{name}"] = np.asarray(array, dtype=dtype)
-        stream = io.BytesIO()
         np.savez_compressed(stream, **arrays)
-        return stream.getvalue()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Take:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +27,19 @@ class Landmarked(Batch):
     pinned: np.ndarray | None = None
     """(N, 21) bool: pixels that are true, put there by a person: their cost grows with the square, so that no
     number of other landmarks can outvote them. None: there are none"""
+
+    @classmethod
+    def of_table(cls, table: np.ndarray) -> Landmarked:
+        """The inverse of `table`."""
+        pixels, sigma, depth = (np.ascontiguousarray(table[..., i : i + 2]) for i in (0, 2, 4))
+        return cls(pixels, sigma, *(np.ascontiguousarray(depth[..., i]) for i in (0, 1)))
+
+    @property
+    def table(self) -> np.ndarray:
+        """(N, 21, 6) all but what a person says: pixels, their expected errors, depth and its expected
+        error."""
+        depth = np.stack([self.depth, self.depth_sigma], axis=-1)
+        return np.concatenate([self.pixels, self.pixel_sigma, depth], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +68,9 @@ class HandDetection:
     """How sure it is that this is a hand, of whatever side, 0..1; None: the detector does not tell"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
-    corrected: tuple[Side, Landmarked] | None = None
-    """What the landmark network said of this detection (N = 1), taken for a hand of that side, when it was
-    asked for the side. Solvers that want the detector's own word take `keypoints`"""
+    corrected: tuple[Side, np.ndarray] | None = None
+    """What the landmark network said of this detection, taken for a hand of that side, when it was asked for
+    the side: a row of `Landmarked.table`. Solvers that want the detector's own word take `keypoints`"""
 
     @property
     def likely_side(self) -> Side:
@@ -80,6 +93,26 @@ class HandDetection:
         return float(np.max(np.ptp(self.keypoints_2d, axis=0)))
 
 
+def side_by_side(detections: Sequence[HandDetection | None]) -> tuple[HandDetection | None, ...]:
+    """The same detections with rows of common arrays instead of small ones, of which a long clip has so many
+    that memory between them would not be used again."""
+    found = [d for d in detections if d is not None]
+    said = [d.corrected[1] for d in found if d.corrected is not None]
+    keypoints, world, table = (
+        iter(np.array(rows)) for rows in ([d.keypoints for d in found], [d.world for d in found], said)
+    )
+    return tuple(
+        d
+        and replace(
+            d,
+            keypoints=next(keypoints),
+            world=next(world),
+            corrected=d.corrected and (d.corrected[0], next(table)),
+        )
+        for d in detections
+    )
+
+
 _COLUMNS: Final[dict[str, tuple[int, ...]]] = {
     "score": (),
     "right_side": (),
@@ -98,7 +131,8 @@ def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.n
 
     def column(name: str, shape: tuple[int, ...]) -> np.ndarray:
         values = [getattr(hand, name) for hand in hands]
-        return np.array([np.full(shape, np.nan) if v is None else v for v in values], dtype=np.float64)
+        nothing = np.full(shape, np.nan)
+        return np.array([nothing if v is None else v for v in values], dtype=np.float64)
 
     return {
         "counts": np.array([len(frame) for frame in frames], dtype=np.int64),

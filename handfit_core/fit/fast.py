@@ -177,9 +177,7 @@ class FastFitter:
         found = self.solve_each(
             self.problem(seen, held=held, solid=True).select(meet), plain.state.select(meet)
         )
-        order = np.arange(len(plain))
-        order[meet] = len(plain) + np.arange(len(meet))
-        return seen, Solution.joined([plain, found]).select(order)
+        return seen, plain.replaced(meet, found)
 
     def _meeting_terms(self, seen: Observation) -> tuple[Apart | InFront | Touch, ...]:
         """Those that couple parts of a hand."""
@@ -310,13 +308,13 @@ def over_time(
         before_each()
         known = np.isin(stretch, found)
         rows = np.flatnonzero(np.isin(found, stretch))
-        guess = bridged(state.select(rows), known)
+        guess = bridged(state.select(slice(rows[0], rows[-1] + 1)), known)
         here = None if held is None else held.select(stretch)
         guess = guess if here is None else here.put(guess)
         if smoothing > 0:
             # Rows of frames without a detection repeat another's; they are not looked at.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
-            observed = seen.select(nearest)
+            observed = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
             problem = fitter.problem(observed, held=here, solid=True)
             if observed.kept is None and len(stretch) > 2:
                 certain = known & False if here is None else here.joints[:, 0]

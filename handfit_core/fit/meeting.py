@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import slices
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Meeting, Observation
 from handfit_core.hand_model.chain import State
@@ -35,6 +37,22 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 def meeting(surface: Surface, seen: Observation, state: State, times: Times | None = None) -> Meeting:
     """What is seen of hands that are roughly where `state` has them. `times`: when they were seen in a clip,
     of which neighbours agree; None: they know nothing of each other."""
+    each = Meeting.joined(
+        [_alone(surface, seen.select(part), state.select(part)) for part in slices(len(state))]
+    )
+    crosses = each.front != 0.0
+    says, touching = np.nan_to_num(each.front), np.nan_to_num(each.touching)
+    if times is not None:
+        reach = times.reach(3.0 * MEMORY)
+        bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (MEMORY * times.fps)) ** 2)
+        says, touching = times.mean(says, bell), times.mean(touching, bell)
+    front = np.where(crosses & (np.abs(says) > UNSURE), np.sign(says), 0.0)
+    return replace(each, front=front, touching=touching)
+
+
+def _alone(surface: Surface, seen: Observation, state: State) -> Meeting:
+    """The same of hands that know nothing of each other; `front` is by how many expected errors the first of
+    a pair lies before the second."""
     size = np.maximum(np.ptp(seen.pixels, axis=1).max(axis=1), 1e-9)
     starts = _first_point(CROSSING)
     ends = [seen.pixels[:, starts[:, k]] for k in (0, 1)], [seen.pixels[:, starts[:, k] + 1] for k in (0, 1)]
@@ -46,23 +64,16 @@ def meeting(surface: Surface, seen: Observation, state: State, times: Times | No
         sigma.append(np.maximum(seen.depth_sigma[:, point], seen.depth_sigma[:, point + 1]))
     says = np.clip((depth[1] - depth[0]) / np.hypot(*sigma), -3.0, 3.0)
     says[across > CROSSED * size[:, None]] = 0.0
-    crosses = says != 0.0
     tips = np.array(TIP_KEYPOINTS)[[0, *TIPS[:, 1] // 3]]
     off = seen.pixels[:, tips[1:]] - seen.pixels[:, tips[:1]]
     behind = np.abs(seen.depth[:, tips[1:]] - seen.depth[:, tips[:1]])
     behind /= np.hypot(seen.depth_sigma[:, tips[1:]], seen.depth_sigma[:, tips[:1]])
     touching = _within(np.linalg.norm(off, axis=-1) / size[:, None], PINCHED) * _within(behind, PINCHED_DEPTH)
-    says, touching = np.nan_to_num(says), np.nan_to_num(touching)
-    if times is not None:
-        reach = times.reach(3.0 * MEMORY)
-        bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (MEMORY * times.fps)) ** 2)
-        says, touching = times.mean(says, bell), times.mean(touching, bell)
-    front = np.where(crosses & (np.abs(says) > UNSURE), np.sign(says), 0.0)
     share = np.stack([1.0 - along, along], axis=-1)  # (B, Q, 2 bones, 2 ends)
     reach = (surface.radii(state.betas)[:, CROSSING] * share).sum(axis=(2, 3))
     metres = across * (state.depth_zero / seen.focal.mean(axis=1))[:, None]
     apart = np.sqrt(np.maximum(reach**2 - metres**2, 0.0))
-    return Meeting(along, front, apart, touching)
+    return Meeting(along, says, apart, touching)
 
 
 def _first_point(bones: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.batch import Batch, slices
 from handfit_core.geometry.rotations import (
     euler_to_rotmat,
     rotmat_to_euler,
@@ -38,9 +38,6 @@ _ROOT = 3
 """The root comes after the three joints among a finger's frames"""
 _CROSSED = -skew(np.eye(3)).reshape(3, 9)
 """a @ _CROSSED is, row by row, the matrix with which v becomes v x a"""
-
-_SLICE = 512
-"""Hands whose landmarks are placed at once"""
 
 ROOT, BETAS, PLACE, DEPTH_ZERO = slice(0, 3), slice(3, 13), slice(13, 16), slice(16, 17)
 """A hand's own variables: the root's turn, the shape, the wrist's place, and where depth is zero"""
@@ -169,8 +166,7 @@ class Chain:
 
     def points(self, state: State) -> np.ndarray:
         """(B, 21, 3) the landmarks, in slices that bound the memory."""
-        parts = [slice(first, first + _SLICE) for first in range(0, max(len(state), 1), _SLICE)]
-        return np.concatenate([self.pose(state.select(part)).points for part in parts])
+        return np.concatenate([self.pose(state.select(part)).points for part in slices(len(state))])
 
     def jacobian(self, posed: Posed, rows: np.ndarray, *, shape: bool) -> np.ndarray:
         """(B, 21, c, 9 + n + k) from c rows of each landmark (B, 21, c, 3 + 1 + k).
@@ -221,8 +217,9 @@ class Chain:
 
     def parameters(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """betas (B, 10), global_orient (B, 3), hand_pose (B, 45) and transl (B, 3) in MANO's convention."""
-        local = euler_to_rotmat(state.angles.reshape(-1, 5, 3, 3))
         pose = np.empty((len(state), 15, 3))
-        pose[:, JOINTS_BY_FINGER - 1] = rotmat_to_rotvec(self._axes @ local @ np.swapaxes(self._axes, -1, -2))
+        for part in slices(len(state)):
+            local = self._axes @ euler_to_rotmat(state.angles[part].reshape(-1, 5, 3, 3))
+            pose[part, JOINTS_BY_FINGER - 1] = rotmat_to_rotvec(local @ np.swapaxes(self._axes, -1, -2))
         rest_wrist = self._wrist_template + state.betas @ self._wrist_dirs.T
         return state.betas, rotmat_to_rotvec(state.root), pose.reshape(-1, 45), state.wrist - rest_wrist

@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import slices
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
 from handfit_core.detect.keypoints import HandDetection, Landmarked
-from handfit_core.skeleton import Side
+from handfit_core.skeleton import NUM_KEYPOINTS, Side
 
 _KNUCKLES: Final = [5, 9, 13, 17]
 
@@ -54,14 +55,16 @@ def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = T
     """Corrected detections, all taken for hands of that side. Those that carry what the network said of that
     side are not shown to it again. Points where another hand lies are expected to err more."""
     said = [d.corrected for d in detections]
-    kept = [None if s is None or s[0] != side or trust != TRUST else s[1] for s in said]
-    unknown = [i for i, k in enumerate(kept) if k is None]
+    table, unknown = np.empty((len(said), NUM_KEYPOINTS, 6)), []
+    for i, judged in enumerate(said):
+        if judged is not None and judged[0] == side and trust == TRUST:
+            table[i] = judged[1]
+        else:
+            unknown.append(i)
     if unknown:
         sides: list[Side] = [side for _ in unknown]
-        found, _ = corrected([detections[i] for i in unknown], sides, trust)
-        for row, i in enumerate(unknown):
-            kept[i] = found.select(slice(row, row + 1))
-    seen = Landmarked.joined([k for k in kept if k is not None])
+        table[unknown] = corrected([detections[i] for i in unknown], sides, trust)[0].table
+    seen = Landmarked.of_table(table)
     doubted = {row: d.overlapped for row, d in enumerate(detections) if d.overlapped is not None}
     if not doubted:
         return seen
@@ -75,12 +78,13 @@ def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = T
 def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]:
     """The same detections with `right_side` and `corrected` filled in."""
     sides: list[Side] = [d.side for d in detections]
-    found, probabilities = corrected(detections, sides)
-    judged = []
-    for row, (detection, probability) in enumerate(zip(detections, probabilities, strict=True)):
-        odds = DETECTOR_ODDS * probability / max(1.0 - probability, 1e-9)
-        said = detection.side, found.select(slice(row, row + 1))
-        judged.append(replace(detection, right_side=float(odds / (1.0 + odds)), corrected=said))
+    judged: list[HandDetection] = []
+    for part in slices(len(detections), CHUNK):
+        found, probabilities = _of_chunk(detections[part], sides[part], TRUST)
+        for detection, row, probability in zip(detections[part], found.table, probabilities, strict=True):
+            odds = DETECTOR_ODDS * probability / max(1.0 - probability, 1e-9)
+            right = float(odds / (1.0 + odds))
+            judged.append(replace(detection, right_side=right, corrected=(detection.side, row)))
     return judged
 
 
@@ -88,10 +92,7 @@ def corrected(
     detections: Sequence[HandDetection], sides: Sequence[Side], trust: Trust = TRUST
 ) -> tuple[Landmarked, np.ndarray]:
     """Detections taken for hands of those sides, and the probability (N,) that they are."""
-    parts = []
-    for first in range(0, max(len(detections), 1), CHUNK):
-        part = slice(first, first + CHUNK)
-        parts.append(_of_chunk(detections[part], sides[part], trust))
+    parts = [_of_chunk(detections[part], sides[part], trust) for part in slices(len(detections), CHUNK)]
     whole = Landmarked.joined([found for found, _ in parts])
     return whole, np.concatenate([probability for _, probability in parts])
 
