@@ -214,7 +214,7 @@ class Parts:
                 self._end = end if self._end is None else min(end, self._end)
         if first is None:
             raise InputError("no part was given; name the .npz files that detect wrote")
-        self._first, self._path = first, shown(paths[0])
+        self._fingerprint, self._made_by, self._path = first.fingerprint, first.made_by, shown(paths[0])
         self.input: list[str] = first.input
         """as the first part has it"""
         self.options: CaptureOptions = first.options
@@ -248,7 +248,7 @@ class Parts:
     def of(self, media: Media, options: CaptureOptions) -> LookedAt:
         """What gives the whole clip's stretches to `detection.detect_frames`, once. Raises InputError unless
         all are there, are this input's, and were found with these options and this version."""
-        if fingerprint(media) != self._first.fingerprint:
+        if fingerprint(media) != self._fingerprint:
             raise InputError(
                 f"{self._path} is of another input than {media.source.files[0]}, or that has changed since; "
                 "detect its parts again, or name the right one"
@@ -258,9 +258,9 @@ class Parts:
                 f"{self._path} was detected with other options ({others}); detect the clip's parts again, or "
                 "take theirs"
             )
-        if (here := made_by(options)) != self._first.made_by:
+        if (here := made_by(options)) != self._made_by:
             raise InputError(
-                f"{self._path} was detected by {self._first.made_by}, and this is {here}; solve it with that "
+                f"{self._path} was detected by {self._made_by}, and this is {here}; solve it with that "
                 "version, or detect the clip's parts again"
             )
         count = self._checked_count(media)

@@ -15,7 +15,7 @@ import numpy as np
 
 from handfit_core.batch import slices, spread
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.detect.keypoints import DetectedTrack, side_by_side
+from handfit_core.detect.keypoints import DetectedTrack, SideBySide
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
@@ -183,7 +183,7 @@ def capture_with(
         report(Progress("fit", done, total))
 
     # A long clip's detections take most of the memory, and those of hands that are fitted are not kept.
-    waiting = deque(replace(track, detections=side_by_side(track.detections)) for track in tracks)
+    waiting = deque(replace(track, detections=SideBySide(track.detections)) for track in tracks)
     del seen, found, tracks
     models = {track.side: load_model(model, track.side) for track in waiting}
     if hand_length is not None and can.takes_hand_length:
@@ -328,6 +328,8 @@ def _after(seconds: float) -> ShouldStop:
 
 def _reached(track: DetectedTrack, fit: TrackFit) -> DetectedTrack:
     """The track without the detections that a stopped solver did not come to."""
+    if fit.present[track.detected].all():
+        return track
     kept = [d if there else None for d, there in zip(track.detections, fit.present, strict=True)]
     return replace(track, detections=tuple(kept))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, overload
 
 import numpy as np
 
@@ -93,26 +93,6 @@ class HandDetection:
         return float(np.max(np.ptp(self.keypoints_2d, axis=0)))
 
 
-def side_by_side(detections: Sequence[HandDetection | None]) -> tuple[HandDetection | None, ...]:
-    """The same detections with rows of common arrays instead of small ones, of which a long clip has so many
-    that memory between them would not be used again."""
-    found = [d for d in detections if d is not None]
-    said = [d.corrected[1] for d in found if d.corrected is not None]
-    keypoints, world, table = (
-        iter(np.array(rows)) for rows in ([d.keypoints for d in found], [d.world for d in found], said)
-    )
-    return tuple(
-        d
-        and replace(
-            d,
-            keypoints=next(keypoints),
-            world=next(world),
-            corrected=d.corrected and (d.corrected[0], next(table)),
-        )
-        for d in detections
-    )
-
-
 _COLUMNS: Final[dict[str, tuple[int, ...]]] = {
     "score": (),
     "right_side": (),
@@ -162,12 +142,48 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
     return [tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True)]
 
 
+class SideBySide(Sequence[HandDetection | None]):
+    """The detections of one hand in T frames with little memory, all of which can be used again: their arrays
+    are rows of common ones, and each detection is put together when somebody asks for it."""
+
+    def __init__(self, detections: Sequence[HandDetection | None]) -> None:
+        found = [d for d in detections if d is not None]
+        nothing, unasked = np.zeros(0), np.zeros((NUM_KEYPOINTS, 6))
+        self._keypoints = np.array([d.keypoints for d in found])
+        self._world = np.array([d.world for d in found])
+        self._said = np.array([d.corrected[1] if d.corrected else unasked for d in found])
+        self._others = [
+            replace(d, keypoints=nothing, world=nothing, corrected=d.corrected and (d.corrected[0], nothing))
+            for d in found
+        ]
+        self._rows = np.full(len(detections), -1)
+        self._rows[[d is not None for d in detections]] = np.arange(len(found))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @overload
+    def __getitem__(self, index: int) -> HandDetection | None: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[HandDetection | None, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> HandDetection | tuple[HandDetection | None, ...] | None:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        if (row := self._rows[index]) < 0:
+            return None
+        other = self._others[row]
+        said = other.corrected and (other.corrected[0], self._said[row])
+        return replace(other, keypoints=self._keypoints[row], world=self._world[row], corrected=said)
+
+
 @dataclass(frozen=True, eq=False)
 class DetectedTrack:
     """One hand followed over a clip's T frames; None where it was not found."""
 
     side: Side
-    detections: tuple[HandDetection | None, ...]
+    detections: Sequence[HandDetection | None]
     fps: float = 25.0
     """Frames per second: how far apart in time they are"""
     holes: tuple[int, ...] = ()

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from handfit_core.batch import slices
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.problem import Motion, Problem
 from handfit_core.fit.terms.motion import place_acceleration, rotation_acceleration
@@ -30,6 +31,8 @@ TOLERANCE = 3e-3
 """Relative decrease of the total cost at which to stop"""
 WINDOW = 600
 """Frames that each window adds"""
+_AT_ONCE = 128
+"""Frames whose own matrices are made together: what it takes to make them is larger than they are"""
 
 
 def smoothed(problem: Problem, start: State, before_each: Callable[[], None] = lambda: None) -> State:
@@ -83,7 +86,9 @@ def _window(problem: Problem, start: State, before_each: Callable[[], None]) -> 
 
 def _data(problem: Problem, state: State) -> Blocks:
     """The frames' own matrices; zero where there is nothing to look at."""
-    blocks = replace(problem, held=None).blocks(state)
+    free = replace(problem, held=None)
+    parts = slices(len(state), _AT_ONCE)
+    blocks = Blocks.joined([free.select(part).blocks(state.select(part)) for part in parts])
     if problem.looked_at is None:
         return blocks
     nothing = ~problem.looked_at
@@ -115,21 +120,24 @@ def _step(problem: Problem, state: State, blocks: Blocks, damping: float) -> tup
 
 
 def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """LAPACK's lower band form (_BAND + 1, 51 T) of the frames' own matrices."""
+    """LAPACK's lower band form (_BAND + 1, 51 T) of the frames' own matrices, in Fortran's order, so that it
+    is solved in place."""
     count = len(mixed)
-    dense = mixed[:, :, None] * (mixed / -square[:, None])[:, None]  # (T, 51, 51)
-    dense[:, _HAND[:, None], _HAND] += blocks.hand[:, :6, :6]
-    for f in range(5):
-        part = slice(3 + 9 * f, 12 + 9 * f)
-        dense[:, part, part] += blocks.finger[:, f, :, :9]
-        dense[:, part, :3] += blocks.finger[:, f, :, 9:12]
-        dense[:, 48:, part] += blocks.finger[:, f, :, 12:15].swapaxes(1, 2)
-    if blocks.between is not None:
-        dense[:, 3:48, 3:48] += blocks.between
-    band = np.zeros((_BAND + 1, count, SIZE))
-    for below in range(SIZE):
-        band[below, :, : SIZE - below] = dense[:, np.arange(below, SIZE), np.arange(SIZE - below)]
-    return band.reshape(_BAND + 1, count * SIZE)
+    band = np.zeros((count, SIZE, _BAND + 1))
+    for rows in slices(count, _AT_ONCE):
+        own, beside = blocks.select(rows), mixed[rows]
+        dense = beside[:, :, None] * (beside / -square[rows, None])[:, None]  # (T, 51, 51)
+        dense[:, _HAND[:, None], _HAND] += own.hand[:, :6, :6]
+        for f in range(5):
+            part = slice(3 + 9 * f, 12 + 9 * f)
+            dense[:, part, part] += own.finger[:, f, :, :9]
+            dense[:, part, :3] += own.finger[:, f, :, 9:12]
+            dense[:, 48:, part] += own.finger[:, f, :, 12:15].swapaxes(1, 2)
+        if own.between is not None:
+            dense[:, 3:48, 3:48] += own.between
+        for column in range(SIZE):
+            band[rows, column, : SIZE - column] = dense[:, column:, column]
+    return band.reshape(count * SIZE, _BAND + 1).T
 
 
 def _rotations(state: State) -> np.ndarray:
@@ -157,7 +165,7 @@ def _add_motion(problem: Problem, band: np.ndarray, gradient: np.ndarray, state:
     """Add the acceleration terms' matrices and gradients in place."""
     assert problem.motion is not None
     count = len(gradient)
-    view = band.reshape(_BAND + 1, count, SIZE)
+    view = band.T.reshape(count, SIZE, _BAND + 1).transpose(2, 0, 1)
     rotations = _rotations(state)
     turning, jacobian = rotation_acceleration(rotations)
     sigma = _rotation_sigma(problem, problem.motion)
@@ -199,7 +207,9 @@ def _hold(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
 
 
 def _solve(band: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """(T, 51) increments."""
+    """(T, 51) increments; what both held is lost."""
     from scipy.linalg import solveh_banded
 
-    return -solveh_banded(band, gradient.reshape(-1), lower=True, check_finite=False).reshape(-1, SIZE)
+    right = gradient.reshape(-1)
+    found = solveh_banded(band, right, overwrite_ab=True, overwrite_b=True, lower=True, check_finite=False)
+    return -found.reshape(-1, SIZE)

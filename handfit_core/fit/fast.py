@@ -235,6 +235,9 @@ def fit_track(
     fitter = fitter_of(model, hand_length)
     detections = [d for d in track.detections if d is not None]
     seen = fitter.observe(detections, intrinsics)
+    # A track's side is voted for by all of its frames.
+    sure = side_logits(detections, model.side).mean()
+    del detections
     cuts = jumps(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
@@ -251,9 +254,7 @@ def fit_track(
         on_frame()
     betas, orient, pose, transl = fitter.chain.parameters(state)
     points = fitter.chain.points(state.select(np.isin(frames, found)))
-    # A track's side is voted for by all of its frames.
-    sure = np.full(len(found), side_logits(detections, model.side).mean())
-    expected = expected_error(evidence(seen, points, sure))
+    expected = expected_error(evidence(seen, points, np.full(len(found), sure)))
     expected = among_neighbours(expected, Times.between(found, cuts, track.fps))
     return TrackFit(
         betas=betas[0],
