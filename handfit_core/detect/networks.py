@@ -8,6 +8,7 @@ needed here. Crops are MediaPipe's: "MediaPipe Hands: On-device Real-time Hand T
 from __future__ import annotations
 
 import os
+import sys
 import zipfile
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
@@ -158,6 +159,7 @@ class Networks:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
         import mediapipe as mp
 
+        _forget_tracebacks()
         self._mp = mp
         vision = mp.tasks.vision
         self._open = ExitStack()
@@ -261,6 +263,15 @@ class Networks:
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
         )
         return Look(float(presence[0]), view.to_picture(found))
+
+
+def _forget_tracebacks() -> None:
+    """Where there is no sound, MediaPipe keeps the error of its import, and with it all that the functions
+    which were being called then hold at their ends: the detections of a whole clip."""
+    error = getattr(sys.modules.get("mediapipe.tasks.python.audio.core.audio_record"), "sd_error", None)
+    while isinstance(error, BaseException):
+        error.__traceback__ = None
+        error = error.__context__
 
 
 def usable_threads() -> int:
