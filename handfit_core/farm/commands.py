@@ -13,11 +13,13 @@ from typing import Any, Final, NoReturn, Protocol
 
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.farm.collect import Report
-from handfit_core.farm.plan import Plan, Task, places_of, plans_in
+from handfit_core.farm.plan import Plan, Task, places_of, plans_in, warn_once
 from handfit_core.farm.pool import Listener
 from handfit_core.farm.report import Result
 from handfit_core.farm.show import STYLES, Shown
+from handfit_core.files import shown
 from handfit_core.options import OPTIONS
+from handfit_core.version import __version__
 
 EXIT_SOME_FAILED: Final = 1
 EXIT_USAGE: Final = 2
@@ -54,21 +56,35 @@ def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse
     report.look()
     report.write()
     results: list[Result] = []
-    with closing(Shown(list(itertools.chain(*tasks)), args.progress, report)) as shown:
+    with closing(Shown(list(itertools.chain(*tasks)), args.progress, report)) as listener:
         try:
             with doer as it:
                 for plan, some in zip(plans, tasks, strict=True):
-                    results += it.run(plan, some, shown, again=args.again, retry_failed=args.retry_failed)
+                    results += it.run(plan, some, listener, again=args.again, retry_failed=args.retry_failed)
         except (KeyboardInterrupt, HandfitError) as error:
-            shown.interrupted(str(error))
+            listener.interrupted(str(error))
             raise
-    return not shown.trouble and all(result.status == "ok" for result in results)
+    return not listener.trouble and all(result.status == "ok" for result in results)
 
 
 def given_plans(args: argparse.Namespace) -> list[Plan]:
-    """The plans that a command line names, with paths as they are here. Raises InputError."""
+    """The plans that a command line names, with paths as they are here. Those of a folder that another
+    version made are passed over. Raises InputError, and OptionError where none is left."""
     places = [place for text in args.map for place in places_of(text)]
-    return [plan.mapped(places) for plan in plans_in(args.plan)]
+    plans, refused = [], []
+    for plan in plans_in(args.plan):
+        if plan.made_by == __version__:
+            plans.append(plan.mapped(places))
+            continue
+        refused.append(
+            f"{shown(plan.path)}: this plan was made by version {plan.made_by}, and this is version "
+            f"{__version__}; use the same version on all machines, or make the plan anew"
+        )
+    if not plans:
+        raise OptionError(refused[0])
+    for text in refused:
+        warn_once(f"{text}; it is passed over")
+    return plans
 
 
 def add_plan(parser: argparse.ArgumentParser) -> None:

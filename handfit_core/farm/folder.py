@@ -75,9 +75,10 @@ class TaskFolder:
         A result that somebody has changed since is his work by now: then the task is done, whatever else is
         missing, and a warning of its result says so.
         """
-        seal = _read(self.done)
-        if seal is None or seal.get("id") != id or not isinstance(seal.get("result"), dict):
+        seal = self._known(self.done, id)
+        if seal is None:
             return None
+        result = seal["result"] = {**seal["result"], "status": "ok"}
         missing, changed = [], []
         try:
             for name, known in seal["files"].items():
@@ -89,25 +90,33 @@ class TaskFolder:
             if changed:
                 said = f"{', '.join(changed)}: changed since the batch wrote it, and left alone"
                 said += f"; {', '.join(missing)}: gone" if missing else ""
-                result = seal["result"]
-                warnings = [*result.get("warnings", []), f"{said}; --again makes all anew"]
-                return {**seal, "result": {**result, "warnings": warnings}}
+                before = result.get("warnings")
+                warnings = [*(before if isinstance(before, list) else []), f"{said}; --again makes all anew"]
+                result["warnings"] = warnings
+                return seal
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
         return None if missing else seal
 
     def failures(self, id: str) -> dict[str, Any] | None:
         """What is known of a task that failed: its `result`, and the `files` that are there all the same."""
-        known = _read(self.failed)
-        if known is None or known.get("id") != id or not isinstance(known.get("result"), dict):
+        known = self._known(self.failed, id)
+        return known if known and known["result"].get("status") in ("failed", "pending") else None
+
+    def _known(self, file: Path, id: str) -> dict[str, Any] | None:
+        """What a file says of that task, whose `result` has this task's name whatever is written there."""
+        known = _read(file)
+        if known is None or known.get("id") != id or not isinstance(known.get("files"), dict):
             return None
-        return known
+        if not isinstance(known.get("result"), dict):
+            return None
+        return {**known, "result": {**known["result"], "name": self.name, "id": id}}
 
     def kept(self, id: str) -> dict[str, Path]:
         """The results that a failed attempt at that task has left, as they were then, by their names."""
         found = {}
-        for name, known in ((self.failures(id) or {}).get("files") or {}).items():
-            with contextlib.suppress(OSError):
+        for name, known in (self.failures(id) or {}).get("files", {}).items():
+            with contextlib.suppress(OSError, ValueError):
                 if files_in(self.path, [name])[name] == known:
                     found[name] = self.path / name
         return found

@@ -12,12 +12,14 @@ import datetime
 import hashlib
 import json
 import re
+import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
+from handfit_core.doors import values
 from handfit_core.doors.values import shortly
 from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.folder import TaskFolder
@@ -73,8 +75,15 @@ class Task:
 
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any]) -> Self:
-        """From what `asdict` made of one, as JSON gives it back."""
+        """From what `asdict` made of one, as JSON gives it back. Raises ValueError or TypeError."""
         known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+        for name, value in known.items():
+            if name == "cost":
+                values.number(name, value, 0.0)
+                continue
+            texts = value if isinstance(value, tuple) and name in ("source", "needs") else (value,)
+            if not all(isinstance(text, str) and "\0" not in text for text in texts):
+                raise ValueError(f"{shortly(value)} is no {name} of a task")
         return cls(**known)
 
 
@@ -155,14 +164,21 @@ class Plan:
     def load(cls, path: Path) -> Plan:
         """Read a plan's file. Raises InputError."""
         try:
-            return cls.of_content(json.loads(read_file(path, _LARGEST)), path)
+            plan = cls.of_content(json.loads(read_file(path, _LARGEST)), path)
+            json.dumps(plan.options, allow_nan=False)
+            for id in (id for task in plan.tasks for id in (task.of, *task.needs) if id):
+                if id not in plan.by_id:
+                    raise ValueError(f"there is no task {shortly(id)}, which another one needs")
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             reason = why(error) if isinstance(error, OSError) else shortly(str(error))
             raise InputError(f"{shown(path)}: this is no plan that can be read ({reason})") from error
+        return plan
 
     @classmethod
     def of_content(cls, content: Mapping[str, Any], path: Path) -> Plan:
         """The plan of the file `path`, which holds that. Raises ValueError, KeyError or TypeError."""
+        if not isinstance(content["options"], dict) or not isinstance(content["tasks"], list):
+            raise ValueError("it has no options or no tasks")
         if content["format"] != _FORMAT or content["version"] != _VERSION:
             raise ValueError(f"it is no plan of version {_VERSION}")
         tasks = tuple(Task.of_entry(task) for task in content["tasks"])
@@ -240,13 +256,25 @@ def _below(path: str, folder: str) -> str | None:
 
 
 def plans_in(path: Path) -> list[Plan]:
-    """The plan of a file, or all plans of a folder of results, the oldest first. Raises InputError."""
+    """The plan of a file, or all plans of a folder of results that can be read, the oldest first; a warning
+    on stderr tells of others. Raises InputError where there is none."""
     if not path.is_dir():
         return [Plan.load(path)]
-    found = sorted((path / FOLDER).glob("[!.]*.json"))
+    found = []
+    for file in sorted((path / FOLDER).glob("[!.]*.json")):
+        try:
+            found.append(Plan.load(file))
+        except InputError as error:
+            warn_once(f"{error}; it is passed over")
     if not found:
         raise InputError(f"{shown(path)}: there is no plan in this folder; make one with the command plan")
-    return sorted((Plan.load(each) for each in found), key=lambda plan: plan.created)
+    return sorted(found, key=lambda plan: plan.created)
+
+
+@cache
+def warn_once(text: str) -> None:
+    """Say on stderr what does not end a batch."""
+    print(f"warning: {text}", file=sys.stderr)
 
 
 def make_plan(

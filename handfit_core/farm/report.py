@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from handfit_core.files import written_whole
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE, mean_expected_error, mean_relative_error
@@ -45,9 +45,14 @@ class Result:
 
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any]) -> Self:
-        """From what `asdict` made of one; what another version has on top is left out."""
+        """From what `asdict` made of one; what another version has on top is left out, and with a warning
+        what is not of its kind, since whole results are worth more than what is said of them."""
         known = {each.name: entry[each.name] for each in fields(cls) if each.name in entry}
-        return cls(**{"input": "", "name": "", **known})
+        unfit = [name for name, value in known.items() if not _fits(value, _KINDS[name])]
+        result = cls(**{"input": "", "name": "", **{k: v for k, v in known.items() if k not in unfit}})
+        if unfit:
+            result.warnings = [*result.warnings, f"what was noted of its {', '.join(unfit)} is damaged"]
+        return result
 
     def describe(self, take: Take) -> None:
         """Fill in `frames` and `hands`."""
@@ -65,6 +70,39 @@ class Result:
                     "mean_expected_error": None if likely is None else round(likely, 5),
                 }
             )
+
+
+_NUMBER: Final = int | float
+_HAND: Final = {
+    "side": str,
+    "detected": int,
+    "doubtful": int | None,
+    "mean_reprojection_error_px": _NUMBER | None,
+    "mean_error_of_hand": _NUMBER | None,
+    "mean_expected_error": _NUMBER | None,
+}
+_ATTEMPT: Final = {"error": str, "kind": str, "host": str, "seconds": _NUMBER, "at": str}
+_KINDS: Final[Mapping[str, Any]] = {
+    **dict.fromkeys(("input", "name", "status", "error", "id", "host"), str),
+    "seconds": _NUMBER,
+    "frames": int,
+    "hands": [_HAND],
+    "character": dict | None,
+    "files": [str],
+    "warnings": [str],
+    "attempts": [_ATTEMPT],
+}
+"""What each field of a Result is, with that of all of its elements where it is a list"""
+_LARGEST: Final = 1e15
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value out of a file is of a kind; of numbers, one that can be shown."""
+    if isinstance(kind, list):
+        return isinstance(value, list) and all(_fits(each, kind[0]) for each in value)
+    if isinstance(kind, dict):
+        return isinstance(value, dict) and all(_fits(value.get(name), k) for name, k in kind.items())
+    return isinstance(value, kind) and not (isinstance(value, _NUMBER) and not abs(value) < _LARGEST)
 
 
 def write_report(path: Path, results: Sequence[Result]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 
@@ -9,6 +10,8 @@ import pytest
 
 from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.collect import Report
+
+from handfit_core.farm.commands import given_plans
 from handfit_core.farm.folder import TaskFolder, Watch, files_in
 from handfit_core.farm.inputs import expand
 from handfit_core.farm.plan import Plan, Task, make_plan, places_of, plans_in
@@ -252,3 +255,62 @@ def test_an_input_that_was_renamed_stands_in_the_report_once(photos, tmp_path):
     report = Report(plans_in(out))
     report.look()
     assert sorted(r.name for r in report.results) == ["a", "c"]
+
+
+def broken(plan: Plan, change) -> None:
+    content = json.loads(plan.path.read_text())
+    change(content)
+    plan.path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c["tasks"][0].update(needs=["nobody"]), "nobody"),
+        (lambda c: c["tasks"][0].update(of="nobody"), "nobody"),
+        (lambda c: c["tasks"][0].update(cost="much"), "cost must be a finite number.*much"),
+        (lambda c: c["tasks"][0].update(cost=float("nan")), "cost must be a finite number.*nan"),
+        (lambda c: c["tasks"][0].update(source="a.mp4", shown=[1]), "shown of a task"),
+        (lambda c: c["tasks"][0].update(source=[1]), "source of a task"),
+        (lambda c: c["tasks"][0].update(error="a\0b"), "error of a task"),
+        (lambda c: c.update(options={"smoothing": float("inf")}), "JSON"),
+        (lambda c: c.update(options=[]), "options"),
+        (lambda c: c.update(tasks={}), "tasks"),
+    ],
+)
+def test_a_strange_plan_is_refused_with_what_is_strange(photos, tmp_path, change, said):
+    plan = planned(photos, tmp_path / "out", {"smoothing": 1})
+    plan.save()
+    broken(plan, change)
+    with pytest.raises(InputError, match=f"no plan that can be read .*{said}"):
+        Plan.load(plan.path)
+
+
+def test_files_that_are_no_plans_do_not_stand_in_the_way_of_those_that_are(photos, tmp_path, capsys):
+    plan = planned(photos, tmp_path / "out")
+    plan.save()
+    strange = plan.path.with_name("job.json")
+    strange.write_text("{}")
+    for _ in range(2):
+        assert [each.path for each in plans_in(tmp_path / "out")] == [plan.path]
+    assert capsys.readouterr().err.count("job.json") == 1, "a warning, once"
+    with pytest.raises(InputError, match=r"job\.json"):
+        plans_in(strange)
+    plan.path.unlink()
+    with pytest.raises(InputError, match="no plan in this folder"):
+        plans_in(tmp_path / "out")
+
+
+def test_plans_of_other_versions_are_done_by_other_versions(photos, tmp_path, capsys):
+    here = argparse.Namespace(map=[], plan=tmp_path / "out")
+    old = planned(photos, tmp_path / "out", {"smoothing": 1})
+    old.save()
+    broken(old, lambda content: content.update(made_by="0.0.1"))
+    for here.plan in (tmp_path / "out", old.path):
+        with pytest.raises(OptionError, match=r"made by version 0\.0\.1.*the same version on all machines"):
+            given_plans(here)
+    new = planned(photos, tmp_path / "out")
+    new.save()
+    here.plan = tmp_path / "out"
+    assert [plan.path for plan in given_plans(here)] == [new.path]
+    assert "0.0.1" in capsys.readouterr().err
