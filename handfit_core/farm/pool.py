@@ -15,7 +15,7 @@ import signal
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -41,6 +41,8 @@ CURABLE: Final = ("WorkerDied", "MemoryRanOut", "OutputError", "Lost", "InputGon
 """Kinds of errors that another attempt may cure: a process killed, no memory, a disk that is full or away"""
 FINAL: Final = ("InputError", "NoHandFoundError", "OptionError", "HandModelError", "TakeError")
 """Kinds that follow from a task's input and options, which its id stands for: not tried again unasked"""
+_ALIKE: Final = (*FINAL, "Timeout", "PartFailed")
+"""Kinds that are to be expected on other machines, too, as long as nobody asks anew"""
 MEMORY: Final = 1.0e9
 """bytes that a task may need: 0.3e9 were measured for photos and 0.5e9 for clips of 1080 lines"""
 _LOOK: Final = 0.02
@@ -97,7 +99,16 @@ class _Try:
     alone: bool = False
     """Whether nothing else may run beside it"""
     attempts: list[dict[str, Any]] = field(default_factory=list)
-    """Those of this run"""
+    """All that are known of, also those of earlier runs and of other processes"""
+    before: list[dict[str, Any]] | None = None
+    """Those that were made before this run; None: nobody has looked"""
+    made: set[str] = field(default_factory=set)
+    """The results that attempts of this run have left"""
+
+    def since(self, attempts: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Which of these were made since this run began; those that lost the task do not count."""
+        before = self.before or ()
+        return [each for each in attempts if each.get("kind") != "Lost" and each not in before]
 
 
 @dataclass(eq=False)
@@ -108,6 +119,8 @@ class _Running:
     claim: Claim
     part: Path
     began: float
+    kept: Mapping[str, Path] = field(default_factory=dict)
+    """The results of earlier attempts that it may go on with"""
     files: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
@@ -193,7 +206,7 @@ class Pool:
 
     def occupy(self, slot: Slot, plan: Plan, running: _Running, processes: int | None) -> None:
         """Give a slot its task, for so many processes where nobody has said how many."""
-        task, folder = running.this.task, plan.folder(running.this.task)
+        task = running.this.task
         self._slots[slot] = running
         slot.send(
             request="task",
@@ -201,7 +214,7 @@ class Pool:
             options=dict(plan.options),
             folder=str(running.part),
             parts=[str(plan.part_file(id)) for id in task.needs],
-            finished={name: str(path) for name, path in folder.kept(task.id).items()},
+            finished={name: str(path) for name, path in running.kept.items()},
             **{**self._here, "processes": self._here.get("processes") or processes},
         )
 
@@ -387,12 +400,31 @@ class _Run:
     def _settled(self, this: _Try) -> bool:
         """Whether a task needs no slot: it is sealed, or cannot even be tried."""
         task = this.task
-        if result := settled(self._plan, task, again=self.again, retry_failed=self.retry_failed):
+        result = settled(self._plan, task, again=self.again, retry_failed=self.retry_failed)
+        if result := result or self._given_up_since(this):
             self._end(this, result)
         elif task.error:
             self._listener.began(task)
             self._missed(this, task.error, "InputError", 0.0, {}, None)
         return result is not None or bool(task.error)
+
+    def _given_up_since(self, this: _Try) -> Result | None:
+        """Take in what is written of attempts at a task; what came of it where another process has given it
+        up since this run began. Where that may be its machine's fault, another one tries it, too."""
+        result = self._written(this.task)
+        this.attempts = [*result.attempts, *(a for a in this.attempts if a not in result.attempts)]
+        if this.before is None:
+            this.before = list(this.attempts)
+        if result.status != "failed" or not (new := this.since(result.attempts)):
+            return None
+        tried_here = any(each.get("host") == socket.gethostname() for each in new)
+        alike = tried_here or new[-1].get("kind") in _ALIKE or len(new) >= self._pool.attempts
+        return result if alike else None
+
+    def _written(self, task: Task) -> Result:
+        """What is written of attempts at a task that failed."""
+        known = self._plan.folder(task).failures(task.id)
+        return Result.of_entry(known["result"]) if known else Result(task.shown, task.name)
 
     def _waits(self, this: _Try) -> bool:
         """Whether a task cannot be begun, since parts of its clip are not done; it has failed with them."""
@@ -437,13 +469,16 @@ class _Run:
                 result.attempts = [attempt(result.error, "OptionError", 0.0)]
                 self._end(this, result)
                 return
+            kept = folder.kept(task.id) if this.attempts else {}
+            if self.again:
+                kept = {name: path for name, path in kept.items() if name in this.made}
             part = folder.part()
         except HandfitError as error:
             if claim is not None:
                 claim.release()
             self._missed(this, str(error), "OutputError", 0.0, {}, None)
             return
-        running = _Running(this, claim, part, time.monotonic())
+        running = _Running(this, claim, part, time.monotonic(), kept)
         self._pool.occupy(slot, self._plan, running, self._share(task))
         self._listener.began(task)
 
@@ -518,6 +553,8 @@ class _Run:
         result.status, result.id, result.seconds = "ok", task.id, round(seconds, 3)
         result.attempts, result.host = running.this.attempts, socket.gethostname()
         result.files = [folder.relative(name) for name in running.files]
+        if running.kept:
+            _warn_first(result, self._written(task).warnings)
         self._pool.release(slot)
         try:
             running.claim.check()
@@ -548,12 +585,13 @@ class _Run:
             return
         result = result or Result(this.task.shown, this.task.name)
         result.warnings = result.warnings or running.warnings
-        files: Files = (folder.failures(this.task.id) or {}).get("files", {})
+        files: Files = {}
         with contextlib.suppress(HandfitError, OSError):
             running.claim.check()
             if running.files and not folder.done.exists():  # finished work stays as it is
                 folder.take_in(running.part, running.files)
-                files = {**files, **running.files}
+                files = running.files
+                this.made.update(files)
         self._missed(this, error, kind, seconds, files, result)
         self._pool.put_back(running)
 
@@ -563,15 +601,17 @@ class _Run:
         """Note an attempt; try again later, or give up."""
         result = result or Result(this.task.shown, this.task.name)
         result.error, result.id = " ".join(error.split()), this.task.id
+        known = self._plan.folder(this.task).failures(this.task.id) or {}
+        files = {**known.get("files", {}), **files}
+        _warn_first(result, self._written(this.task).warnings)
         this.attempts.append(attempt(result.error, kind, seconds))
         result.attempts, result.host = this.attempts, socket.gethostname()
-        tried = sum(each["kind"] != "Lost" for each in this.attempts)
+        tried = len(this.since(this.attempts))
         if kind in CURABLE and tried < self._pool.attempts:
             result.status = "pending"
             this.alone = this.alone or kind == "MemoryRanOut"
             self._put_off(this, BACK_OFF[min(tried, len(BACK_OFF)) - 1])
-            if files:
-                self._note(this, result, files)
+            self._note(this, result, files)
             return
         result.status, result.seconds = "failed", round(seconds, 3)
         result.files = [self._plan.folder(this.task).relative(name) for name in files]
@@ -594,6 +634,11 @@ class _Run:
                 heapq.heapify(self._later)
                 break
         self._listener.ended(this.task, result)
+
+
+def _warn_first(result: Result, warnings: Sequence[str]) -> None:
+    """Add the warnings of earlier attempts, each once."""
+    result.warnings = list(dict.fromkeys([*warnings, *result.warnings]))
 
 
 def settled(plan: Plan, task: Task, *, again: bool, retry_failed: bool) -> Result | None:

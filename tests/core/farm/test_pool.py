@@ -5,11 +5,14 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import socket
+import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,11 +20,11 @@ import pytest
 
 from handfit_core.errors import OptionError
 from handfit_core.farm.collect import state
-from handfit_core.farm.folder import TaskFolder, Watch, files_in
-from handfit_core.farm.plan import Task
+from handfit_core.farm.folder import TaskFolder, Watch, attempt, files_in
+from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.pool import ATTEMPTS, Listener, Pool
 from handfit_core.farm.report import Result
-from tests.core.farm.peers import COMMAND, attempts, content, plan_of, planned
+from tests.core.farm.peers import COMMAND, ROOT, attempts, content, plan_of, planned
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
 
@@ -330,3 +333,135 @@ def test_results_of_another_batch_are_not_replaced_unasked(tmp_path, log):
         (replaced, _) = pool.run(planned(second, overwrite=True), second.tasks)
     assert replaced.status == "ok"
     assert second.folder(second.tasks[0]).sealed("0" * 16)
+
+
+def given_up(plan: Plan, *kinds: str, host: str = "elsewhere", status: str = "failed") -> None:
+    """What another machine writes of the last task of a plan."""
+    task = plan.tasks[-1]
+    result = Result(task.shown, task.name, status, id=task.id, error="so it was", warnings=["of before"])
+    result.attempts = [{**attempt("so it was", kind, n), "host": host} for n, kind in enumerate(kinds)]
+    plan.folder(task).fail(task.id, asdict(result), {})
+
+
+class Meanwhile(Listener):
+    """Others do something once the first task is at hand."""
+
+    def __init__(self, do: Callable[[], None]) -> None:
+        self.do = do
+
+    def began(self, task: Task) -> None:
+        if task.name == "fine":
+            self.do()
+
+
+@pytest.mark.parametrize(
+    ("kinds", "tries"),
+    [
+        (["WorkerDied"] * ATTEMPTS, 0),
+        (["Timeout"], 0),
+        (["NoHandFoundError"], 0),
+        (["WorkerDied"], 2),  # its machine has given it up for a reason that may be its own
+        (["WorkerError"], 2),
+    ],
+)
+@pytest.mark.parametrize("retry_failed", [False, True])
+def test_what_others_give_up_meanwhile_is_not_tried_as_often_again(tmp_path, log, kinds, tries, retry_failed):
+    plan = plan_of(tmp_path / "out", ["fine", "crash"])
+    with Pool(COMMAND) as pool:
+        fine, crash = pool.run(
+            plan, plan.tasks, Meanwhile(partial(given_up, plan, *kinds)), retry_failed=retry_failed
+        )
+    assert (fine.status, crash.status) == ("ok", "failed")
+    assert sum(each["task"] == "crash" for each in attempts(log)) == tries
+    assert [each["kind"] for each in crash.attempts] == kinds + ["WorkerDied"] * tries
+    assert crash.warnings == ["of before"]
+    state_then = state(plan, plan.tasks[-1])
+    assert (state_then.attempts, state_then.warnings) == (crash.attempts, crash.warnings)
+
+
+def test_a_broken_machine_tries_everything_once(tmp_path, log):
+    """Another process of it has given the task up already; other machines may do better."""
+    plan = plan_of(tmp_path / "out", ["fine", "late"])
+    with Pool(COMMAND) as pool:
+        _, late = pool.run(
+            plan, plan.tasks, Meanwhile(partial(given_up, plan, "WorkerError", host=socket.gethostname()))
+        )
+    assert (late.status, late.error) == ("failed", "so it was")
+    assert [each["task"] for each in attempts(log)] == ["fine"]
+
+
+@pytest.mark.parametrize("status", ["failed", "pending"])
+def test_a_new_run_tries_as_often_as_ever_and_keeps_what_was_said(tmp_path, log, status):
+    plan = plan_of(tmp_path / "out", ["crash"])
+    given_up(plan, *["WorkerDied"] * ATTEMPTS, status=status)
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks)
+    assert len(attempts(log)) == ATTEMPTS
+    assert len(result.attempts) == 2 * ATTEMPTS
+
+
+def test_attempts_of_several_processes_count_together(tmp_path, log):
+    """One that is stopped between its attempts leaves the rest of them to another that runs already."""
+    plan = plan_of(tmp_path / "out", ["fine", "crash"])
+    with Pool(COMMAND) as pool:
+        _, result = pool.run(
+            plan, plan.tasks, Meanwhile(partial(given_up, plan, "WorkerDied", status="pending"))
+        )
+    assert sum(each["task"] == "crash" for each in attempts(log)) == ATTEMPTS - 1
+    assert [each["host"] for each in result.attempts][:2] == ["elsewhere", socket.gethostname()]
+
+
+def test_several_processes_on_one_plan_do_not_add_up_their_attempts(tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["crash"])
+    program = (
+        "import sys, handfit_core.farm.pool as pool\n"
+        "from pathlib import Path\n"
+        "from handfit_core.farm.plan import Plan\n"
+        "pool.BACK_OFF, pool._ELSEWHERE = (0.0,), 0.0\n"
+        "plan = Plan.load(Path(sys.argv[1]))\n"
+        "class Waiting(pool.Listener):\n"
+        "    def turn(self):\n"
+        "        if not hasattr(self, 'begun'):\n"
+        "            self.begun = print('ready', flush=True) or input()\n"
+        "with pool.Pool(plan.command) as it:\n"
+        "    (result,) = it.run(plan, plan.tasks, Waiting())\n"
+        "print(result.status, len(result.attempts))\n"
+    )
+    command = [sys.executable, "-c", program, str(plan.path)]
+    several = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+        for _ in range(3)
+    ]
+    for each in several:
+        assert each.stdout is not None
+        assert each.stdout.readline() == "ready\n"
+    assert {each.communicate("\n")[0] for each in several} == {f"failed {ATTEMPTS}\n"}
+    assert len(attempts(log)) == ATTEMPTS
+
+
+def test_again_goes_on_with_nothing_of_earlier_runs(tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["half2"])
+    with Pool(COMMAND, attempts=1) as pool:
+        pool.run(plan, plan.tasks)
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks, again=True)
+    assert result.status == "ok"
+    assert [each["finished"] for each in attempts(log)] == [[], [], ["half2.first"]]
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_earlier_attempts_have_said_stays(tmp_path, log, kept):
+    """Warnings belong to what is kept; where all is made anew, so are they."""
+    plan = plan_of(tmp_path / "out", ["half1" if kept else "crash1"])
+    (task,) = plan.tasks
+    with Pool(COMMAND, attempts=1) as pool:
+        (failed,) = pool.run(plan, plan.tasks)
+        failed.warnings = ["a hand was left out"]
+        known = plan.folder(task).failures(task.id)
+        assert known is not None
+        plan.folder(task).fail(task.id, asdict(failed), known["files"])
+        (result,) = pool.run(plan, plan.tasks)
+    assert result.status == "ok"
+    assert result.warnings == (["a hand was left out"] if kept else [])
+    assert result.attempts == failed.attempts
+    assert state(plan, task) == result
