@@ -10,7 +10,6 @@ import pytest
 
 from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.collect import Report
-
 from handfit_core.farm.commands import given_plans
 from handfit_core.farm.folder import TaskFolder, Watch, files_in
 from handfit_core.farm.inputs import expand
