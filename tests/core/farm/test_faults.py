@@ -236,14 +236,14 @@ def test_a_disk_that_is_full_and_has_room_again(tmp_path, log, machines):
     for size in (24, 96, 4000):
         mount = f"mount -t tmpfs -o size={size}k tmpfs {plan.output} && cp -a {kept}/. {plan.output}"
         command = f"{sys.executable} {COMMAND[1]} pool {plan.path} 2"
-        keep = f"code=$?; cp -a {plan.output}/. {kept}; exit $code"
+        keep = f"code=$?; rm -rf {kept}/*; cp -a {plan.output}/. {kept}; exit $code"
         first = f"{{ cp -a {plan.output}/plans {kept}; {mount}; {command}; {keep}; }}"
         code = machines(plan, 2, host="one", first=first).wait(LIMIT)
         assert (code == 0) == (size == 4000)
         assert not [p for p in kept.iterdir() if p.name.startswith(".")]
         shown = Report([Plan(kept, plan.tasks, {})])
         shown.look()
-        assert all(r.status == "ok" or "No space" in r.error or not r.error for r in shown.results)
+        assert all(r.status in ("ok", "pending") or "No space" in r.error for r in shown.results)
     shutil.copytree(kept, plan.output, dirs_exist_ok=True)
     assert_done_once(plan, log)
 
