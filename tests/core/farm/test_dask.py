@@ -201,7 +201,8 @@ def test_a_scheduler_that_dies_and_comes_back(machines, tmp_path, log):
             moments.pop()
             machines.scheduler.kill()
             machines.scheduler.wait()
-            for worker in machines.workers:  # which end with it
+            for worker in machines.workers:  # most end with it, but Dask does not promise that
+                worker.terminate()
                 worker.wait(PATIENCE)
             machines.start_scheduler()
             machines.start_worker()
