@@ -16,11 +16,11 @@ from pathlib import Path
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.collect import Report, state
-from handfit_core.farm.commands import do, given_plans, work_words
+from handfit_core.farm.commands import do, given_plans, task_exit_code, work_words
 from handfit_core.farm.folder import Lost
 from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
-from handfit_core.farm.pool import CURABLE, Pool, is_final, share, usable_jobs
+from handfit_core.farm.pool import Pool, is_final, share, usable_jobs
 from handfit_core.farm.show import Shown, clock
 from handfit_core.farm.templates import write_template
 from handfit_core.files import check_writable
@@ -86,10 +86,7 @@ def _task(args: argparse.Namespace, host: Host) -> int:
     tasks = plan.chosen(args.id)
     with closing(Shown(tasks, args.progress)) as shown, _pool(args, host, 1) as pool:
         results = pool.run(plan, tasks, shown, again=args.again, retry_failed=args.retry_failed, wait=False)
-    missing = [result for result in results if result.status != "ok"]
-    if any(r.status == "running" or (r.attempts and r.attempts[-1]["kind"] in CURABLE) for r in missing):
-        return EXIT_LATER
-    return EXIT_OK if args.accept_failed or not missing else EXIT_SOME_FAILED
+    return task_exit_code(results, accept_failed=args.accept_failed)
 
 
 def _farm_template(args: argparse.Namespace, _host: Host) -> int:

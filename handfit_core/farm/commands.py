@@ -14,7 +14,7 @@ from typing import Any, Final, NoReturn, Protocol
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.farm.collect import Report
 from handfit_core.farm.plan import Plan, Task, places_of, plans_in, warn_once
-from handfit_core.farm.pool import Listener
+from handfit_core.farm.pool import ATTEMPTS, CURABLE, OF_MACHINE, Listener, is_final, last_kind
 from handfit_core.farm.report import Result
 from handfit_core.farm.show import STYLES, Shown
 from handfit_core.files import shown
@@ -23,6 +23,7 @@ from handfit_core.version import __version__
 
 EXIT_SOME_FAILED: Final = 1
 EXIT_USAGE: Final = 2
+EXIT_LATER: Final = 75
 _DONE_HERE: Final = (
     "jobs",
     "timeout",
@@ -65,6 +66,24 @@ def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse
             listener.interrupted(str(error))
             raise
     return not listener.trouble and all(result.status == "ok" for result in results)
+
+
+def task_exit_code(results: Sequence[Result], *, accept_failed: bool) -> int:
+    """What `task` ends with. `accept_failed`: failures that lie in the input are none of the farm's, and also
+    what has killed the process that captures in every attempt; those of a machine are never accepted, or one
+    machine that lacks something would empty a whole queue."""
+    left = [result for result in results if result.status != "ok"]
+    if accept_failed:
+        left = [result for result in left if not _lies_in_input(result)]
+    if any(result.status == "running" or last_kind(result) in (*CURABLE, *OF_MACHINE) for result in left):
+        return EXIT_LATER
+    return EXIT_SOME_FAILED if left else 0
+
+
+def _lies_in_input(result: Result) -> bool:
+    deaths = sum(each.get("kind") == "WorkerDied" for each in result.attempts)
+    failed = result.status == "failed"
+    return failed and (is_final(result) or last_kind(result) == "PartFailed" or deaths >= ATTEMPTS)
 
 
 def given_plans(args: argparse.Namespace) -> list[Plan]:

@@ -39,8 +39,10 @@ AWAY: Final = 600.0
 """seconds that a folder of results which has gone is waited for"""
 CURABLE: Final = ("WorkerDied", "MemoryRanOut", "OutputError", "Lost", "InputGone")
 """Kinds of errors that another attempt may cure: a process killed, no memory, a disk that is full or away"""
-FINAL: Final = ("InputError", "NoHandFoundError", "OptionError", "HandModelError", "TakeError")
-"""Kinds that follow from a task's input and options, which its id stands for: not tried again unasked"""
+FINAL: Final = ("InputError", "NoHandFoundError", "TakeError")
+"""Kinds that follow from a task's input, which its id stands for: not tried again unasked"""
+OF_MACHINE: Final = ("OptionError", "HandModelError", "LandmarkModelError", "WorkerError")
+"""Kinds that another machine may cure, which has the files, the Python or the Blender that this one lacks"""
 _ALIKE: Final = (*FINAL, "Timeout", "PartFailed")
 """Kinds that are to be expected on other machines, too, as long as nobody asks anew"""
 MEMORY: Final = 1.0e9
@@ -58,8 +60,12 @@ _RENEWED: Final = 200
 
 def is_final(result: Result) -> bool:
     """Whether a task has failed for a reason that lies in it."""
-    kind = result.attempts[-1].get("kind") if result.attempts else None
-    return result.status == "failed" and kind in FINAL
+    return result.status == "failed" and last_kind(result) in FINAL
+
+
+def last_kind(result: Result) -> str:
+    """What kind of error ended the last attempt, if any."""
+    return str(result.attempts[-1].get("kind")) if result.attempts else ""
 
 
 def usable_jobs() -> int:
@@ -466,7 +472,7 @@ class _Run:
                     f"{shown(folder.path)} has got results of another batch since this one was planned; "
                     "start this one again, and its results get another name"
                 )
-                result.attempts = [attempt(result.error, "OptionError", 0.0)]
+                result.attempts = [attempt(result.error, "NameTaken", 0.0)]
                 self._end(this, result)
                 return
             kept = folder.kept(task.id) if this.attempts else {}

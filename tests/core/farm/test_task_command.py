@@ -1,0 +1,61 @@
+"""What `task` tells a farm: whose fault it is, and whether another machine may do better."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from handfit_core.farm.commands import EXIT_LATER, task_exit_code
+from handfit_core.farm.folder import attempt
+from handfit_core.farm.pool import ATTEMPTS, Pool
+from handfit_core.farm.report import Result
+from tests.core.farm.peers import COMMAND, plan_of
+
+
+def ended(*kinds: str, status: str = "failed") -> Result:
+    return Result("a.mp4", "a", status, attempts=[attempt("so", kind, 1.0) for kind in kinds])
+
+
+OK = Result("b.mp4", "b", "ok")
+
+
+@pytest.mark.parametrize(
+    ("result", "plain", "accepting"),
+    [
+        (ended("InputError"), 1, 0),
+        (ended("WorkerDied", "NoHandFoundError"), 1, 0),
+        (ended("TakeError"), 1, 0),
+        (ended("PartFailed"), 1, 0),
+        (ended(*["WorkerDied"] * ATTEMPTS), EXIT_LATER, 0),
+        (ended("OutputError", "WorkerDied", "WorkerDied"), EXIT_LATER, EXIT_LATER),
+        (ended("WorkerError"), EXIT_LATER, EXIT_LATER),
+        (ended("LandmarkModelError"), EXIT_LATER, EXIT_LATER),
+        (ended("HandModelError"), EXIT_LATER, EXIT_LATER),
+        (ended("OptionError"), EXIT_LATER, EXIT_LATER),
+        (ended("InputGone"), EXIT_LATER, EXIT_LATER),
+        (ended(status="running"), EXIT_LATER, EXIT_LATER),
+        (ended("Timeout"), 1, 1),
+        (ended("ProtocolError"), 1, 1),
+        (ended("KeyError"), 1, 1),
+        (ended("NameTaken"), 1, 1),
+        (OK, 0, 0),
+    ],
+    ids=lambda value: (
+        "-".join(each["kind"] for each in value.attempts) if isinstance(value, Result) else None
+    ),
+)
+def test_only_what_lies_in_the_input_is_accepted(result, plain, accepting):
+    assert task_exit_code([OK, result], accept_failed=False) == plain
+    assert task_exit_code([OK, result], accept_failed=True) == accepting
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
+@pytest.mark.parametrize("kind", ["HandModelError", "OptionError"])
+def test_what_one_machine_lacks_is_tried_by_the_next(tmp_path, kind):
+    plan = plan_of(tmp_path / "out", ["fine"])
+    failed = ended(kind)
+    plan.folder(plan.tasks[0]).fail(plan.tasks[0].id, vars(failed), {})
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks)
+    assert result.status == "ok"
