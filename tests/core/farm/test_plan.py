@@ -37,7 +37,7 @@ def sealed(plan: Plan, name: str) -> None:
     claim = Watch().claim(folder, task.id)
     assert claim is not None
     part = folder.part()
-    (part / "result.txt").write_text(name)
+    (part / "result.txt").write_bytes(os.fsencode(name))
     files = files_in(part, ["result.txt"])
     folder.take_in(part, files)
     folder.seal(task.id, {"status": "ok"}, files, 1.0)
@@ -313,3 +313,30 @@ def test_plans_of_other_versions_are_done_by_other_versions(photos, tmp_path, ca
     here.plan = tmp_path / "out"
     assert [plan.path for plan in given_plans(here)] == [new.path]
     assert "0.0.1" in capsys.readouterr().err
+
+
+def test_names_that_are_no_folders_of_their_own(tmp_path):
+    """A video may be called as the plans' folder, as the folder above, or with what is no UTF-8."""
+    out, shots = tmp_path / "out", tmp_path / "shots"
+    shots.mkdir()
+    for name in (b"plans.mp4", b"...mp4", b"report.json.mp4", b"Overview.HTML.mp4", b"\xff.mp4", b"a\nb.mp4"):
+        (shots / os.fsdecode(name)).write_bytes(name)
+    plan = make_plan([*expand(str(shots)), *expand(str(shots / "...mp4"))], out, {})
+    names = {task.name for task in plan.tasks}
+    assert not {name.lower() for name in names} & {"plans", "report.json", "overview.html", "..", ""}
+    assert all((out / name).parent == out for name in names)
+    plan.save()
+    for task in plan.tasks:
+        sealed(plan, task.name)
+    (back,) = plans_in(out)
+    assert back.tasks == plan.tasks
+    report = Report([back])
+    report.look()
+    report.write()
+    assert [r.status for r in report.results] == ["ok"] * 6
+    told = json.loads((out / "report.json").read_text(encoding="utf-8"))["inputs"]
+    assert len(told) == 6
+    text = plan.path.read_text().replace('"name": "plans-2"', '"name": "../outside"')
+    plan.path.write_text(text)
+    with pytest.raises(InputError, match="no name of a task"):
+        Plan.load(plan.path)
