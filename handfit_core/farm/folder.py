@@ -307,16 +307,14 @@ class Watch:
 
     def claim(self, folder: TaskFolder, id: str) -> Claim | None:
         """Take a task; None where somebody is at it. Raises OutputError."""
-        inherited = False
         try:
             for _ in range(3):  # again where another one was quicker, or the folder went with its last claim
                 folder._make()
                 with contextlib.suppress(FileNotFoundError):
                     looks = self._looks_of_a_dead(folder)
-                    if looks is None or (looks and not _taken_away(folder, looks)):
+                    if looks is None:
                         return None
-                    inherited = inherited or bool(looks)
-                    if (claim := _created(folder, id, inherited)) is not None:
+                    if (claim := _created(folder, id, looks)) is not None:
                         self._signs.pop(folder.running, None)
                         return claim
         except OSError as error:
@@ -337,20 +335,6 @@ class Watch:
             sign.looks, sign.since = looks, time.monotonic()
         dead = time.monotonic() - sign.since > STALE if alive is None else not alive
         return looks[0] if dead else None
-
-
-def _taken_away(folder: TaskFolder, looks: str) -> bool:
-    """Remove the sign of somebody who is gone, unless it is another's by now. Raises OSError."""
-    aside = folder.beside()
-    if folder.running.read_text("utf-8", "replace") != looks:
-        return False
-    folder.running.rename(aside)
-    mine = aside.read_text("utf-8", "replace") == looks
-    if not mine:  # another one was quicker, and has begun; he puts it back himself where this cannot
-        with contextlib.suppress(OSError):
-            os.link(aside, folder.running)
-    _remove(aside)
-    return mine
 
 
 @dataclass
@@ -404,13 +388,14 @@ class Claim:
                 self.folder.path.rmdir()  # only where nothing was written
 
 
-def _created(folder: TaskFolder, id: str, inherited: bool) -> Claim | None:
-    """Make running.json, as the only one; None where it is there. Raises OSError."""
+def _created(folder: TaskFolder, id: str, dead: str) -> Claim | None:
+    """Make running.json, as the only one, or in the place of a `dead` one; None where another is there.
+    Raises OSError."""
     content = _content(id, token=uuid.uuid4().hex, **_this_process())
     _held.add(content["token"])
     try:
-        if _put(folder, content):
-            return Claim(folder, content, inherited)
+        if _put(folder, content, dead):
+            return Claim(folder, content, bool(dead))
     except OSError:
         _held.discard(content["token"])
         raise
@@ -418,11 +403,18 @@ def _created(folder: TaskFolder, id: str, inherited: bool) -> Claim | None:
     return None
 
 
-def _put(folder: TaskFolder, content: Mapping[str, Any]) -> bool:
+def _put(folder: TaskFolder, content: Mapping[str, Any], dead: str = "") -> bool:
     """Make running.json; whether there was none. Raises OSError, as where the folder is gone."""
     text = json.dumps(content)
     aside = folder.aside(text)
     try:
+        if dead:
+            # At no moment is there none: results that a killed process has moved would be nobody's. Of two
+            # who come at once the second has it, and the first finds that out before it moves anything.
+            if folder.running.read_text("utf-8", "replace") != dead:
+                return False
+            aside.replace(folder.running)
+            return True
         os.link(aside, folder.running)
     except FileExistsError:
         return False

@@ -110,7 +110,7 @@ def test_two_who_find_the_same_one_dead_do_not_both_begin(folder, monkeypatch):
     seen = folder.running.read_text()
     claim = first.claim(folder, ID)
     assert claim is not None
-    assert not folders._taken_away(folder, seen), "the other one has looked before, and comes late"
+    assert not folders._put(folder, {}, seen), "the other one has looked before, and comes late"
     assert second.claim(folder, ID) is None
     claim.check()
 
