@@ -66,9 +66,12 @@ def parse_arguments(
     except ImportError:  # without it not even the options can be imported
         parser.exit(2, f"error: {_NO_BPY}\n")
 
-    from blender_manient.batch.arguments import COMMANDS, add_commands
+    from blender_manient.batch.arguments import COMMANDS, SLOT, add_commands
 
-    if not argv or argv[0] not in (*COMMANDS, "--help", "-h"):
+    # A folder may be called as a command, and no command does without another word.
+    alone = len(argv) < 2 or argv[1].startswith("-")
+    is_input = alone and argv and argv[0] != SLOT and Path(argv[0]).exists()
+    if not argv or is_input or argv[0] not in (*COMMANDS, "--help", "-h"):
         argv = ["capture", *argv]
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     add_commands(commands, COMMANDS if argv[0] in COMMANDS else (), default_inputs)

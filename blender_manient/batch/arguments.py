@@ -7,7 +7,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from handfit_core.farm.commands import add_cluster_arguments, add_map, add_plan, add_running_arguments, count
+from handfit_core.farm.commands import (
+    add_cluster_arguments,
+    add_map,
+    add_plan,
+    add_running_arguments,
+    count,
+    seconds,
+)
 from handfit_core.farm.templates import KINDS, MOST_JOBS
 from handfit_core.options import OPTIONS, add_options
 
@@ -110,7 +117,7 @@ def add_commands(
 def _add_template_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what says how a farm's job file is made."""
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="default: beside the plan")
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
+    parser.add_argument("--timeout", type=seconds, metavar="SECONDS", help="longest time for one input")
     parser.add_argument(
         "--jobs",
         type=count,

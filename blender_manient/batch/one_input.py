@@ -12,6 +12,7 @@ import bpy
 
 from handfit_core.errors import HandfitError, InputError
 from handfit_core.farm.folder import files_in
+from handfit_core.farm.inputs import PREVIEW_SUFFIX
 from handfit_core.farm.plan import Task, files_of, fingerprint
 from handfit_core.farm.report import Result
 from handfit_core.sheet import SUFFIX
@@ -156,7 +157,7 @@ def _results(take: Take, work: Work, result: Result, keep_addons: bool) -> Itera
         for fmt in order.formats:
             yield from export_take(built, take, folder, name, fmt)
     if frames:
-        path = folder / f"{name}.preview.png"
+        path = folder / f"{name}{PREVIEW_SUFFIX}"
         render_preview(
             built, take, frames[len(frames) // 2], path, max_megapixels=order.options.max_megapixels
         )

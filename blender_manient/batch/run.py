@@ -19,7 +19,7 @@ from handfit_core.farm.collect import Report, state
 from handfit_core.farm.commands import do, given_plans, task_exit_code, work_words
 from handfit_core.farm.folder import Lost
 from handfit_core.farm.inputs import Input, expand
-from handfit_core.farm.plan import FOLDER, Plan, make_plan, plans_in
+from handfit_core.farm.plan import FOLDER, Plan, PlanGone, make_plan, plans_in
 from handfit_core.farm.pool import Pool, is_final, share, usable_jobs
 from handfit_core.farm.show import Shown, clock
 from handfit_core.farm.templates import write_template
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace, host: Host) -> int:
             return EXIT_LATER if args.command == "task" else EXIT_SOME_FAILED
         except HandfitError as error:
             print_error(str(error), args.debug)
-            return EXIT_USAGE
+            return EXIT_LATER if args.command == "task" and isinstance(error, PlanGone) else EXIT_USAGE
         except KeyboardInterrupt:
             print("stopped; what was finished is kept", file=sys.stderr)
             return EXIT_INTERRUPTED

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import signal
 import sys
 from collections.abc import Mapping, Sequence
@@ -127,7 +128,7 @@ def add_map(parser: argparse.ArgumentParser) -> None:
 
 def add_running_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what says how tasks are done, which changes nothing in their results."""
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="longest time for one input")
+    parser.add_argument("--timeout", type=seconds, metavar="SECONDS", help="longest time for one input")
     parser.add_argument(
         "--jobs", type=count, metavar="N", help="inputs at a time (default: by cores and memory)"
     )
@@ -217,6 +218,14 @@ def _interrupt(_number: int, _frame: object) -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
+
+
+def seconds(text: str) -> float:
+    """A time of more than 0 seconds."""
+    number = float(text)
+    if not 0.0 < number < math.inf:
+        raise argparse.ArgumentTypeError("more than 0 seconds are needed")
+    return number
 
 
 def count(text: str) -> int:

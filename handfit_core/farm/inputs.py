@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from handfit_core.media.opening import (
     PHOTO_SUFFIXES,
@@ -13,6 +14,11 @@ from handfit_core.media.opening import (
     pictures_in,
     sequence_numbers,
 )
+from handfit_core.sheet import SUFFIX
+
+PREVIEW_SUFFIX: Final = ".preview.png"
+_OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".done.json", ".failed.json", ".running.json")
+"""What names of results end with that may lie among the inputs, and are none"""
 
 
 @dataclass(frozen=True)
@@ -31,12 +37,14 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
     """The inputs of one INPUT.
 
     A folder or a glob pattern gives one per video, and one per photo, unless the photos
-    form one numbered sequence (`grouping` forces either: "sequence" or "separate").
+    form one numbered sequence (`grouping` forces either: "sequence" or "separate"). Contact
+    sheets and previews that a batch has put there are left out.
     """
     path = Path(text).expanduser()
     if path.is_dir():
         videos = sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.name[0] != ".")
-        jobs = _group(pictures_in(path), grouping, path.resolve().name) + [_one_file(v) for v in videos]
+        pictures = [p for p in pictures_in(path) if not p.name.endswith(_OURS)]
+        jobs = _group(pictures, grouping, path.resolve().name) + [_one_file(v) for v in videos]
         return jobs or [Input(text, path.resolve().name, error=f"{text}: no photos or videos in this folder")]
     if path.exists() or not is_pattern(text):
         return [_one_file(path)]
@@ -44,9 +52,9 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
         name = path.name.partition("%")[0].partition("#")[0].rstrip("._- ") or path.absolute().parent.name
         return [Input(text, name, (str(path),))]
     pattern = str(Path(glob.escape(str(path.parent))) / path.name)
-    found = sorted(p for p in map(Path, glob.glob(pattern)) if p.is_file())
+    found = sorted(p for p in map(Path, glob.glob(pattern)) if p.is_file() and not p.name.endswith(_OURS))
     pictures = [p for p in found if p.suffix.lower() in PHOTO_SUFFIXES]
-    others = [_one_file(p) for p in found if p not in pictures]
+    others = [_one_file(p) for p in found if p.suffix.lower() not in PHOTO_SUFFIXES]
     jobs = _group(pictures, grouping, path.absolute().parent.name) + others
     return jobs or [Input(text, "pattern", error=f"{text}: no file matches this pattern")]
 

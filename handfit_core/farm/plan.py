@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import errno
 import hashlib
 import json
 import re
@@ -36,6 +37,8 @@ FOLDER: Final = "plans"
 _FORMAT: Final = "manient-plan"
 _VERSION: Final = 1
 _LARGEST: Final = 1 << 30
+_AWAY: Final = (errno.ENOENT, errno.ESTALE, errno.EIO, errno.ETIMEDOUT, errno.ENOTCONN)
+"""What systems say of a file on a disk that is not here"""
 _READ_WHOLE: Final = 4 << 20
 """bytes that the files of one input may have together for their contents to be compared; of larger ones
 names, sizes and times are, since reading a thousand clips costs hours"""
@@ -46,6 +49,10 @@ _BESIDE: Final = 1.0
 """seconds for a frame and for what is done once, for the order of tasks and for guesses of the time left"""
 FINDING: Final = 0.65
 """What finding the hands is of a clip's cost"""
+
+
+class PlanGone(InputError):
+    """There is no plan where one is looked for; its disk may come back, or be elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +178,9 @@ class Plan:
                     raise ValueError(f"there is no task {shortly(id)}, which another one needs")
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             reason = why(error) if isinstance(error, OSError) else shortly(str(error))
-            raise InputError(f"{shown(path)}: this is no plan that can be read ({reason})") from error
+            gone = isinstance(error, OSError) and error.errno in _AWAY
+            kind = PlanGone if gone else InputError
+            raise kind(f"{shown(path)}: this is no plan that can be read ({reason})") from error
         return plan
 
     @classmethod
@@ -267,7 +276,7 @@ def plans_in(path: Path) -> list[Plan]:
         except InputError as error:
             warn_once(f"{error}; it is passed over")
     if not found:
-        raise InputError(f"{shown(path)}: there is no plan in this folder; make one with the command plan")
+        raise PlanGone(f"{shown(path)}: there is no plan in this folder; make one with the command plan")
     return sorted(found, key=lambda plan: plan.created)
 
 

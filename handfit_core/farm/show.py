@@ -8,7 +8,7 @@ import sys
 import time
 import unicodedata
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TextIO
 
 from handfit_core.errors import HandfitError
 from handfit_core.farm.collect import Report
@@ -101,9 +101,9 @@ class Shown(Listener):
         if self._style == "json":
             self._say("ended", task=task.id, name=task.name, status=result.status, error=result.error)
         elif self._style != "none":
-            print(f"[{self._ended}/{self._count}] {line(result)}", flush=True)
+            _tell(f"[{self._ended}/{self._count}] {line(result)}", sys.stdout)
         if self._style == "openjd" and result.status == "failed":
-            print(f"openjd_fail: {result.error}", flush=True)
+            _tell(f"openjd_fail: {result.error}", sys.stdout)
         if self._report is not None:
             self._report.set(result)
             if self._ended == self._count:  # others may have been at work beside
@@ -131,9 +131,9 @@ class Shown(Listener):
             ]
             self._say("progress", **told, tasks=tasks)
         elif self._style == "openjd":
-            print(f"openjd_progress: {100 * share:.1f}\nopenjd_status: {what}", flush=True)
+            _tell(f"openjd_progress: {100 * share:.1f}\nopenjd_status: {what}", sys.stdout)
         else:
-            print(f"{share:.0%}, {self._overall()}: {what}", file=sys.stderr, flush=True)
+            _tell(f"{share:.0%}, {self._overall()}: {what}", sys.stderr)
 
     def interrupted(self, why: str = "") -> None:
         """It was stopped: tasks at hand are left to the next run."""
@@ -148,7 +148,7 @@ class Shown(Listener):
     def close(self) -> None:
         """Leave the terminal as it was."""
         if self._style == "bars":
-            print("\r\x1b[J", end="", file=sys.stderr, flush=True)
+            _tell("\r\x1b[J", sys.stderr, end="")
 
     def _draw(self, share: float) -> None:
         """A bar for the whole, and below it one for each task, as many as fit; the cursor stays above them,
@@ -165,7 +165,7 @@ class Shown(Listener):
             rows.append(f"{text}  {clock(at.left * pace)} left  {at.told}")
         text = "\n".join(_cut(row, width - 1) for row in rows)
         up = f"\x1b[{len(rows) - 1}A" if len(rows) > 1 else ""
-        print(f"\r\x1b[J{text}\r{up}", end="", file=sys.stderr, flush=True)
+        _tell(f"\r\x1b[J{text}\r{up}", sys.stderr, end="")
 
     def _overall(self) -> str:
         return f"{self._ended} of {self._count} done, {clock(self._seconds_left())} left"
@@ -187,7 +187,7 @@ class Shown(Listener):
         return self._pace() * max(self._cost_left() / self._most, longest)
 
     def _say(self, event: str, **fields: object) -> None:
-        print(json.dumps({"event": event, **fields}), flush=True)
+        _tell(json.dumps({"event": event, **fields}), sys.stdout)
 
     def _write(self, *, now: bool) -> None:
         """Write the report; what is left to do may still succeed where it cannot be written."""
@@ -198,8 +198,18 @@ class Shown(Listener):
         except HandfitError as error:
             if str(error) != self.trouble:
                 self.close()
-                print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+                _tell(f"error: {' '.join(str(error).split())}", sys.stderr)
             self.trouble = str(error)
+
+
+def _tell(text: str, stream: TextIO, end: str = "\n") -> None:
+    """Print at once; where nobody reads it any more, the batch goes on in silence."""
+    try:
+        print(text, end=end, file=stream, flush=True)
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
 
 
 def _terminal() -> tuple[int, int]:

@@ -424,6 +424,23 @@ def test_a_job_file_for_a_farm_does_the_plan(take_file, tmp_path):
     assert told("task", plan, "#1-4").returncode == 2
 
 
+def test_a_folder_may_be_called_as_a_command(batch, tmp_path):
+    (tmp_path / "plan").mkdir()
+    (tmp_path / "plan" / "a.jpg").write_bytes(b"no photo")
+    done = batch("plan", "-o", "out", "--format", "", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1 to do" in done.stdout
+    done = batch("plan", "plan", "-o", "out", "--format", "")
+    assert done.returncode == 0, done.stderr
+    assert plan_in(tmp_path / "out") in done.stdout
+
+
+def test_a_plan_that_one_machine_does_not_see(batch, tmp_path):
+    done = batch("task", tmp_path / "not mounted" / "plans" / "a.json", "#1", "--accept-failed")
+    assert done.returncode == 75, done.stderr
+    assert batch("work", tmp_path / "not mounted" / "plans" / "a.json").returncode == 2
+
+
 @needs_capture
 def test_two_hands_in_one_photo_are_two_rigs_of_the_right_sides(batch, tmp_path):
     """The bundled right hand beside its mirror image, which is a left hand."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
+import subprocess
 import sys
 
 import pytest
 
-from handfit_core.farm.commands import EXIT_LATER, task_exit_code
+from handfit_core.errors import InputError
+from handfit_core.farm.commands import EXIT_LATER, add_running_arguments, task_exit_code
 from handfit_core.farm.folder import attempt
+from handfit_core.farm.plan import PlanGone, plans_in
 from handfit_core.farm.pool import ATTEMPTS, Pool
 from handfit_core.farm.report import Result
-from tests.core.farm.peers import COMMAND, plan_of
+from tests.core.farm.peers import COMMAND, ROOT, plan_of
 
 
 def ended(*kinds: str, status: str = "failed") -> Result:
@@ -59,3 +63,52 @@ def test_what_one_machine_lacks_is_tried_by_the_next(tmp_path, kind):
     with Pool(COMMAND) as pool:
         (result,) = pool.run(plan, plan.tasks)
     assert result.status == "ok"
+
+
+def test_plans_that_are_away_and_plans_that_are_none(tmp_path):
+    (tmp_path / "bad.json").write_text("{}")
+    with pytest.raises(InputError) as strange:
+        plans_in(tmp_path / "bad.json")
+    assert not isinstance(strange.value, PlanGone)
+    for away in (tmp_path / "not mounted" / "plans" / "a.json", tmp_path / "not mounted", tmp_path):
+        with pytest.raises(PlanGone):
+            plans_in(away)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "-inf", "soon"])
+def test_time_limits_are_times(text):
+    parser = argparse.ArgumentParser()
+    add_running_arguments(parser)
+    with pytest.raises(SystemExit):
+        parser.parse_args([f"--timeout={text}"])
+    assert parser.parse_args(["--timeout=0.5"]).timeout == 0.5
+
+
+_FIVE = """
+import sys
+from handfit_core.farm.plan import Task
+from handfit_core.farm.report import Result
+from handfit_core.farm.show import Shown
+
+tasks = [Task(str(i), str(i), str(i)) for i in range(5)]
+shown = Shown(tasks, sys.argv[1])
+sys.stdin.readline()
+for task in tasks:
+    shown.began(task)
+    shown._last = -1e9
+    shown.turn()
+    shown.ended(task, Result(task.shown, task.name, "ok"))
+"""
+
+
+@pytest.mark.parametrize("style", ["text", "json", "openjd"])
+def test_a_reader_that_goes_away_ends_nothing(style):
+    command = [sys.executable, "-c", _FIVE, style]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, cwd=ROOT) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdout.close()
+        process.stdin.write(b"\n")
+        process.stdin.close()
+        assert process.wait() == 0
