@@ -24,7 +24,7 @@ import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from handfit_core.errors import HandfitError, OutputError
@@ -108,7 +108,7 @@ class TaskFolder:
         known = _read(file)
         if known is None or known.get("id") != id or not isinstance(known.get("files"), dict):
             return None
-        if not isinstance(known.get("result"), dict):
+        if not isinstance(known.get("result"), dict) or not all(lies_within(name) for name in known["files"]):
             return None
         return {**known, "result": {**known["result"], "name": self.name, "id": id}}
 
@@ -219,9 +219,11 @@ class TaskFolder:
 
     def discard(self, id: str) -> None:
         """Remove the results of a task that nobody needs any more, and what tells of it."""
-        names = (self.sealed(id) or {}).get("files", {})
-        for path in (self.done, self.failed, *(self.path / name for name in names)):
-            _remove(path)
+        for file in (self.done, self.failed):
+            if (known := self._known(file, id)) is not None:
+                for path in (*(self.path / name for name in known["files"]), file):
+                    if path.parent.resolve().is_relative_to(self.path.resolve()):
+                        _remove(path)
         if not self.flat:
             with contextlib.suppress(OSError):
                 self.path.rmdir()
@@ -277,6 +279,13 @@ def parts_in(output: Path) -> list[str]:
     with contextlib.suppress(OSError), os.scandir(output) as entries:
         return [entry.name for entry in entries if entry.name.startswith(PART)]
     return []
+
+
+def lies_within(name: str) -> bool:
+    """Whether a result's name leads nowhere but below the folder of its task; others may write what it
+    says."""
+    path = PurePath(name)
+    return not path.anchor and ".." not in path.parts and "\0" not in name
 
 
 def files_in(part: Path, names: Iterable[str]) -> dict[str, dict[str, Any]]:

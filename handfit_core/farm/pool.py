@@ -22,10 +22,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt, parts_in
+from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt, lies_within, parts_in
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
-from handfit_core.farm.slot import Slot
+from handfit_core.farm.slot import Slot, end_idle
 from handfit_core.files import shown, why
 from handfit_core.machine import free_memory, usable_cores
 from handfit_core.worker.process import wait_for_killed
@@ -149,7 +149,7 @@ class Pool:
         self._command, self.jobs, self._here = tuple(command), jobs, {**here, "debug": debug}
         self._debug = debug
         self.timeout, self.attempts = timeout, attempts
-        self._failed_starts = 0
+        self._failed_starts, self._room = 0, jobs
         self._slots: dict[Slot, _Running | None] = {}
         self._watch = Watch()
         self._remains: list[Path] = []
@@ -168,9 +168,7 @@ class Pool:
                 if running is not None:
                     slot.kill()
                     self.put_back(running)
-            for slot, running in self._slots.items():
-                if running is None:
-                    slot.end()
+            end_idle([slot for slot, running in self._slots.items() if running is None])
             self._slots.clear()
             self.clear_up()
 
@@ -200,13 +198,13 @@ class Pool:
     @property
     def has_room(self) -> bool:
         """Whether a process is idle, or another one may be started."""
-        return len(self._slots) < self.jobs or None in self._slots.values()
+        return len(self._slots) < self._room or None in self._slots.values()
 
     def free_slot(self, wanted: int) -> Slot | None:
         """One that is ready and idle; starts another where `wanted` are more than are idle, and there may be
         more. Raises OptionError."""
         idle = [slot for slot, running in self._slots.items() if running is None]
-        if len(idle) < wanted and len(self._slots) < self.jobs:
+        if len(idle) < wanted and len(self._slots) < self._room:
             self._slots[Slot(self._command, debug=self._debug)] = None
         return next((slot for slot in idle if slot.ready), None)
 
@@ -248,12 +246,13 @@ class Pool:
         return [running for running in self._slots.values() if running is not None]
 
     def release(self, slot: Slot) -> None:
-        """A slot is free again, or has done enough."""
+        """A slot is free again, or has done enough. Another one may start where some did not before."""
+        self._failed_starts, self._room = 0, min(self._room + 1, self.jobs)
         slot.done += 1
         self._slots[slot] = None
         if slot.done >= _RENEWED:
             del self._slots[slot]
-            slot.end()
+            end_idle([slot])
 
     def drop(self, slot: Slot) -> None:
         """End a slot at once, with all that it started."""
@@ -261,10 +260,14 @@ class Pool:
         slot.kill()
 
     def lost(self, slot: Slot, event: Event) -> None:
-        """A slot has died without a task. Raises OptionError where another one would, too."""
+        """A slot has died without a task. Where it did not even start, those that did go on without it, as
+        memory may be short. Raises OptionError where none does."""
         self.drop(slot)
         self._failed_starts = 0 if slot.ready else self._failed_starts + 1
-        if event.get("type") == "OptionError" or self._failed_starts >= ATTEMPTS:
+        if self._failed_starts:
+            self._room = max(1, len(self._slots))
+        none_starts = self._failed_starts >= ATTEMPTS and not self._slots
+        if event.get("type") == "OptionError" or none_starts:
             raise OptionError(str(event.get("message")))
 
     def slot_of(self, running: _Running) -> Slot:
@@ -529,11 +532,10 @@ class _Run:
             done, total = int(event["done"]), int(event["total"])
             return partial(self._listener.progress, running.this.task, str(event["stage"]), done, total)
         if kind == "file":
-            path = PurePosixPath(event["name"])
-            if path.is_absolute() or ".." in path.parts:
+            if not lies_within(event["name"]):
                 raise ValueError
             known = {"size": int(event["size"]), "sha256": str(event["sha256"])}
-            return partial(running.files.__setitem__, str(path), known)
+            return partial(running.files.__setitem__, str(PurePosixPath(event["name"])), known)
         if kind == "warning":
             return partial(running.warnings.append, str(event["message"]))
         if kind == "done":

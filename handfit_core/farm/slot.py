@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 from handfit_core.errors import OptionError
@@ -24,7 +24,7 @@ COMMAND: Final = "slot"
 START_LIMIT: Final = 180.0
 """seconds until it must be ready; Blender with many add-ons from a network disk needs some"""
 _GRACE: Final = 3.0
-"""seconds that an idle one gets to end"""
+"""seconds that idle ones get to end"""
 
 
 class Slot:
@@ -94,13 +94,18 @@ class Slot:
             return _error("WorkerDied", f"the process that does tasks ended at once{said}; try --debug")
         return _error("WorkerDied", f"the process ended {ending(child.exit_code or 0)}{said}")
 
-    def end(self) -> None:
-        """Let an idle one end."""
-        self._child.stop(_GRACE)
-
     def kill(self) -> None:
         """End it at once, with whatever it has started."""
         self._child.kill()
+
+
+def end_idle(slots: Collection[Slot]) -> None:
+    """Let idle ones end, all at the same time."""
+    for slot in slots:
+        slot._child.close_stdin()
+    until = time.monotonic() + _GRACE
+    for slot in slots:
+        slot._child.stop(until - time.monotonic())
 
 
 def _error(kind: str, message: str) -> Event:

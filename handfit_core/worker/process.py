@@ -132,10 +132,14 @@ class ChildProcess:
         """The end of what it wrote on stderr."""
         return self._said.decode("utf-8", errors="replace")
 
-    def stop(self, seconds: float) -> None:
-        """Close its stdin, which ends it, and kill it when that takes longer than `seconds`."""
+    def close_stdin(self) -> None:
+        """Which ends it, some time."""
         self._to_send.clear()
         self._stdin.close()
+
+    def stop(self, seconds: float) -> None:
+        """Close its stdin, which ends it, and kill it when that takes longer than `seconds`."""
+        self.close_stdin()
         until = time.monotonic() + seconds
         while self.exit_code is None and (left := until - time.monotonic()) > 0:
             self.exchange()

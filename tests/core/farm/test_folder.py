@@ -238,6 +238,31 @@ def test_files_of_ours_that_are_damaged_say_nothing(folder, damage, file):
         assert not folder.failed.exists()
 
 
+@pytest.mark.parametrize("how", ["absolute", "above", "link", "own"])
+@pytest.mark.parametrize("file", ["done", "failed"])
+def test_only_what_lies_in_its_folder_goes_with_a_task(folder, tmp_path, how, file):
+    """Others may write what a seal says."""
+    victim = tmp_path / "of the user" / "a.txt"
+    victim.parent.mkdir()
+    victim.write_text("words")
+    folder.path.mkdir()
+    (folder.path / "link").symlink_to(victim.parent)
+    (folder.path / "a.txt").write_text("words")
+    names = {"absolute": str(victim), "above": "../of the user/a.txt", "link": "link/a.txt", "own": "a.txt"}
+    getattr(folder, file).write_text(
+        json.dumps(
+            {
+                **{"format": "manient-task", "version": 1, "id": ID, "result": {"status": "ok"}},
+                "files": {names[how]: {"size": 5, "sha256": ""}},
+            }
+        )
+    )
+    folder.discard(ID)
+    assert victim.exists()
+    assert (folder.path / "a.txt").exists() == (how != "own")
+    assert how in ("link", "own") or folder.sealed(ID) is None
+
+
 def test_results_are_moved_whole_and_once(folder):
     claimed(folder)
     part, files = with_results(folder, a=b"one", b=b"two")

@@ -24,6 +24,7 @@ from handfit_core.farm.folder import TaskFolder, Watch, attempt, files_in
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.pool import ATTEMPTS, Listener, Pool
 from handfit_core.farm.report import Result
+from handfit_core.farm.slot import Slot, end_idle
 from tests.core.farm.peers import COMMAND, ROOT, attempts, content, plan_of, planned
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
@@ -288,6 +289,36 @@ def test_a_program_that_cannot_start_is_named(tmp_path):
         pool.run(plan, plan.tasks)
     with Pool(("no such program",)) as pool, pytest.raises(OptionError, match="no such program"):
         pool.run(plan, plan.tasks)
+
+
+def started(tmp_path: Path, script: str) -> tuple[str, ...]:
+    """A command of which `script` is run before it does tasks; $n is how many have been started."""
+    (tmp_path / "starts").mkdir()
+    count = f"n=1; until mkdir {tmp_path}/starts/$n 2>/dev/null; do n=$((n+1)); done"
+    return "sh", "-c", f"{count}; {script}", "sh"
+
+
+def test_processes_that_do_not_start_are_done_without(tmp_path, log):
+    plan = plan_of(tmp_path / "out", [f"slow-{n}" for n in range(6)])
+    peer = f"exec {' '.join(COMMAND)} slot"
+    with Pool(started(tmp_path, f"[ $n = 1 ] || kill -9 $$; {peer}"), jobs=4) as pool:
+        results = pool.run(plan, plan.tasks)
+    assert {result.status for result in results} == {"ok"}
+    assert len({each["pid"] for each in attempts(log)}) == 1
+    assert len(list((tmp_path / "starts").iterdir())) > 4, "it is tried again later"
+
+
+def test_idle_processes_end_together(tmp_path, monkeypatch):
+    """Each ends only once all have been told to."""
+    monkeypatch.setattr("handfit_core.farm.slot._GRACE", 20.0)
+    wait = f"mkdir {tmp_path}/told-$n; until [ $(ls -d {tmp_path}/told-* | wc -l) = 3 ]; do sleep 0.01; done"
+    command = started(tmp_path, f"{' '.join(COMMAND)} slot; {wait}; mkdir {tmp_path}/ended-$n")
+    slots = [Slot(command) for _ in range(3)]
+    while not all(slot.ready for slot in slots):
+        for slot in slots:
+            slot.events(0.02)
+    end_idle(slots)
+    assert len(list(tmp_path.glob("ended-*"))) == 3
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
