@@ -151,7 +151,7 @@ class SideBySide(Sequence[HandDetection | None]):
         nothing, unasked = np.zeros(0), np.zeros((NUM_KEYPOINTS, 6))
         self._keypoints = np.array([d.keypoints for d in found])
         self._world = np.array([d.world for d in found])
-        self._said = np.array([d.corrected[1] if d.corrected else unasked for d in found])
+        self._said: np.ndarray | None = np.array([d.corrected[1] if d.corrected else unasked for d in found])
         self._others = [
             replace(d, keypoints=nothing, world=nothing, corrected=d.corrected and (d.corrected[0], nothing))
             for d in found
@@ -161,6 +161,10 @@ class SideBySide(Sequence[HandDetection | None]):
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    def forget_corrections(self) -> None:
+        """Give back half of the memory: what the network has said, for which it has to be asked again."""
+        self._said = None
 
     @overload
     def __getitem__(self, index: int) -> HandDetection | None: ...
@@ -174,7 +178,9 @@ class SideBySide(Sequence[HandDetection | None]):
         if (row := self._rows[index]) < 0:
             return None
         other = self._others[row]
-        said = other.corrected and (other.corrected[0], self._said[row])
+        said = None
+        if other.corrected is not None and self._said is not None:
+            said = other.corrected[0], self._said[row]
         return replace(other, keypoints=self._keypoints[row], world=self._world[row], corrected=said)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from handfit_core.batch import spread
 from handfit_core.detect.correction.corrected import landmarked
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection, SideBySide
 from handfit_core.fit.clips import smoothed
 from handfit_core.fit.doubt import among_neighbours, doubtful, evidence, expected_error, side_logits
 from handfit_core.fit.gaps import Times, bridged, jumps, missing_between, spans
@@ -238,6 +238,8 @@ def fit_track(
     # A track's side is voted for by all of its frames.
     sure = side_logits(detections, model.side).mean()
     del detections
+    if isinstance(track.detections, SideBySide):
+        track.detections.forget_corrections()
     cuts = jumps(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
