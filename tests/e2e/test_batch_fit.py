@@ -260,6 +260,7 @@ def peer(tmp_path, take_file):
         "    say(event='progress', id=request['id'], stage='detect', done=0, total=1)\n"
         "    if 'crash' in name: os.abort()\n"
         "    if 'slow' in name: time.sleep(600)\n"
+        "    if 'grow' in name and os.path.getsize(name) < 9: open(name, 'ab').write(b'more of it')\n"
         "    os.makedirs(os.path.dirname(request['output']), exist_ok=True)\n"
         f"    shutil.copy({str(take)!r}, request['output'])\n"
         "    say(event='done', id=request['id'], output=request['output'])\n"
@@ -297,6 +298,58 @@ def test_one_process_for_all_inputs_and_others_after_crashes(batch, peer, tmp_pa
     assert [attempt["kind"] for attempt in entries[2]["attempts"]] == ["WorkerDied"] * 3
     assert len(pids(tmp_path)) <= 4, "one, and one after each crash"
     assert [p.name for p in (out / "crash").iterdir()] == ["failed.json"]
+
+
+@pytest.fixture
+def wheel(tmp_path, peer):
+    """wheel(*arguments) -> CompletedProcess, under the bpy wheel, with `peer` as the Python that captures."""
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        python = [] if arguments[0] in ("plan", "collect") else ["--python", str(peer)]
+        return subprocess.run(
+            [sys.executable, str(SCRIPT), *map(str, arguments), *python],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            timeout=TIMEOUT,
+            check=False,
+        )
+
+    return run
+
+
+@needs_scripts
+def test_an_input_that_grows_while_it_is_read(wheel, tmp_path):
+    out = tmp_path / "out"
+    (tmp_path / "grow.jpg").write_bytes(b"half")
+    assert wheel("grow.jpg", "-o", out, "--format", "bvh").returncode == 1
+    (entry,) = report(out)
+    assert entry["error"].startswith("grow.jpg: has changed while it was read: if it is still being copied")
+    assert not (out / "grow" / "done.json").exists()
+    done = wheel("grow.jpg", "-o", out, "--format", "bvh")
+    assert done.returncode == 0, done.stderr
+    assert [(e["name"], e["status"]) for e in report(out)] == [("grow", "ok")]
+
+
+@needs_scripts
+def test_inputs_that_are_replaced_or_gone(wheel, tmp_path):
+    out = tmp_path / "out"
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.jpg").write_bytes(name.encode())
+    assert wheel("plan", "a.jpg", "b.jpg", "c.jpg", "-o", out, "--format", "bvh").returncode == 0
+    (tmp_path / "a.jpg").write_bytes(b"another")
+    (tmp_path / "b.jpg").rename(tmp_path / "away.jpg")
+    assert wheel("work", out).returncode == 1
+    replaced, gone, third = report(out)
+    assert "has changed since the batch was planned" in replaced["error"]
+    assert "is gone; bring it back" in gone["error"]
+    assert third["status"] == "ok"
+    (tmp_path / "away.jpg").rename(tmp_path / "b.jpg")
+    assert wheel("work", out).returncode == 1
+    assert [entry["status"] for entry in report(out)] == ["failed", "ok", "ok"]
+    done = wheel("a.jpg", "b.jpg", "c.jpg", "-o", out, "--format", "bvh")
+    assert done.returncode == 0, done.stderr
+    assert [(e["name"], e["status"]) for e in report(out)] == [("a", "ok"), ("b", "ok"), ("c", "ok")]
 
 
 @needs_scripts
