@@ -227,6 +227,6 @@ def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
         timeout=args.timeout,
         debug=args.debug,
         python=args.python,
-        threads=host.threads or share(jobs),
+        threads=min(filter(None, (host.threads, share(jobs))), default=None),
         processes=args.processes,
     )

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from handfit_core.errors import HandfitError
+from handfit_core.farm.folder import kind_of
 from handfit_core.farm.plan import Task
 from handfit_core.farm.report import Result
 from handfit_core.version import __version__
@@ -83,7 +84,7 @@ class _Doing:
             work = Work(task, self._order(request), Path(request["folder"]), finished, parts, self.say)
             fit(work, result, self._runner(request), keep_addons=self.host.keep_addons)
         except Exception as error:
-            kind, message = type(error).__name__, " ".join(str(error).split())
+            kind, message = kind_of(error), " ".join(str(error).split())
             if not isinstance(error, HandfitError):
                 message = f"unexpected {kind}: {message} (see --debug)"
             if request["debug"]:

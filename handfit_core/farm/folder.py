@@ -41,6 +41,7 @@ _VERSION: Final = 1
 _LARGEST: Final = 16 << 20
 _CHUNK: Final = 1 << 20
 _NO_LINKS: Final = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EMLINK}
+_REFUSED: Final = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG}
 
 Files = Mapping[str, Mapping[str, Any]]
 """Names relative to the task's folder, each with its `size` in bytes and `sha256`"""
@@ -260,6 +261,13 @@ class TaskFolder:
             self.path.mkdir(exist_ok=True)
         except OSError as error:
             raise _not_written(self.path, error) from error
+
+
+def kind_of(error: Exception) -> str:
+    """What kind of error it is, for `attempt`: a folder that must not be written is no disk that is full."""
+    cause = error.__cause__
+    refused = isinstance(error, OutputError) and isinstance(cause, OSError) and cause.errno in _REFUSED
+    return "OutputRefused" if refused else type(error).__name__
 
 
 def attempt(error: str, kind: str, seconds: float) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt, lies_within, parts_in
+from handfit_core.farm.folder import Claim, Files, Lost, Watch, attempt, kind_of, lies_within, parts_in
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
 from handfit_core.farm.slot import Slot, end_idle
@@ -41,8 +41,8 @@ CURABLE: Final = ("WorkerDied", "MemoryRanOut", "OutputError", "Lost", "InputGon
 """Kinds of errors that another attempt may cure: a process killed, no memory, a disk that is full or away"""
 FINAL: Final = ("InputError", "NoHandFoundError", "TakeError")
 """Kinds that follow from a task's input, which its id stands for: not tried again unasked"""
-OF_MACHINE: Final = ("OptionError", "HandModelError", "LandmarkModelError", "WorkerError")
-"""Kinds that another machine may cure, which has the files, the Python or the Blender that this one lacks"""
+OF_MACHINE: Final = ("OptionError", "HandModelError", "LandmarkModelError", "WorkerError", "OutputRefused")
+"""Kinds that another machine may cure, which has what this one lacks: files, a Python, permissions"""
 _ALIKE: Final = (*FINAL, "Timeout", "PartFailed")
 """Kinds that are to be expected on other machines, too, as long as nobody asks anew"""
 MEMORY: Final = 1.0e9
@@ -485,7 +485,7 @@ class _Run:
         except HandfitError as error:
             if claim is not None:
                 claim.release()
-            self._missed(this, str(error), "OutputError", 0.0, {}, None)
+            self._missed(this, str(error), kind_of(error), 0.0, {}, None)
             return
         running = _Running(this, claim, part, time.monotonic(), kept)
         self._pool.occupy(slot, self._plan, running, self._share(task))
@@ -577,7 +577,7 @@ class _Run:
         except OSError as error:
             self._failed(running, f"{shown(folder.path)}: {why(error)}", "Lost", result)
         except HandfitError as error:
-            self._failed(running, str(error), type(error).__name__, result)
+            self._failed(running, str(error), kind_of(error), result)
         else:
             self._pool.put_back(running)
             self._end(running.this, result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 import subprocess
@@ -12,6 +13,8 @@ import bpy
 import pytest
 
 from blender_manient import command, preferences
+from blender_manient.batch import run
+from blender_manient.batch.host import Host
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.take import Take
 
@@ -150,3 +153,14 @@ def test_without_a_part_that_blenders_side_needs(arguments, missing, tmp_path):
     assert [line for line in done.stderr.splitlines() if line.startswith("error: ") and name in line]
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_several_inputs_at_a_time_share_the_threads_of_the_preferences(monkeypatch):
+    monkeypatch.setattr("handfit_core.farm.pool.usable_cores", lambda: 8)
+    shares = {}
+    for jobs in (1, 4):
+        args = argparse.Namespace(jobs=jobs, timeout=None, debug=False, python=None, processes=None)
+        for threads in (None, 3):
+            with run._pool(args, Host(("none",), threads=threads), 4) as pool:
+                shares[jobs, threads] = pool._here["threads"]
+    assert shares == {(1, None): None, (1, 3): 3, (4, None): 2, (4, 3): 2}

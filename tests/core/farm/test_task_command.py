@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.errors import InputError, OutputError
 from handfit_core.farm.commands import EXIT_LATER, add_running_arguments, task_exit_code
-from handfit_core.farm.folder import attempt
+from handfit_core.farm.folder import TaskFolder, attempt
 from handfit_core.farm.plan import PlanGone, plans_in
 from handfit_core.farm.pool import ATTEMPTS, Pool
 from handfit_core.farm.report import Result
@@ -52,6 +55,26 @@ OK = Result("b.mp4", "b", "ok")
 def test_only_what_lies_in_the_input_is_accepted(result, plain, accepting):
     assert task_exit_code([OK, result], accept_failed=False) == plain
     assert task_exit_code([OK, result], accept_failed=True) == accepting
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
+@pytest.mark.parametrize(
+    ("number", "kind", "tries"),
+    [(errno.EROFS, "OutputRefused", 1), (errno.EACCES, "OutputRefused", 1), (errno.ENOSPC, "OutputError", 3)],
+)
+def test_a_folder_that_must_not_be_written_is_tried_once(tmp_path, monkeypatch, number, kind, tries):
+    plan = plan_of(tmp_path / "out", ["fine"])
+
+    def refused(folder: TaskFolder) -> Path:
+        cause = OSError(number, os.strerror(number))
+        raise OutputError(f"{folder.path}: {cause}") from cause
+
+    monkeypatch.setattr(TaskFolder, "part", refused)
+    monkeypatch.setattr("handfit_core.farm.pool.BACK_OFF", (0.0,))
+    with Pool(COMMAND) as pool:
+        (result,) = pool.run(plan, plan.tasks)
+    assert [each["kind"] for each in result.attempts] == [kind] * tries
+    assert task_exit_code([result], accept_failed=True) == EXIT_LATER
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
