@@ -30,7 +30,7 @@ from typing import Any, Final, Self
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.farm.folder import attempt
 from handfit_core.farm.plan import Plan, Task
-from handfit_core.farm.pool import ATTEMPTS, CURABLE, Listener, Pool, settled, share
+from handfit_core.farm.pool import ATTEMPTS, CURABLE, OF_MACHINE, Listener, Pool, settled, share
 from handfit_core.farm.report import Result
 from handfit_core.version import __version__
 
@@ -471,7 +471,7 @@ class _Run:
         kind = result.attempts[-1]["kind"] if result.status == "failed" and result.attempts else ""
         if result.status == "running":
             self._again_later(this, prefer=answer["worker"])
-        elif kind in CURABLE and not this.avoid and len(self._workers) > 1:
+        elif kind in (*CURABLE, *OF_MACHINE) and not this.avoid and len(self._workers) > 1:
             this.avoid = answer["worker"]
             self._open.appendleft(this)
         else:
