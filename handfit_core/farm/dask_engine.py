@@ -145,8 +145,9 @@ class _Seat:
         self._made_for: Any = None
         self._end: threading.Timer | None = None
         for name, value in config.get("distributed.nanny.pre-spawn-environ").items():
-            if name.endswith("_NUM_THREADS") and worker.nanny and os.environ.get(name) == str(value):
-                del os.environ[name]  # meant for what computes in the worker itself
+            if worker.nanny and os.environ.get(name) == str(value):
+                # Meant for what computes in the worker itself; what it says of memory slows captures down.
+                del os.environ[name]
         threads = sync(worker.loop, worker.scheduler.ncores)
         here = get_address_host(worker.address)
         self.share = share(sum(n for address, n in threads.items() if get_address_host(address) == here))

@@ -337,7 +337,10 @@ def test_blender_goes_where_nothing_is_to_do(machines, tmp_path, log):
     assert len(attempts(log)) == 3
 
 
-def test_threads_that_dask_thinks_of_are_not_ours(machines):
+OF_DASK = ("_NUM_THREADS", "MALLOC_TRIM_THRESHOLD_")
+
+
+def test_what_dask_thinks_of_for_itself_is_not_ours(machines):
     machines.start_worker(nanny=True)
     with Cluster(scheduler=machines.address) as cluster:
 
@@ -346,10 +349,10 @@ def test_threads_that_dask_thinks_of_are_not_ours(machines):
 
             before = os.environ.get("OMP_NUM_THREADS")
             seat = dask_engine._Seat(get_worker())
-            return before, seat.share, [name for name in os.environ if name.endswith("_NUM_THREADS")]
+            return before, seat.share, [name for name in os.environ if name.endswith(OF_DASK)]
 
         before, share, after = cluster.client.submit(look, pure=False).result()
-    own = {name for name in os.environ if name.endswith("_NUM_THREADS")}
+    own = {name for name in os.environ if name.endswith(OF_DASK)}
     assert before == "1"
     assert share is None, "one worker has the whole machine"
     assert set(after) <= own
