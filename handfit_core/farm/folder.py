@@ -17,8 +17,8 @@ import errno
 import hashlib
 import json
 import os
+import platform
 import shutil
-import socket
 import time
 import uuid
 from collections.abc import Iterable, Mapping
@@ -175,7 +175,7 @@ class TaskFolder:
 
     def beside(self) -> Path:
         """A new name for something that is not whole yet."""
-        return self.output / f"{self.parts}{socket.gethostname()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        return self.output / f"{self.parts}{platform.node()[:40]}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
     def remove_parts(self) -> None:
         """Take away what those left behind who ended in the middle; nobody else may be at the task."""
@@ -209,7 +209,7 @@ class TaskFolder:
     def seal(self, id: str, result: Mapping[str, Any], files: Files, seconds: float) -> None:
         """Say that the task is done. Raises OutputError."""
         seal = {"result": dict(result), "files": dict(files), "versions": {"manient": __version__}}
-        self._write(self.done, id, **seal, host=socket.gethostname(), seconds=round(seconds, 3))
+        self._write(self.done, id, **seal, host=platform.node(), seconds=round(seconds, 3))
         _remove(self.failed)
 
     def _unseal(self) -> None:
@@ -276,7 +276,7 @@ def attempt(error: str, kind: str, seconds: float) -> dict[str, Any]:
     return {
         "error": error,
         "kind": kind,
-        "host": socket.gethostname(),
+        "host": platform.node(),
         "seconds": round(seconds, 3),
         "at": now,
     }
@@ -474,7 +474,7 @@ def _started(pid: object) -> str:
 
 def _this_process() -> dict[str, Any]:
     pid = os.getpid()
-    return {"host": socket.gethostname(), "pid": pid, "boot": _boot(), "started": _started(pid)}
+    return {"host": platform.node(), "pid": pid, "boot": _boot(), "started": _started(pid)}
 
 
 def _lives(sign: Mapping[str, Any]) -> bool | None:

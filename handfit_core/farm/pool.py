@@ -10,9 +10,9 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
+import platform
 import shutil
 import signal
-import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -426,7 +426,7 @@ class _Run:
             this.before = list(this.attempts)
         if result.status != "failed" or not (new := this.since(result.attempts)):
             return None
-        tried_here = any(each.get("host") == socket.gethostname() for each in new)
+        tried_here = any(each.get("host") == platform.node() for each in new)
         alike = tried_here or new[-1].get("kind") in _ALIKE or len(new) >= self._pool.attempts
         return result if alike else None
 
@@ -559,7 +559,7 @@ class _Run:
         task, folder = running.this.task, self._plan.folder(running.this.task)
         seconds = time.monotonic() - running.began
         result.status, result.id, result.seconds = "ok", task.id, round(seconds, 3)
-        result.attempts, result.host = running.this.attempts, socket.gethostname()
+        result.attempts, result.host = running.this.attempts, platform.node()
         result.files = [folder.relative(name) for name in running.files]
         if running.kept:
             _warn_first(result, self._written(task).warnings)
@@ -613,7 +613,7 @@ class _Run:
         files = {**known.get("files", {}), **files}
         _warn_first(result, self._written(this.task).warnings)
         this.attempts.append(attempt(result.error, kind, seconds))
-        result.attempts, result.host = this.attempts, socket.gethostname()
+        result.attempts, result.host = this.attempts, platform.node()
         tried = len(this.since(this.attempts))
         if kind in CURABLE and tried < self._pool.attempts:
             result.status = "pending"

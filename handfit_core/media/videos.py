@@ -154,7 +154,7 @@ class Video(Media):
                     yield from self.pictures([n for n in numbers if n >= wanted], -1)
                     return
                 ok, bgr = capture.retrieve() if there else (False, None)
-                yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok else None
+                yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok and bgr is not None else None
         finally:
             capture.release()
 

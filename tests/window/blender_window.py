@@ -84,8 +84,8 @@ class BlenderWindow:
         """Play scenarios.MODULE.FUNCTION; WindowFailure with its traceback where it fails.
 
         Where a signal ends Blender while no Python of the add-on's runs, the scenario gets a second Blender,
-        once in a run: in one of many runs Debian's 4.3.2 died of SIGFPE in MEM_freeN, given a pointer to no block of
-        its own, and nobody could make it do that again or tell who had freed it.
+        once in a run: in one of many runs Debian's 4.3.2 died of SIGFPE in MEM_freeN, given a pointer to no
+        block of its own, and nobody could make it do that again or tell who had freed it.
         """
         try:
             return self._play(scenario, timeout, arguments)
