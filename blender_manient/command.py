@@ -75,15 +75,27 @@ def _run_batch(args: argparse.Namespace) -> int:
     from .batch.run import run
 
     chosen = preferences.get()
-    told = sys.argv[1 : sys.argv.index("--command")] if "--command" in sys.argv else []
     host = Host(
-        command=(bpy.app.binary_path, *told, "--command", NAME),
+        command=_own_command(),
         python=preferences.full_path(chosen.python) or None,
         threads=chosen.threads or None,
         python_is_chosen=f"with --python, in ${PYTHON_VARIABLE} or in the add-on's preferences",
         keep_addons=True,
     )
     return run(args, host)
+
+
+def _own_command() -> tuple[str, ...]:
+    """What starts Blender with this command once more; where Blender is a Python module, that module."""
+    if bpy.app.binary_path:
+        told = sys.argv[1 : sys.argv.index("--command")] if "--command" in sys.argv else []
+        return (bpy.app.binary_path, *told, "--command", NAME)
+    addon = __name__.rpartition(".")[0]
+    code = (
+        f"import bpy, sys, addon_utils; addon_utils.enable({addon!r}); from importlib import import_module; "
+        f"sys.exit(import_module({__name__!r}).main(sys.argv[1:]))"
+    )
+    return (sys.executable, "-c", code)
 
 
 def _check(args: argparse.Namespace) -> int:

@@ -226,7 +226,7 @@ def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
         jobs=jobs,
         timeout=args.timeout,
         debug=args.debug,
-        python=args.python,
+        python=args.python or host.python,
         threads=min(filter(None, (host.threads, share(jobs))), default=None),
         processes=args.processes,
     )

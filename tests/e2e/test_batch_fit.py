@@ -110,16 +110,21 @@ def test_a_dry_run_tells_what_would_be_done(batch, take_file, tmp_path):
     before = sorted(out.rglob("*"))
     done = batch(*inputs, take_file("nod"), *rest, "--dry-run")
     assert done.returncode == 0, done.stderr
-    told = dict(line.split(maxsplit=1) for line in done.stdout.splitlines()[:2])
+    finished, failed, left, summary = _of_dry_run(done.stdout)
+    told = dict(line.split(maxsplit=1) for line in (finished, failed))
     assert told["done"] == f"{inputs[0]} -> {out / 'wave'}"
     assert told["failed"].startswith(f"{broken} -> {out / 'broken'}: ")
     assert told["failed"].endswith("; --retry-failed tries it again")
-    *_, left, summary = done.stdout.splitlines()
     assert left == f"to do    {tmp_path / 'nod.take.npz'} -> {out / 'nod'}"
     assert summary.startswith("1 of 3 to do, 1 at a time: about 0:0")
     again = batch(*inputs, *rest, "--dry-run", "--retry-failed")
-    assert again.stdout.splitlines()[-1].startswith("1 of 2 to do")
+    assert _of_dry_run(again.stdout)[-1].startswith("1 of 2 to do")
     assert sorted(out.rglob("*")) == before, "nothing was done"
+
+
+def _of_dry_run(text: str) -> list[str]:
+    """The lines that are not Blender's own."""
+    return [line for line in text.splitlines() if line.startswith(("done ", "failed ", "to do ", "1 of "))]
 
 
 def test_takes_become_files(batch, take_file, tmp_path):
