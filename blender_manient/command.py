@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -91,9 +92,10 @@ def _own_command() -> tuple[str, ...]:
         told = sys.argv[1 : sys.argv.index("--command")] if "--command" in sys.argv else []
         return (bpy.app.binary_path, *told, "--command", NAME)
     addon = __name__.rpartition(".")[0]
+    where = "" if "." in addon else f"sys.path.insert(0, {str(Path(__file__).resolve().parents[1])!r}); "
     code = (
-        f"import bpy, sys, addon_utils; addon_utils.enable({addon!r}); from importlib import import_module; "
-        f"sys.exit(import_module({__name__!r}).main(sys.argv[1:]))"
+        f"import bpy, sys, addon_utils; {where}addon_utils.enable({addon!r}); "
+        f"from importlib import import_module; sys.exit(import_module({__name__!r}).main(sys.argv[1:]))"
     )
     return (sys.executable, "-c", code)
 

@@ -155,7 +155,7 @@ def test_a_hand_that_was_not_captured_is_left_alone_and_other_inputs_go_on(
     failed, done = report(tmp_path)
     assert failed["status"] == "failed"
     assert failed["error"] == "the character's left hand was left alone: no right hand was captured"
-    assert failed["files"] == ["left/left.take.npz"]
+    assert failed["files"] == ["left/left.take.npz", "left/left.sheet.jpg"]
     assert (done["status"], done["files"]) == ("ok", ["clip/clip.take.npz", "clip/clip.blend"])
     assert sorted(p.name for p in (tmp_path / "out" / "left").iterdir()) == ["left.take.npz"]
     assert apply(tmp_path, one_hand, "--to", hero, "--overwrite") == 0
@@ -255,7 +255,7 @@ def test_the_one_armature_with_a_mesh_is_meant(clip, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
     assert apply(tmp_path, clip, "--to", tmp_path / "two.blend") == 0
     assert apply(tmp_path, clip, "--to", f"{tmp_path / 'two.blend'}:metarig") == 0
-    assert report(tmp_path)[0]["character"]["armature"] == "metarig"
+    assert [entry["character"]["armature"] for entry in report(tmp_path)] == ["Hero", "metarig"]
 
 
 def test_presets_say_which_bones(clip, tmp_path):
