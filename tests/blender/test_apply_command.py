@@ -156,7 +156,10 @@ def test_a_hand_that_was_not_captured_is_left_alone_and_other_inputs_go_on(
     assert failed["status"] == "failed"
     assert failed["error"] == "the character's left hand was left alone: no right hand was captured"
     assert failed["files"] == ["left/left.take.npz", "left/left.sheet.jpg"]
-    assert (done["status"], done["files"]) == ("ok", ["clip/clip.take.npz", "clip/clip.blend"])
+    assert (done["status"], done["files"]) == (
+        "ok",
+        ["clip/clip.take.npz", "clip/clip.sheet.jpg", "clip/clip.blend"],
+    )
     assert sorted(p.name for p in (tmp_path / "out" / "left").iterdir()) == ["left.take.npz"]
     assert apply(tmp_path, one_hand, "--to", hero, "--overwrite") == 0
     (entry,) = report(tmp_path)
