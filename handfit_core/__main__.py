@@ -1,6 +1,6 @@
 """The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `detect` and `solve` for a clip that
-several machines share, `model convert`, `model info`, `evaluate DATASET`; and `worker`, the process that
-Blender talks to."""
+several machines share, `convert` and `info` for other programs' files, `model convert`, `model info`,
+`evaluate DATASET`; and `worker`, the process that Blender talks to."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from handfit_core.errors import HandfitError
 from handfit_core.farm.commands import add_work_command
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE
 from handfit_core.hand_model.commands import add_model_commands
+from handfit_core.interchange.commands import add_interchange_commands
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.parts import Parts
@@ -125,6 +126,7 @@ def _parser() -> argparse.ArgumentParser:
         "--threads", type=int, metavar="N", help="how many threads the numeric libraries use at most"
     )
 
+    add_interchange_commands(commands)
     add_work_command(commands)
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has

@@ -21,9 +21,11 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
+from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, Side
 
 HandChoice = Literal["auto", "left", "right", "both"]
+HandMean = Literal["auto", "flat", "mean"]
 Lens = tuple[float, float, float]
 
 
@@ -233,6 +235,15 @@ def _lens(given: Any) -> tuple[float, ...]:
     return _numbers(given, what, count=3)
 
 
+def _size(given: Any) -> tuple[int, int]:
+    what = "a width and a height in pixels, as in 1920x1080"
+    parts = given.lower().split("x") if isinstance(given, str) else given
+    width, height = _numbers(parts, what, count=2)
+    if not all(side.is_integer() and 0 < side < 1 << 24 for side in (width, height)):
+        raise ValueError(what)
+    return int(width), int(height)
+
+
 def _regions(given: Any) -> tuple[Region, ...]:
     if not isinstance(given, Iterable) or isinstance(given, str):
         raise ValueError("a list of regions")
@@ -243,6 +254,12 @@ def _solvers() -> Iterable[str]:
     from handfit_core.solvers import solver_names
 
     return solver_names()
+
+
+def _readers() -> Iterable[str]:
+    from handfit_core.interchange.readers import READERS
+
+    return READERS.names()
 
 
 def _detectors() -> Iterable[str]:
@@ -364,6 +381,55 @@ class CaptureOptions:
         "largest picture or frame that is read, in megapixels",
         "M",
         by_default=f"{PICTURE}; for videos {VIDEO}",
+    )
+
+    keypoints: str | None = _option(
+        None,
+        _path,
+        "a file or folder with the hands or keypoints that another program has found in the input",
+        "PATH",
+        by_default="hands are looked for",
+    )
+    reader: str | None = _option(
+        None,
+        _text,
+        "the format of hands or keypoints of another program",
+        "NAME",
+        choices=_readers,
+        by_default="recognised",
+    )
+    person: int | None = _option(
+        None,
+        _whole,
+        "which person's hands to read from another program's file, counted from 1 as they are in it",
+        "N",
+        least=1,
+        by_default="all",
+    )
+    fps: float | None = _option(
+        None,
+        _positive,
+        "frames per second of another program's file",
+        "RATE",
+        by_default=f"what it tells, else {DEFAULT_FPS:g}",
+    )
+    picture_size: tuple[int, int] | None = _option(
+        None,
+        _size,
+        "the pictures' size, where another program's file has points as parts of it",
+        "WIDTHxHEIGHT",
+        by_default="what it tells",
+    )
+    hand_mean: HandMean = _option(
+        "auto",
+        _text,
+        "what MANO poses of another program's file count from: the flat hand, or the mean pose of the model",
+        "CHOICE",
+        choices=lambda: ("auto", "flat", "mean"),
+        closed=True,
+    )
+    refit: bool = _option(
+        False, _flag, "fit and smooth poses of another program anew, instead of taking them as they are"
     )
 
     def __post_init__(self) -> None:

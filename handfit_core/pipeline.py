@@ -9,12 +9,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from handfit_core.batch import slices, spread
-from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.keypoints import DetectedTrack, SideBySide
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
@@ -24,16 +24,21 @@ from handfit_core.fit_quality import mean_expected_error, mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
+from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
+from handfit_core.interchange.recording import PosedHand, Recording
+from handfit_core.interchange.taking import detected_in, fit_of, posed_hands, seen_of, tracks_of
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import STRETCH, FrameRange
 from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
 from handfit_core.media.source import Media, Source
-from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, Region
+from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, HandMean, Region
 from handfit_core.parts import Part, Parts, stretches_in
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import HandTrack, Take
 from handfit_core.worker.sharing import expected_frames, shared
+
+Chosen = TypeVar("Chosen", DetectedTrack, PosedHand)
 
 Stage = Literal["detect", "fit", "score"]
 """`score` is of evaluations only"""
@@ -94,12 +99,20 @@ def capture(
     intrinsics: Intrinsics | Sequence[float] | None = None,
     lens: Sequence[float] | None = None,
     max_megapixels: float | None = None,
+    keypoints: str | os.PathLike[str] | None = None,
+    reader: str | None = None,
+    person: int | None = None,
+    fps: float | None = None,
+    picture_size: Sequence[int] | str | None = None,
+    hand_mean: HandMean = "auto",
+    refit: bool = False,
     should_stop: ShouldStop | None = None,
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
 
     source
-        A photo; a folder or list of photos; a `name.%04d.png`, `name.####.png` or glob pattern; a video.
+        A photo; a folder or list of photos; a `name.%04d.png`, `name.####.png` or glob pattern; a video; or a
+        file or folder with hands or keypoints of another program (docs/interchange.md).
     progress
         Called with a `Progress` after every frame; an exception raised there ends the capture.
     should_stop
@@ -138,39 +151,29 @@ def capture_with(
     stop = should_stop or never
     report = progress or (lambda _: None)
     media, intrinsics = _opened(source, options)
-    model, hands = options.model, options.hands
+    recording = _recording(media, options)
+    if recording is not None and recording.seen is None:
+        numbers = [int(number) for number in recording.frame_numbers]
+        posed = _chosen(options, posed_hands(recording))
+        if posed and not options.refit:
+            return _posed_take(media, options, intrinsics, recording, posed)
+        tracks = [*_chosen(options, tracks_of(recording, intrinsics))]
+        for hand in posed:
+            model, fit = load_model(options.model, hand.side), fit_of(hand)
+            tracks.append(seen_of(model, fit, hand.side, intrinsics, recording.fps, hand.confidence))
+    else:
 
-    def on_frame(done: int) -> None:
-        report(Progress("detect", done, max(media.expected_frames, done)))
+        def on_frame(done: int) -> None:
+            report(Progress("detect", done, max(media.expected_frames, done)))
 
-    most = options.most_hands(clip=media.source.kind != "photo")
-    looked_at = shared if parts is None else parts.of(media, options)
-    seen = detect_frames(media, options, on_frame, stop, looked_at)
-    numbers, found = seen.numbers, seen.frames
-    holes = sorted({*_holes(numbers), *(row - 1 for row in seen.cuts)})
-    try:
-        tracks, count = link_and_count(
-            found,
-            hands,
-            most and max(most, len(options.regions)),
-            _rate(media, numbers),
-            tuple(holes),
-            only_shown=options.only_regions,
+        looked_at = shared if parts is None else parts.of(media, options)
+        seen = (
+            detect_frames(media, options, on_frame, stop, looked_at)
+            if recording is None
+            else detected_in(recording)
         )
-    except NoHandFoundError as error:
-        if stop():
-            raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
-        there = any(hand.shown or not options.only_regions for hands in found for hand in hands)
-        seen_none = NONE_IN_REGION if options.regions else NONE_SEEN
-        raise NoHandFoundError(f"{media.source.name}: {error if there else seen_none}") from None
-    if not options.only_regions:
-        _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
-    if most is None and len(tracks) > CROWD and not options.only_regions:
-        log.warning(
-            "%d hands are captured, and building so many takes long: --max-hands %d keeps the surest",
-            len(tracks),
-            CROWD,
-        )
+        numbers, tracks = seen.numbers, _linked(media, options, seen, stop)
+        del seen
     if stop():
         stop = _after(LAST_FITS_SECONDS) if can.slow else never
 
@@ -184,8 +187,8 @@ def capture_with(
 
     # A long clip's detections take most of the memory, and those of hands that are fitted are not kept.
     waiting = deque(replace(track, detections=SideBySide(track.detections)) for track in tracks)
-    del seen, found, tracks
-    models = {track.side: load_model(model, track.side) for track in waiting}
+    del tracks
+    models = {track.side: load_model(options.model, track.side) for track in waiting}
     if hand_length is not None and can.takes_hand_length:
         # Both hands' models have one length.
         tell_of_odd_shapes(next(iter(models.values())), hand_length)
@@ -194,11 +197,107 @@ def capture_with(
         track = waiting.popleft()
         with SOLVERS.blamed(solver):
             fit = solve(models[track.side], track, intrinsics, one_more, stop)
-            fitted.append(hand_track(models[track.side], _reached(track, fit), fit, intrinsics))
+            told = hand_track(models[track.side], _reached(track, fit), fit, intrinsics)
+        fitted.append(
+            told
+            if track.landmarks is None
+            else _as_detected(models[track.side], told, fit, media.fps, intrinsics)
+        )
     return replace(
         _without_hands(media, options, intrinsics, numbers),
         model_digests={side: hand_model.digest for side, hand_model in models.items()},
         hands=tuple(fitted),
+    )
+
+
+def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldStop) -> list[DetectedTrack]:
+    """The hands that are wanted, each followed over the clip. Raises NoHandFoundError, and Cancelled where it
+    was stopped before one was found."""
+    hands, most = options.hands, options.most_hands(clip=media.source.kind != "photo")
+    holes = sorted({*_holes(seen.numbers), *(row - 1 for row in seen.cuts)})
+    try:
+        tracks, count = link_and_count(
+            seen.frames,
+            hands,
+            most and max(most, len(options.regions)),
+            _rate(media, seen.numbers),
+            tuple(holes),
+            only_shown=options.only_regions,
+        )
+    except NoHandFoundError as error:
+        if stop():
+            raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
+        there = any(hand.shown or not options.only_regions for hands in seen.frames for hand in hands)
+        seen_none = NONE_IN_REGION if options.regions else NONE_SEEN
+        raise NoHandFoundError(f"{media.source.name}: {error if there else seen_none}") from None
+    if not options.only_regions:
+        _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
+    if most is None and len(tracks) > CROWD and not options.only_regions:
+        log.warning(
+            "%d hands are captured, and building so many takes long: --max-hands %d keeps the surest",
+            len(tracks),
+            CROWD,
+        )
+    return list(tracks)
+
+
+def _recording(media: Media, options: CaptureOptions) -> Recording | None:
+    """What another program has found in the input, where the input is that or `keypoints` names it."""
+    if options.keypoints is not None:
+        if isinstance(media, RecordedMedia):
+            raise OptionError(
+                f"{media.source.name}: this input holds no pictures, so that no other keypoints belong "
+                "to it; give the pictures as the input, or leave --keypoints out"
+            )
+        recording = beside(media, read_recording(options.keypoints, options))
+    elif isinstance(media, RecordedMedia):
+        recording = media.in_range()
+    else:
+        return None
+    for phrase in recording.assumed:
+        log.warning("%s: %s", media.source.name, phrase)
+    return recording
+
+
+def _chosen(options: CaptureOptions, hands: Sequence[Chosen]) -> list[Chosen]:
+    """Those of the wanted sides, as many as are wanted. Raises NoHandFoundError where none is left."""
+    kept = [hand for hand in hands if options.hands not in SIDES or hand.side == options.hands]
+    if hands and not kept:
+        raise NoHandFoundError(f"there is no {options.hands} hand in this input; take hands 'auto'")
+    return list(kept[: options.max_hands])
+
+
+def _as_detected(
+    model: HandModel, told: HandTrack, fit: TrackFit, fps: float, intrinsics: Intrinsics
+) -> HandTrack:
+    """A hand that was fitted to points elsewhere on it, with those that the detector would see: with these it
+    can be fitted again."""
+    seen = seen_of(model, fit, told.side, intrinsics, fps, told.score)
+    rows = [d if there else None for d, there in zip(seen.detections, told.detected, strict=True)]
+    clean = hand_track(model, replace(seen, detections=tuple(rows)), fit, intrinsics)
+    return replace(clean, reprojection_error=told.reprojection_error, overlapped=told.overlapped)
+
+
+def _posed_take(
+    media: Media,
+    options: CaptureOptions,
+    intrinsics: Intrinsics,
+    recording: Recording,
+    posed: Sequence[PosedHand],
+) -> Take:
+    """The take of hands that another program has posed."""
+    digests, hands = {}, []
+    for hand in posed:
+        model, fit = load_model(options.model, hand.side), fit_of(hand)
+        digests[hand.side] = model.digest
+        track = seen_of(model, fit, hand.side, intrinsics, recording.fps, hand.confidence)
+        hands.append(hand_track(model, track, fit, intrinsics))
+    numbers = [int(number) for number in recording.frame_numbers]
+    return replace(
+        _without_hands(media, options, intrinsics, numbers),
+        solver=recording.format,
+        model_digests=digests,
+        hands=tuple(hands),
     )
 
 
@@ -216,7 +315,7 @@ def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
 def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsics]:
     """The input and the camera that took it. Raises InputError and OptionError, and HandModelError for a
     model of neither side: before the long part, which a wrong path should not cost."""
-    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    media = open_input(source, options)
     intrinsics = options.intrinsics
     if options.lens is not None:
         focal, x, y = options.lens
@@ -225,7 +324,8 @@ def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrins
         _check_camera(intrinsics, media)
     if options.model is not None:
         _check_some_side(options.model)
-    return media, intrinsics or known_intrinsics(media) or Intrinsics.assumed(media.width, media.height)
+    known = media.recording.intrinsics if isinstance(media, RecordedMedia) else known_intrinsics(media)
+    return media, intrinsics or known or Intrinsics.assumed(media.width, media.height)
 
 
 def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics, numbers: list[int]) -> Take:

@@ -9,6 +9,7 @@ from typing import Any, Final, overload
 import numpy as np
 
 from handfit_core.batch import Batch
+from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
 
@@ -194,6 +195,8 @@ class DetectedTrack:
     """Frames per second: how far apart in time they are"""
     holes: tuple[int, ...] = ()
     """Rows after which pictures of the clip are missing, so that the next row is no neighbour in time"""
+    landmarks: Landmarks | None = None
+    """Where on a hand its keypoints lie; None: where the detector sees them"""
 
     @property
     def detected(self) -> np.ndarray:

@@ -60,6 +60,11 @@ class NpzArchive:
     def __contains__(self, name: str) -> bool:
         return name in self._members
 
+    @property
+    def names(self) -> list[str]:
+        """What its members are called, without .npy."""
+        return list(self._members)
+
     def array(self, name: str, kinds: str) -> np.ndarray:
         """One member, writable and in native byte order; floats as float64.
 

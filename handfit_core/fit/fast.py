@@ -39,7 +39,7 @@ from handfit_core.fit.terms import (
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
-from handfit_core.hand_model.landmarks import FILE, detector_landmarks
+from handfit_core.hand_model.landmarks import FILE, Landmarks, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import NUM_BETAS
@@ -99,12 +99,15 @@ class FastFitter:
     """One hand model, ready to be fitted.
 
     `hand_length`: metres from the wrist joint to the tip of the middle finger that the shape is expected to
-    have; None: the mean shape is.
+    have; None: the mean shape is. `landmarks`: where on the hand its keypoints lie; None: where the detector
+    sees them.
     """
 
-    def __init__(self, model: HandModel, hand_length: float | None = None) -> None:
+    def __init__(
+        self, model: HandModel, hand_length: float | None = None, landmarks: Landmarks | None = None
+    ) -> None:
         self.model = model
-        self.chain = Chain(model, detector_landmarks())
+        self.chain = Chain(model, landmarks or detector_landmarks())
         with np.load(FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
@@ -193,9 +196,11 @@ class FastFitter:
 
 
 @lru_cache(maxsize=8)
-def fitter_of(model: HandModel, hand_length: float | None = None) -> FastFitter:
+def fitter_of(
+    model: HandModel, hand_length: float | None = None, landmarks: Landmarks | None = None
+) -> FastFitter:
     """Kept between calls: an edit that is answered while the artist drags should not build it again."""
-    return FastFitter(model, hand_length)
+    return FastFitter(model, hand_length, landmarks)
 
 
 def fit_frames(
@@ -232,7 +237,7 @@ def fit_track(
     were not reached are NaN. `hand_length` is as `FastFitter` has it.
     """
     found, count = np.flatnonzero(track.detected), len(track.detections)
-    fitter = fitter_of(model, hand_length)
+    fitter = fitter_of(model, hand_length, track.landmarks)
     detections = [d for d in track.detections if d is not None]
     seen = fitter.observe(detections, intrinsics)
     # A track's side is voted for by all of its frames.

@@ -19,8 +19,9 @@ from handfit_core.errors import TakeError
 from handfit_core.files import storable
 from handfit_core.media.frame_range import FrameRange
 
-SourceKind = Literal["photo", "sequence", "video"]
-SOURCE_KINDS: Final[tuple[SourceKind, ...]] = ("photo", "sequence", "video")
+SourceKind = Literal["photo", "sequence", "video", "data"]
+"""`data`: hands of another program, to which no pictures belong"""
+SOURCE_KINDS: Final[tuple[SourceKind, ...]] = ("photo", "sequence", "video", "data")
 
 DEFAULT_FPS: Final = 24.0
 """Frames per second of photos and sequences (Blender's own default) and of videos that name none"""
@@ -35,7 +36,8 @@ class Source:
 
     kind: SourceKind
     files: tuple[str, ...]
-    """Absolute paths: the photo, the video, or every picture of the sequence that was read"""
+    """Absolute paths: the photo, the video, every picture of the sequence that was read, or the other
+    program's file or folder"""
     orientation: int = 1
     """EXIF orientation (1-8) that was undone on reading; pixels in a take are of the upright picture"""
 

@@ -39,6 +39,13 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "intrinsics": ([1, 2, 3, 4], "1,2,3,4", Intrinsics(1.0, 2.0, 3.0, 4.0)),
     "lens": ([1, 0.5, 0.25], "1,0.5,.25", (1.0, 0.5, 0.25)),
     "max_megapixels": (300, "300", 300.0),
+    "keypoints": ("k.json", "k.json", "k.json"),
+    "reader": ("openpose", "openpose", "openpose"),
+    "person": (2, "2", 2),
+    "fps": (30, "30", 30.0),
+    "picture_size": ([1920, 1080], "1920x1080", (1920, 1080)),
+    "hand_mean": ("mean", "mean", "mean"),
+    "refit": (True, "", True),
 }
 """Option -> a value of a message, the same on the command line, and what both are"""
 

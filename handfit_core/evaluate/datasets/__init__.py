@@ -14,7 +14,7 @@ __all__ = ["READERS", "open_dataset"]
 
 _HERE = "handfit_core.evaluate.datasets"
 READERS: Final = Registry(
-    "handfit.readers",
+    "handfit.datasets",
     "data set kind",
     Reader,
     # HO-3D before FreiHAND: both may hold an evaluation_xyz.json, and the first that recognises it reads it.

@@ -1,0 +1,122 @@
+"""The commands `convert` and `info`: from one program's hands to another's, and what a file is."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+from handfit_core.errors import InputError, OptionError
+from handfit_core.files import check_writable, shown, written_whole
+from handfit_core.interchange.opening import is_recording, read_recording
+from handfit_core.interchange.writers import WRITERS, writer_for
+from handfit_core.options import CaptureOptions, add_options
+from handfit_core.take import HandTrack, Take
+
+
+def add_interchange_commands(commands: Any) -> None:
+    """Add `convert` and `info`; each sets `handler`, called as handler(args) -> exit code. Handlers raise
+    HandfitError for what the user can mend."""
+    convert = commands.add_parser(
+        "convert", help="write a take, or another program's hands, in another format"
+    )
+    convert.add_argument(
+        "input",
+        nargs="+",
+        metavar="INPUT",
+        help="a take, a file of docs/interchange.md, or what capture takes",
+    )
+    convert.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="the file to write")
+    convert.add_argument(
+        "--to",
+        metavar="NAME",
+        help=f"its format (default: by its ending): {', '.join(WRITERS.offered())}",
+    )
+    convert.add_argument(
+        "--progress",
+        choices=("bar", "json", "none"),
+        default="bar",
+        help="how to show progress (default: bar)",
+    )
+    add_options(convert)
+    convert.set_defaults(handler=_convert)
+
+    info = commands.add_parser("info", help="what a file of hands or keypoints is, and what is assumed of it")
+    info.add_argument("input", metavar="FILE", help="a take, or a file or folder of docs/interchange.md")
+    add_options(info, ("reader", "person", "fps", "picture_size", "hand_mean", "model"))
+    info.set_defaults(handler=_info)
+
+
+def opened_take(path: Path) -> Take | None:
+    """The take that a file holds; None for a file that is none. Raises TakeError for a damaged one."""
+    if path.suffix.lower() != ".npz" or not path.is_file():
+        return None
+    from handfit_core.interchange.document import Document
+
+    npz = Document(path).npz
+    return Take.load(path) if npz is not None and {"header", "frame_numbers"} <= set(npz.names) else None
+
+
+def _convert(args: argparse.Namespace) -> int:
+    from handfit_core.pipeline import capture_with, hand_summaries
+
+    started = time.perf_counter()
+    writer = writer_for(args.output, args.to)
+    check_writable(args.output)
+    take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
+    if take is None:
+        source = args.input[0] if len(args.input) == 1 else args.input
+        report = None if args.progress == "none" else args.reporter.progress
+        take = capture_with(source, CaptureOptions.of_arguments(args), report)
+    with written_whole(args.output) as beside:
+        writer.write(take, beside)
+    args.reporter.done(
+        {
+            "output": str(args.output),
+            "frames": len(take.frame_numbers),
+            "seconds": round(time.perf_counter() - started, 3),
+            "hands": hand_summaries(take),
+        }
+    )
+    return 0
+
+
+def _info(args: argparse.Namespace) -> int:
+    path = Path(args.input)
+    if not path.exists():
+        raise InputError(f"{shown(path)}: there is no such file or folder")
+    take = opened_take(path)
+    if take is not None:
+        lines = [
+            ("format", f"take of {take.source.kind} {take.source.name}"),
+            ("frames", _frames(take.frame_numbers, take.fps)),
+            ("picture", f"{take.width}x{take.height} pixels"),
+            ("hands", ", ".join(_hand(hand) for hand in take.hands) or "none"),
+        ]
+    elif is_recording(args.input):
+        recording = read_recording(args.input, CaptureOptions.of_arguments(args))
+        size = "not known" if recording.size is None else f"{recording.size[0]}x{recording.size[1]} pixels"
+        lines = [
+            ("format", recording.format),
+            ("frames", _frames(recording.frame_numbers, recording.fps)),
+            ("picture", size if recording.size != (1, 1) else "not known: points are parts of its size"),
+            ("hands", recording.summary),
+            *(("assumed", phrase) for phrase in recording.assumed),
+        ]
+    else:
+        raise OptionError(
+            f"{shown(path)}: pictures and videos hold no hands that info could describe; capture them. It "
+            "describes takes and the formats of docs/interchange.md"
+        )
+    for name, value in lines:
+        print(f"{name:<8} {value}")
+    return 0
+
+
+def _hand(hand: HandTrack) -> str:
+    return f"{hand.side} hand in {int(hand.present.sum())} frames"
+
+
+def _frames(numbers: Any, fps: float) -> str:
+    return f"{len(numbers)}, {int(numbers[0])} to {int(numbers[-1])}, {fps:g} per second"

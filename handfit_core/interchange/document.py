@@ -1,0 +1,192 @@
+"""A file or folder of another program, opened once for all readers, and read with limits.
+
+Nothing in it is run: pickles are read by `doors.safe_pickle`, and only where a reader asks for them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.errors import InputError
+from handfit_core.files import read_file, shown, why
+
+MOST_BYTES: Final = 1 << 29
+"""of one file"""
+MOST_JSON: Final = 1 << 27
+"""bytes of one JSON text, whose numbers take ten times as much memory"""
+MOST_FILES: Final = 1_000_000
+"""of a folder"""
+_MOST_MEMORY: Final = 1 << 28
+_MOST_PACKED: Final = 50
+"""times the size of a larger file that its arrays may have"""
+_MOST_COLUMNS: Final = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What a CSV file holds: named columns of numbers and texts."""
+
+    columns: tuple[str, ...]
+    rows: list[list[str]]
+    """Each as long as `columns`"""
+
+    def texts(self, column: str) -> list[str]:
+        """One column. Raises KeyError where there is none of that name."""
+        if column not in self.columns:
+            raise KeyError(column)
+        index = self.columns.index(column)
+        return [row[index].strip() for row in self.rows]
+
+    def numbers(self, columns: Sequence[str]) -> np.ndarray:
+        """(R, len(columns)) floats, NaN where a cell is empty or no number. Raises KeyError."""
+        return (
+            np.array([[_number(cell) for cell in self.texts(name)] for name in columns])
+            .reshape(len(columns), -1)
+            .T
+        )
+
+
+def _number(cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+class Document:
+    """A file or folder. What it cannot be read as is None, whatever is wrong with it; a file that cannot be
+    read at all raises InputError."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path).expanduser()
+        self.is_folder = self.path.is_dir()
+
+    @property
+    def suffix(self) -> str:
+        """The name's ending, in small letters; empty for a folder."""
+        return "" if self.is_folder else self.path.suffix.lower()
+
+    @cached_property
+    def bytes(self) -> bytes:
+        """The file's contents; nothing of a folder's. Raises InputError."""
+        if self.is_folder:
+            return b""
+        try:
+            return read_file(self.path, MOST_BYTES)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{shown(self.path)}: cannot be read ({why(error)})") from error
+
+    @cached_property
+    def text(self) -> str | None:
+        """The file as UTF-8."""
+        try:
+            return self.bytes.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return None
+
+    @cached_property
+    def json(self) -> Any:
+        """What a JSON file holds."""
+        start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+        if start not in (b"{", b"[") or len(self.bytes) > MOST_JSON or self.text is None:
+            return None
+        try:
+            return json.loads(self.text)
+        except (ValueError, RecursionError):
+            return None
+
+    @cached_property
+    def lines(self) -> list[Any] | None:
+        """What a file with a JSON text a line (.jsonl) holds."""
+        if self.bytes[:1] != b"{" or len(self.bytes) > MOST_JSON or self.text is None:
+            return None
+        try:
+            return [json.loads(line) for line in self.text.splitlines() if line.strip()]
+        except (ValueError, RecursionError):
+            return None
+
+    @cached_property
+    def table(self) -> Table | None:
+        """What a CSV file with a line of names holds; None also where lines differ in length."""
+        if self.suffix not in (".csv", ".tsv", ".txt") or self.text is None or len(self.bytes) > MOST_JSON:
+            return None
+        try:
+            lines = list(csv.reader(io.StringIO(self.text), delimiter="\t" if self.suffix == ".tsv" else ","))
+        except csv.Error:
+            return None
+        lines = [line for line in lines if line]
+        if len(lines) < 2 or not 1 < len(lines[0]) <= _MOST_COLUMNS:
+            return None
+        if any(len(line) != len(lines[0]) for line in lines):
+            return None
+        return Table(tuple(name.strip() for name in lines[0]), lines[1:])
+
+    @cached_property
+    def npz(self) -> NpzArchive | None:
+        """The arrays of a .npz."""
+        if self.bytes[:2] != b"PK":
+            return None
+        try:
+            return NpzArchive(self.bytes, max(_MOST_MEMORY, _MOST_PACKED * len(self.bytes)))
+        except NotNpz:
+            return None
+
+    def array(self, name: str, kinds: str = "fiub") -> np.ndarray:
+        """One array of a .npz, floats as float64. Raises InputError where it is missing or damaged."""
+        if self.npz is None:
+            raise InputError(f"{shown(self.path)}: not an .npz, or a damaged one")
+        try:
+            return self.npz.array(name, kinds)
+        except KeyError:
+            raise InputError(f"{shown(self.path)}: it lacks the array {name}") from None
+        except NotNpz as error:
+            raise InputError(f"{shown(self.path)}: this file {error}") from error
+
+    def files(self, *suffixes: str) -> list[Path]:
+        """The files of a folder with one of these endings, by name; none of a file. Raises InputError."""
+        if not self.is_folder:
+            return []
+        try:
+            with os.scandir(self.path) as entries:
+                found = [entry.name for entry in entries if entry.name.lower().endswith(suffixes)]
+        except OSError as error:
+            raise InputError(f"{shown(self.path)}: cannot be read ({why(error)})") from error
+        if len(found) > MOST_FILES:
+            raise InputError(
+                f"{shown(self.path)}: it has more than {MOST_FILES} files; give a folder of fewer"
+            )
+        return [self.path / name for name in sorted(found) if not name.startswith(".")]
+
+    @property
+    def found(self) -> str:
+        """What it looks like, for messages."""
+        if self.is_folder:
+            return f"a folder with {len(self.files('.json'))} .json and {len(self.files('.npz'))} .npz files"
+        if self.npz is not None:
+            return f"an .npz with {_some(self.npz.names)}"
+        if isinstance(self.json, dict):
+            return f"JSON with {_some(list(self.json))}"
+        if isinstance(self.json, list):
+            return f"JSON with a list of {len(self.json)}"
+        if self.table is not None:
+            return f"a table with the columns {_some(list(self.table.columns))}"
+        return f"a file of {len(self.bytes)} bytes that is no JSON, .npz or table"
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of the names, and how many more there are."""
+    listed = ", ".join(name[:40] for name in names[:8]) or "nothing"
+    return listed + (f" and {len(names) - 8} more" if len(names) > 8 else "")

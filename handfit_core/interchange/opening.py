@@ -1,0 +1,177 @@
+"""Inputs that are no pictures but what another program found in some, beside pictures or alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.errors import InputError, OptionError
+from handfit_core.files import shown
+from handfit_core.interchange.document import Document
+from handfit_core.interchange.readers import READERS, recognised
+from handfit_core.interchange.recording import (
+    VIRTUAL_SIZE,
+    Asked,
+    PointsHand,
+    PosedHand,
+    Recording,
+)
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import MediaInput, open_media, pictures_in
+from handfit_core.media.source import Frame, Media, Source
+from handfit_core.options import CaptureOptions
+
+DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt .trc .vrma".split(" "))
+"""Endings of files that are read as recordings, whatever they are"""
+
+_ASKED: Final = tuple(field.name for field in fields(Asked))
+
+RELATIVE: Final = (1, 1)
+"""A recording's size where keypoints are parts of the picture's width and height"""
+
+
+class RecordedMedia(Media):
+    """A recording as an input without pictures: its frames cannot be read."""
+
+    def __init__(self, recording: Recording, given: str, frames: FrameRange | None) -> None:
+        self.recording = recording
+        self.given = given
+        self.source = Source("data", recording.files)
+        self.fps = recording.fps
+        self.width, self.height = recording.size or VIRTUAL_SIZE
+        wanted = frames or FrameRange()
+        self._numbers = [int(n) for n in recording.frame_numbers if int(n) in wanted]
+        if not self._numbers:
+            raise InputError(
+                f"{shown(given)}: none of its frames lies in {wanted}; it has "
+                f"{int(recording.frame_numbers[0])} to {int(recording.frame_numbers[-1])}"
+            )
+        self.expected_frames = len(self._numbers)
+        self.first_and_last = self._numbers[0], self._numbers[-1]
+
+    def in_range(self) -> Recording:
+        """The recording of the frames that are wanted."""
+        rows = np.flatnonzero(np.isin(self.recording.frame_numbers, self._numbers))
+        return at_rows(self.recording, rows, self.recording.frame_numbers[rows])
+
+    def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
+        """As `Media.numbers`."""
+        return self._numbers[first:] if count is None else self._numbers[first : first + count]
+
+    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+        """As `Media.frames`; none has a picture."""
+        for number in self.numbers(first, count):
+            yield Frame(number, (number - self._numbers[0]) / self.fps, None)
+
+
+def is_recording(source: MediaInput) -> bool:
+    """Whether an input is a file that no pictures are in, by its ending, or a folder of such files."""
+    if not isinstance(source, str | os.PathLike):
+        return len(source) == 1 and is_recording(source[0])
+    path = Path(source)
+    try:
+        if path.is_dir():
+            document = Document(path)
+            return not pictures_in(path) and bool(document.files(".json", ".npz", ".npy"))
+        return path.suffix.lower() in DATA_SUFFIXES
+    except (OSError, ValueError, RuntimeError):
+        return False
+
+
+def open_input(source: MediaInput, options: CaptureOptions) -> Media:
+    """Pictures, as `open_media` opens them, or a recording. Raises InputError, and OptionError for what a
+    recording needs to be told."""
+    if not is_recording(source):
+        return open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    path = source if isinstance(source, str | os.PathLike) else source[0]
+    recording = read_recording(path, options)
+    if recording.size == RELATIVE:
+        if options.picture_size is None:
+            raise OptionError(
+                f"{shown(path)}: its points are parts of the picture's size, which it does not tell; give "
+                "--picture-size WIDTHxHEIGHT, or the pictures as the input and this file as --keypoints"
+            )
+        recording = scaled(recording, *options.picture_size)
+    return RecordedMedia(recording, os.fspath(path), options.frames)
+
+
+def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Recording:
+    """What a file or folder holds. Raises InputError and OptionError."""
+    document = Document(path)
+    if not document.path.exists():
+        raise InputError(f"{shown(path)}: there is no such file or folder")
+    name, reader = recognised(document, options.reader)
+    with READERS.blamed(name):
+        recording = reader.read(document, Asked(**{name: getattr(options, name) for name in _ASKED}))
+    return recording if options.fps is None else replace(recording, fps=options.fps)
+
+
+def beside(media: Media, recording: Recording) -> Recording:
+    """A recording of those pictures, whose rows and pixels are theirs: a frame that it lacks has no hands.
+
+    Its frames are told by their numbers; where these count from 0 and the pictures' from 1, as other programs
+    do, by their order. Raises InputError where none is of these pictures.
+    """
+    numbers = np.asarray(media.numbers(0, media.expected_frames or None))
+    theirs = np.asarray(recording.frame_numbers)
+    if len(numbers) == 1 == len(theirs):
+        theirs = numbers
+    elif theirs[0] == 0 and numbers[0] == 1:
+        theirs = theirs + 1
+    if not np.isin(theirs, numbers).any():
+        raise InputError(
+            f"{shown(recording.files[0])}: its frames are {theirs[0]} to {theirs[-1]}, and the pictures' are "
+            f"{numbers[0]} to {numbers[-1]}; give the keypoints of these pictures"
+        )
+    rows = np.full(len(numbers), -1)
+    common, here, there = np.intersect1d(numbers, theirs, return_indices=True)
+    assert len(common)
+    rows[here] = there
+    return scaled(at_rows(recording, rows, numbers), media.width, media.height)
+
+
+def at_rows(recording: Recording, rows: np.ndarray, numbers: np.ndarray) -> Recording:
+    """The recording's frames at `rows` (T,), -1 for one without hands, with other numbers."""
+    seen = recording.seen
+    if seen is not None:
+        place = np.full(len(recording.frame_numbers), -1)
+        place[rows[rows >= 0]] = np.flatnonzero(rows >= 0)
+        kept = seen.select(place[seen.row] >= 0)
+        seen = replace(kept, row=place[kept.row])
+    return replace(
+        recording,
+        frame_numbers=numbers,
+        seen=seen,
+        points=tuple(_hand_at(hand, rows) for hand in recording.points),
+        posed=tuple(_hand_at(hand, rows) for hand in recording.posed),
+    )
+
+
+def _hand_at(hand: PointsHand | PosedHand, rows: np.ndarray) -> Any:
+    def at(array: np.ndarray) -> np.ndarray:
+        taken = np.array(array, dtype=np.float64)[rows]
+        taken[rows < 0] = np.nan
+        return taken
+
+    of_frames = {"points", "global_orient", "hand_pose", "transl", "confidence"}
+    known = {name: value for name, value in vars(hand).items() if name in of_frames and value is not None}
+    return replace(hand, **{name: at(value) for name, value in known.items()})
+
+
+def scaled(recording: Recording, width: int, height: int) -> Recording:
+    """The recording of pictures of that size, whatever the size that it was made at."""
+    if recording.size is None or recording.size == (width, height):
+        return replace(recording, size=(width, height))
+    by = np.array([width / recording.size[0], height / recording.size[1]])
+    seen, camera = recording.seen, recording.intrinsics
+    if seen is not None:
+        depth = None if seen.depth is None else seen.depth * by[0]
+        seen = replace(seen, keypoints=seen.keypoints * by, depth=depth)
+    if camera is not None:
+        camera = type(camera)(camera.fx * by[0], camera.fy * by[1], camera.cx * by[0], camera.cy * by[1])
+    return replace(recording, seen=seen, intrinsics=camera, size=(width, height))

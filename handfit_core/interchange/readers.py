@@ -1,0 +1,60 @@
+"""Readers of other programs' files, found by name or by what they recognise.
+
+Those of other packages are found by their entry points of the group `handfit.readers` (see `registry`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from handfit_core.errors import InputError
+from handfit_core.files import shown
+from handfit_core.interchange.document import Document
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.registry import Registry
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One format of hands or keypoints."""
+
+    title: str
+    """The format's own name"""
+    layout: str
+    """What such a file is, as a phrase for messages and lists"""
+    recognises: Callable[[Document], bool]
+    """Whether a file or folder is of this format, by its contents rather than its name. Raises nothing for
+    files of other formats, however damaged"""
+    read: Callable[[Document, Asked], Recording]
+    """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
+    for an option without which it cannot be read"""
+
+
+_HERE: Final = "handfit_core.interchange.formats"
+READERS: Final = Registry(
+    "handfit.readers",
+    "format",
+    Reader,
+    {
+        "points": f"{_HERE}.points:READER",
+    },
+)
+"""The readers by their names on the command line, the more particular ones first"""
+
+
+def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:
+    """The reader of a document, and its name. Raises InputError where none recognises it, OptionError for a
+    name that there is not."""
+    if name is not None:
+        return name, READERS.get(name)
+    for known, reader in READERS.all().items():
+        with READERS.blamed(known):
+            if reader.recognises(document):
+                return known, reader
+    formats = "; ".join(f"{reader.title}: {reader.layout}" for reader in READERS.all().values())
+    raise InputError(
+        f"{shown(document.path)}: these are no hands or keypoints of a program that is known "
+        f"({document.found}). Known are {formats}"
+    )

@@ -1,0 +1,135 @@
+"""What readers give: hands that another program has found, in this project's conventions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from handfit_core.batch import Batch
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.skeleton import Side
+
+VIRTUAL_SIZE: Final = (1920, 1080)
+"""Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
+VIRTUAL_DISTANCE: Final = 0.8
+"""Metres from that camera to hands that have no place of their own"""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenHands(Batch):
+    """N hands as they were seen in pictures, each in one of a recording's frames. Pixels of the upright
+    picture (the middle of its first pixel is (0.5, 0.5)), keypoints in MediaPipe's order."""
+
+    row: np.ndarray
+    """(N,) int, not decreasing: which of the recording's T frames"""
+    left: np.ndarray
+    """(N,) bool: the true hand is a left one"""
+    score: np.ndarray
+    """(N,) how sure it is that this is a hand, 0..1"""
+    keypoints: np.ndarray
+    """(N, 21, 2) pixels; NaN: not seen"""
+    confidence: np.ndarray
+    """(N, 21) how sure each point is, 0..1"""
+    depth: np.ndarray | None = None
+    """(N, 21) pixels: depth towards the scene, relative to the wrist, on the scale of x; None: not known"""
+    world: np.ndarray | None = None
+    """(N, 21, 3) metres about the hand's centre, axes as the camera frame's; None: not known"""
+
+
+LEAST_POINTS: Final = 6
+"""Points of a hand without which nothing can be said of its pose"""
+
+
+def known(numbers: np.ndarray) -> np.ndarray:
+    """(...) bool: where all numbers of the last axis are finite."""
+    return np.asarray(np.isfinite(numbers).all(axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class PointsHand:
+    """One hand's keypoints in space over a recording's T frames."""
+
+    side: Side
+    points: np.ndarray
+    """(T, 21, 3) metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
+    on_joints: bool = True
+    """Whether the points are a skeleton's joints (a fingertip's lies on the skin), rather than where
+    annotators click, as MediaPipe's do"""
+    sigma: float = 0.002
+    """Metres that points are expected to be off"""
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T,) bool: frames in which there is enough of the hand to place it."""
+        return np.asarray(known(self.points).sum(axis=1) >= LEAST_POINTS)
+
+
+@dataclass(frozen=True, eq=False)
+class PosedHand:
+    """One hand's pose in MANO's parameters over a recording's T frames; NaN in frames without it."""
+
+    side: Side
+    global_orient: np.ndarray
+    """(T, 3) radians, from the model frame to the camera frame"""
+    hand_pose: np.ndarray
+    """(T, 45) radians, MANO's joint order, relative to the flat hand"""
+    transl: np.ndarray | None = None
+    """(T, 3) metres, camera frame, as a take has it; None: not known, it is put before the camera"""
+    betas: np.ndarray | None = None
+    """(10,) of the open hand's or the user's model; None: the mean shape"""
+    confidence: np.ndarray | None = None
+    """(T,) 0..1; None: the program does not tell"""
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T,) bool: frames with the hand."""
+        there = known(self.hand_pose) & known(self.global_orient)
+        return there if self.transl is None else there & known(self.transl)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a file may not tell, as the options of those names have it."""
+
+    person: int | None = None
+    fps: float | None = None
+    picture_size: tuple[int, int] | None = None
+    hand_mean: Literal["auto", "flat", "mean"] = "auto"
+    model: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a file holds: T frames, and the hands in them, as they were seen in pictures or in space."""
+
+    format: str
+    """The reader's name"""
+    files: tuple[str, ...]
+    """Absolute paths of what was read"""
+    fps: float
+    """Frames per second"""
+    frame_numbers: np.ndarray
+    """(T,) int, increasing"""
+    seen: SeenHands | None = None
+    """Hands in pictures; None: they are in space"""
+    points: tuple[PointsHand, ...] = ()
+    posed: tuple[PosedHand, ...] = ()
+    size: tuple[int, int] | None = None
+    """(width, height) of the upright pictures, pixels; None: not known"""
+    intrinsics: Intrinsics | None = None
+    """The camera that the hands were seen with; None: not known"""
+    assumed: tuple[str, ...] = ()
+    """What the file does not say and was assumed: phrases that begin with a small letter, for people"""
+
+    @property
+    def summary(self) -> str:
+        """What it holds, in one phrase."""
+        if self.seen is not None:
+            what = "keypoints in pictures" + (" with depth" if self.seen.world is not None else "")
+            counts = {"left": int(self.seen.left.sum()), "right": int((~self.seen.left).sum())}
+            return f"{what}: " + ", ".join(f"{n} {side} hands" for side, n in counts.items() if n)
+        kind = "poses" if self.posed else "points in space"
+        hands = (*self.posed, *self.points)
+        return f"{kind}: " + ", ".join(f"{h.side} hand in {int(h.present.sum())} frames" for h in hands)

@@ -1,0 +1,147 @@
+"""From a recording to what a take is made of: detections that are fitted, or hands that are posed already."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.batch import slices
+from handfit_core.detect.detector import Detected
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.chain import Chain
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
+from handfit_core.interchange.lift import lifted
+from handfit_core.interchange.recording import (
+    LEAST_POINTS,
+    VIRTUAL_DISTANCE,
+    PointsHand,
+    PosedHand,
+    Recording,
+    known,
+)
+from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
+from handfit_core.solvers import TrackFit
+
+_APART: Final = 0.15
+"""Metres between the wrists of a left and a right hand that have no place"""
+_UNKNOWN_SIGMA: Final = 1e4
+"""pixels: what is known of a point that is missing"""
+_NEAREST: Final = 0.25
+"""Metres from a virtual camera to the nearest hand"""
+
+
+def detected_in(recording: Recording) -> Detected:
+    """The hands of a recording's pictures, as if a detector had found them; those with too few points are
+    left out."""
+    assert recording.seen is not None
+    hands = recording.seen.select(known(recording.seen.keypoints).sum(axis=1) >= LEAST_POINTS)
+    frames: list[list[HandDetection]] = [[] for _ in recording.frame_numbers]
+    for part in slices(len(hands)):
+        for row, detection in zip(hands.row[part], lifted(hands.select(part)), strict=True):
+            frames[row].append(detection)
+    return Detected([int(number) for number in recording.frame_numbers], [tuple(frame) for frame in frames])
+
+
+def tracks_of(recording: Recording, intrinsics: Intrinsics) -> list[DetectedTrack]:
+    """Each hand of points in space, as if it had been seen by that camera."""
+    middles = [np.nanmean(hand.points[hand.present], axis=1) for hand in recording.points]
+    offset = _before_camera(recording, middles)
+    return [_track_of(hand, hand.points + offset, intrinsics, recording.fps) for hand in recording.points]
+
+
+def _track_of(hand: PointsHand, points: np.ndarray, intrinsics: Intrinsics, fps: float) -> DetectedTrack:
+    found = hand.present
+    rows: list[HandDetection | None] = [None] * len(found)
+    for row in np.flatnonzero(found):
+        rows[row] = _seen_point_by_point(hand.side, points[row], hand.sigma, intrinsics)
+    return DetectedTrack(hand.side, tuple(rows), fps, landmarks=NO_OFFSETS if hand.on_joints else None)
+
+
+def _seen_point_by_point(
+    side: Side, points: np.ndarray, sigma: float, intrinsics: Intrinsics
+) -> HandDetection:
+    """Points (21, 3) in metres as a detector would tell of them, with what is expected of their errors."""
+    sure = known(points)
+    middle = points[sure].mean(axis=0)
+    filled = np.where(sure[:, None], points, middle)
+    pixels = intrinsics.project(filled)
+    scale = 0.5 * (intrinsics.fx + intrinsics.fy) / middle[2]
+    depth = scale * (filled[:, 2] - filled[0, 2])
+    table = np.empty((len(points), 6))
+    table[:, :2] = pixels
+    table[:, 2:4] = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)[:, None]
+    ray = middle / np.linalg.norm(middle)
+    along = scale * ((filled - middle) @ ray)
+    table[:, 4] = along - along.mean()
+    table[:, 5] = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)
+    return HandDetection(
+        side,
+        float(sure.mean()),
+        np.column_stack([pixels, depth]),
+        filled - filled.mean(axis=0),
+        overlapped=None if sure.all() else ~sure,
+        given_side=side,
+        corrected=(side, table),
+    )
+
+
+def posed_hands(recording: Recording) -> list[PosedHand]:
+    """The hands that are posed, all with a place before the camera."""
+    places = []
+    for hand in recording.posed:
+        place = [_APART / 2.0 if hand.side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE]
+        places.append(np.where(hand.present[:, None], place if hand.transl is None else hand.transl, np.nan))
+    offset = _before_camera(recording, [place[known(place)] for place in places])
+    return [replace(hand, transl=place + offset) for hand, place in zip(recording.posed, places, strict=True)]
+
+
+def _before_camera(recording: Recording, places: list[np.ndarray]) -> np.ndarray:
+    """(3,) metres that bring hands into a virtual camera's view; nothing where their camera is known.
+
+    places: (N, 3) metres of each hand, in the camera's axes.
+    """
+    found = [place for place in places if len(place)]
+    if recording.intrinsics is not None or not found:
+        return np.zeros(3)
+    low, high = (f(np.concatenate(found), axis=0) for f in (np.min, np.max))
+    if low[2] >= _NEAREST and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]:
+        return np.zeros(3)
+    middle, reach = (low + high) / 2.0, (high - low).max() / 2.0
+    return np.array([0.0, 0.0, VIRTUAL_DISTANCE + 2.0 * reach]) - middle
+
+
+def fit_of(hand: PosedHand) -> TrackFit:
+    """A posed hand as a solver would give it."""
+    there = hand.present[:, None]
+    assert hand.transl is not None
+    return TrackFit(
+        betas=np.zeros(NUM_BETAS) if hand.betas is None else hand.betas,
+        global_orient=np.where(there, hand.global_orient, np.nan),
+        hand_pose=np.where(there, hand.hand_pose, np.nan),
+        transl=np.where(there, hand.transl, np.nan),
+        converged=hand.present,
+    )
+
+
+def seen_of(
+    model: HandModel, fit: TrackFit, side: Side, intrinsics: Intrinsics, fps: float, score: np.ndarray | None
+) -> DetectedTrack:
+    """What a detector that errs nowhere would see of fitted hands: with it a take's hand can be fitted again.
+    `score` (T,): how sure each frame is; None: certain."""
+    count, rows = len(fit.transl), np.flatnonzero(fit.present)
+    points = np.empty((len(rows), NUM_KEYPOINTS, 3))
+    if len(rows):
+        chain = Chain(model, detector_landmarks())
+        betas, far = np.tile(fit.betas, (len(rows), 1)), fit.transl[rows, 2]
+        posed = fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
+        points = chain.points(chain.state(betas, *posed, far))
+    certain = np.ones(count) if score is None else np.nan_to_num(score, nan=0.5).clip(0.0, 1.0)
+    found: list[HandDetection | None] = [None] * count
+    for row, hand in zip(rows, points, strict=True):
+        seen = _seen_point_by_point(side, hand, 0.001, intrinsics)
+        found[row] = replace(seen, score=float(certain[row]))
+    return DetectedTrack(side, tuple(found), fps)
