@@ -114,6 +114,12 @@ class ManientSettings(bpy.types.PropertyGroup):
         default=False,
         update=told("source"),
     )
+    keypoints: StringProperty(  # type: ignore
+        name="Keypoints",
+        description="Hands or keypoints that another program has found in this source, such as OpenPose; "
+        "empty: hands are looked for",
+        subtype="FILE_PATH",
+    )
     use_frames: BoolProperty(  # type: ignore
         name="Frame Range", description="Capture only some of the source's frames", default=False
     )

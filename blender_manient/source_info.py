@@ -16,8 +16,10 @@ import bpy.utils.previews
 
 from handfit_core.errors import HandfitError, InputError
 from handfit_core.files import shown, why
+from handfit_core.interchange.opening import is_recording
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender
+from handfit_core.take import is_take
 
 from . import jobs, preferences, screen, shared_worker
 from .scene.matching import Footage
@@ -32,9 +34,10 @@ class SourceFiles:
     """What a capture reads."""
 
     kind: str
-    """photo, sequence or video"""
+    """photo, sequence, video, or data: another program's hands"""
     files: tuple[str, ...]
-    """absolute: the photo, the video, or every picture of a sequence in order"""
+    """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
+    order"""
 
     @property
     def numbers(self) -> list[int] | None:
@@ -59,6 +62,8 @@ def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
         raise InputError("Choose a photo, an image sequence or a video")
     # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.
     path = Path(bpy.path.abspath(path_text)).expanduser().absolute()
+    if is_recording(path) and not is_take(path):
+        return SourceFiles("data", (str(path),))
     if path.is_dir():
         pictures = pictures_in(path)
         if not pictures:
@@ -75,6 +80,8 @@ def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
         if len(numbered) > 1:
             return SourceFiles("sequence", tuple(map(str, numbered)))
         return SourceFiles("photo", (str(path),))
+    if is_take(path):
+        raise InputError(f"{path.name} is a take: open it with File > Import > Hand Take")
     raise InputError(f"{path.name} is neither a picture nor a video: choose another file")
 
 
@@ -116,7 +123,7 @@ class SourceInfo:
     @property
     def is_gone(self) -> bool:
         """Whether its file was there and is not any more."""
-        return self.files is not None and not Path(self.files.files[0]).is_file()
+        return self.files is not None and not Path(self.files.files[0]).exists()
 
 
 _known: SourceInfo | None = None
@@ -207,6 +214,8 @@ def _look(path: str, as_sequence: bool) -> SourceInfo:
         info.problem = str(error)
         return info
     first = Path(info.files.files[0])
+    if info.files.kind == "data":
+        return info
     with contextlib.suppress(InputError):  # the worker will say what is wrong with it
         check_for_blender(first, preferences.get().max_megapixels or None)
         info.can_be_shown = True

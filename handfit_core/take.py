@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import zipfile
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -391,6 +392,15 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
         },
         "sides": sides,
     }
+
+
+def is_take(path: str | os.PathLike[str]) -> bool:
+    """Whether a file looks like a take, and not like another program's .npz. Raises nothing."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {"header.npy", "frame_numbers.npy"} <= set(archive.namelist())
+    except Exception:  # a damaged zip can fail in any way
+        return False
 
 
 def _object(header: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -216,6 +216,7 @@ def new_job(
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
             lens=_lens(settings, scene),
             max_megapixels=preferences.get(context).max_megapixels or None,
+            keypoints=_keypoints(settings, source),
         ),
         building=jobs.Building(
             scene=Remembered.of("scenes", scene),
@@ -243,6 +244,12 @@ def _frames(settings, source: source_info.SourceFiles, only: int | None) -> Fram
     if settings.last_frame < settings.first_frame:
         raise OptionError("the last frame lies before the first: mend the frame range")
     return FrameRange(settings.first_frame, settings.last_frame, settings.frame_step)
+
+
+def _keypoints(settings, source: source_info.SourceFiles) -> str | None:
+    if source.kind == "data" or not settings.keypoints:
+        return None
+    return str(Path(bpy.path.abspath(settings.keypoints)).expanduser().absolute())
 
 
 def _model(settings) -> str | None:

@@ -12,6 +12,7 @@ _KINDS = {
     "photo": ("Photo", "IMAGE_DATA"),
     "sequence": ("Image Sequence", "RENDERLAYERS"),
     "video": ("Video", "FILE_MOVIE"),
+    "data": ("Hands of Another Program", "ARMATURE_DATA"),
 }
 
 
@@ -43,6 +44,8 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
                 column.prop(settings, "first_frame")
                 column.prop(settings, "last_frame")
             column.prop(settings, "frame_step")
+        if info.files.kind != "data":
+            layout.prop(settings, "keypoints")
 
     def _describe(self, context, info: source_info.SourceInfo) -> None:
         layout = self.layout
@@ -57,10 +60,10 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             column.separator(factor=2.0)
         column.scale_y = 0.9
         column.label(text=kind, icon="NONE" if picture else icon)
-        if info.width:
+        if info.width and info.files.kind != "data":
             column.label(text=f"{info.width} × {info.height} px", translate=False)
         if info.files.kind != "photo" and info.frames:
-            rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind == "video" else ""
+            rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind in ("video", "data") else ""
             column.label(text=f"Frames {info.first}-{info.last}{rate}", translate=False)
         if info.problem:
             sentence(layout, context, info.problem, "ERROR", alert=True)

@@ -56,9 +56,12 @@ def loading_plate(
 
     `timing` says where the take lies in the scene's time; without it, on its own frame numbers.
     `max_megapixels` is how large it may be, instead of what the preferences say.
-    A file that is missing, unreadable or too large gives no plate and a warning.
+    Hands of another program may have none, and a file that is missing, unreadable or too large gives no plate
+    and a warning.
     """
     timing = timing or Timing()
+    if take.source.kind == "data":
+        return None, []
     # Absolute, since Blender's FFmpeg takes a relative name that begins with "http:" for an address.
     path = Path(take.source.files[0]).absolute()
     if not is_file(path):

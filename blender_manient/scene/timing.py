@@ -59,7 +59,7 @@ def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) ->
 
     Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
     """
-    scale = frame_rate(scene) / take.fps if take.source.kind == "video" else 1.0
+    scale = frame_rate(scene) / take.fps if take.source.kind in ("video", "data") else 1.0
     if abs(scale - 1.0) < 1e-4:
         scale = 1.0
     return Timing(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from handfit_core.interchange.opening import is_recording
 from handfit_core.media.opening import (
     PHOTO_SUFFIXES,
     VIDEO_SUFFIXES,
@@ -15,6 +16,7 @@ from handfit_core.media.opening import (
     sequence_numbers,
 )
 from handfit_core.sheet import SUFFIX
+from handfit_core.take import is_take
 
 PREVIEW_SUFFIX: Final = ".preview.png"
 _OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".done.json", ".failed.json", ".running.json")
@@ -45,6 +47,8 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
         videos = sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.name[0] != ".")
         pictures = [p for p in pictures_in(path) if not p.name.endswith(_OURS)]
         jobs = _group(pictures, grouping, path.resolve().name) + [_one_file(v) for v in videos]
+        if not jobs and is_recording(path):
+            return [Input(text, path.resolve().name, (str(path),))]
         return jobs or [Input(text, path.resolve().name, error=f"{text}: no photos or videos in this folder")]
     if path.exists() or not is_pattern(text):
         return [_one_file(path)]
@@ -60,7 +64,7 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
 
 
 def _one_file(path: Path) -> Input:
-    if path.suffix.lower() == ".npz":
+    if path.suffix.lower() == ".npz" and (is_take(path) or not path.exists()):
         return Input(str(path), path.stem.removesuffix(".take"), take=path)
     return Input(str(path), path.stem, (str(path),))
 

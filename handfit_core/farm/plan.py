@@ -391,6 +391,8 @@ def files_of(source: Sequence[str]) -> list[Path]:
     (first, *_) = source or ("",)
     if len(source) == 1 and is_pattern(first) and not Path(first).exists():
         return matching(Path(first))[0]
+    if len(source) == 1 and Path(first).is_dir():  # another program's, with a file a frame
+        return sorted(path for path in Path(first).iterdir() if path.is_file())
     return [Path(part) for part in source]
 
 

@@ -12,7 +12,7 @@ from handfit_core.files import check_writable, shown, written_whole
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.writers import WRITERS, writer_for
 from handfit_core.options import CaptureOptions, add_options
-from handfit_core.take import HandTrack, Take
+from handfit_core.take import HandTrack, Take, is_take
 
 
 def add_interchange_commands(commands: Any) -> None:
@@ -50,12 +50,7 @@ def add_interchange_commands(commands: Any) -> None:
 
 def opened_take(path: Path) -> Take | None:
     """The take that a file holds; None for a file that is none. Raises TakeError for a damaged one."""
-    if path.suffix.lower() != ".npz" or not path.is_file():
-        return None
-    from handfit_core.interchange.document import Document
-
-    npz = Document(path).npz
-    return Take.load(path) if npz is not None and {"header", "frame_numbers"} <= set(npz.names) else None
+    return Take.load(path) if path.suffix.lower() == ".npz" and is_take(path) else None
 
 
 def _convert(args: argparse.Namespace) -> int:

@@ -106,8 +106,15 @@ def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Rec
     if not document.path.exists():
         raise InputError(f"{shown(path)}: there is no such file or folder")
     name, reader = recognised(document, options.reader)
-    with READERS.blamed(name):
-        recording = reader.read(document, Asked(**{name: getattr(options, name) for name in _ASKED}))
+    try:
+        with READERS.blamed(name):
+            recording = reader.read(document, Asked(**{name: getattr(options, name) for name in _ASKED}))
+            recording.check()
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{shown(path)}: this is meant to be {reader.title} ({reader.layout}), and is damaged or of a "
+            f"version that is not known ({' '.join(str(error).split())[:200] or type(error).__name__})"
+        ) from error
     return recording if options.fps is None else replace(recording, fps=options.fps)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from handfit_core.batch import Batch
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import Side
+from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
 
 VIRTUAL_SIZE: Final = (1920, 1080)
 """Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
@@ -89,6 +90,29 @@ class PosedHand:
         return there if self.transl is None else there & known(self.transl)
 
 
+_SEEN: Final = {
+    **{"row": (), "left": (), "score": (), "keypoints": (NUM_KEYPOINTS, 2), "confidence": (NUM_KEYPOINTS,)},
+    **{"depth": (NUM_KEYPOINTS,), "world": (NUM_KEYPOINTS, 3)},
+}
+_IN_SPACE: Final = {
+    **{"points": (NUM_KEYPOINTS, 3), "global_orient": (3,), "hand_pose": (45,), "transl": (3,)},
+    **{"betas": None, "confidence": ()},
+}
+"""Arrays, and their shapes behind the number of hands or frames; None: betas have none"""
+
+
+def _check_arrays(hand: Any, shapes: dict[str, tuple[int, ...] | None], count: int) -> None:
+    """Raise ValueError for arrays of other shapes, and for numbers beyond what takes hold."""
+    for name, shape in shapes.items():
+        if (array := getattr(hand, name, None)) is None:
+            continue
+        wanted = (NUM_BETAS,) if shape is None else (count, *shape)
+        if np.shape(array) != wanted:
+            raise ValueError(f"its {name} have the shape {np.shape(array)}, expected {wanted}")
+        if np.any(np.abs(np.asarray(array, dtype=np.float64)) > LARGEST):
+            raise ValueError(f"its {name} hold numbers beyond {LARGEST:g}")
+
+
 @dataclass(frozen=True)
 class Asked:
     """What a file may not tell, as the options of those names have it."""
@@ -122,6 +146,29 @@ class Recording:
     """The camera that the hands were seen with; None: not known"""
     assumed: tuple[str, ...] = ()
     """What the file does not say and was assumed: phrases that begin with a small letter, for people"""
+
+    def check(self) -> None:
+        """Raise ValueError for numbers that no take can hold, or arrays that do not belong together."""
+        numbers = np.asarray(self.frame_numbers)
+        if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or not len(numbers):
+            raise ValueError("it has no frames")
+        if np.any(np.diff(numbers) <= 0):
+            raise ValueError("its frames' numbers do not increase")
+        if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
+            raise ValueError(f"its frame rate is {self.fps:g}")
+        if self.size is not None and not all(0 < side < 1 << 24 for side in self.size):
+            raise ValueError(f"its pictures have {self.size[0]}x{self.size[1]} pixels")
+        if self.seen is None and not self.points and not self.posed:
+            raise ValueError("it has no hand")
+        count = len(numbers)
+        if self.seen is not None:
+            _check_arrays(self.seen, _SEEN, len(self.seen))
+            if np.any(np.diff(self.seen.row) < 0) or np.any((self.seen.row < 0) | (self.seen.row >= count)):
+                raise ValueError("its hands are in frames that it does not have")
+        for hand in (*self.points, *self.posed):
+            if hand.side not in SIDES:
+                raise ValueError("a hand's side is neither left nor right")
+            _check_arrays(hand, _IN_SPACE, count)
 
     @property
     def summary(self) -> str:

@@ -105,11 +105,10 @@ def detect(
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:
     """Open the request's input and read nothing but its first picture. Raises OptionError and InputError."""
-    from handfit_core.media.opening import open_media
-    from handfit_core.options import OPTIONS
+    from handfit_core.interchange.opening import open_input
+    from handfit_core.options import CaptureOptions
 
-    limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
-    media = open_media(_source(message), max_megapixels=limit)
+    media = open_input(_source(message), CaptureOptions(max_megapixels=message.get("max_megapixels")))
     first, last = media.first_and_last
     return {
         "kind": media.source.kind,

@@ -9,6 +9,7 @@ import pytest
 from blender_manient.scene.build import build_take
 from blender_manient.scene.plate import load_plate, rows_of
 from blender_manient.scene.preview import render_plate
+from blender_manient.scene.timing import timing_in
 from handfit_core.media.source import Source
 
 from .conftest import HEIGHT, OFF_CENTRE, WIDTH, write_png
@@ -38,6 +39,15 @@ def test_missing_picture_is_a_warning(make_take, tmp_path):
     assert gone in built.warnings[0]
     assert len(built.hands) == 2
     assert not built.camera.data.background_images
+
+
+def test_hands_of_another_program_have_no_picture_and_the_time_of_a_video(make_take, tmp_path):
+    take = make_take(source=Source("data", (str(tmp_path / "walk.npz"),)), fps=12.0).take
+    built = build_take(take)
+    assert built.warnings == ()
+    assert not built.camera.data.background_images
+    bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = 24, 1.0
+    assert timing_in(bpy.context.scene, take).scale == 2.0
 
 
 def test_picture_of_another_size_is_a_warning(make_take):

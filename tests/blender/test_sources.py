@@ -62,6 +62,19 @@ def test_what_cannot_be_captured_is_said_with_a_remedy(tmp_path, name, said):
         source_info.resolve(str(tmp_path / name) if name else "", as_sequence=False)
 
 
+def test_hands_of_another_program(tmp_path, make_take):
+    path = tmp_path / "hands.points.json"
+    path.write_text("{}")
+    assert source_info.resolve(str(path), as_sequence=False) == source_info.SourceFiles("data", (str(path),))
+    frames = tmp_path / "openpose"
+    frames.mkdir()
+    (frames / "clip_000000_keypoints.json").write_text("{}")
+    assert source_info.resolve(str(frames), as_sequence=False).kind == "data"
+    take = make_take().take.save(tmp_path / "a.take.npz")
+    with pytest.raises(InputError, match="Import > Hand Take"):
+        source_info.resolve(str(take), as_sequence=False)
+
+
 def test_video(tmp_path):
     path = tmp_path / "clip.MP4"
     path.write_bytes(b"video")

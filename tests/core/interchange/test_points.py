@@ -1,0 +1,170 @@
+"""Points of this project's own: written, read back, fitted again; and what is said of other files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.__main__ import main
+from handfit_core.errors import InputError, OptionError
+from handfit_core.farm.inputs import expand
+from handfit_core.interchange.opening import is_recording, read_recording
+from handfit_core.interchange.writers import writer_for
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import capture
+from handfit_core.take import Take, is_take
+from tests.conftest import ROOT
+
+SAMPLE = ROOT / "samples" / "rendered_hand"
+
+
+@pytest.fixture(scope="module")
+def truth() -> Take:
+    return Take.load(SAMPLE / "truth.take.npz")
+
+
+@pytest.fixture
+def written(truth: Take, tmp_path: Path) -> Path:
+    path = tmp_path / "hand.points.json"
+    writer_for(path).write(truth, path)
+    return path
+
+
+def changed(path: Path, **values: Any) -> Path:
+    content = json.loads(path.read_text(encoding="utf-8")) | values
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def in_pictures(path: Path) -> Path:
+    hands = json.loads(path.read_text(encoding="utf-8"))["hands"]
+    return changed(path, hands=[{k: v for k, v in hand.items() if k != "keypoints_3d"} for hand in hands])
+
+
+def test_what_is_written_is_read_back(truth: Take, written: Path) -> None:
+    read = read_recording(written, CaptureOptions())
+    assert (read.format, read.fps, read.size) == ("points", truth.fps, (truth.width, truth.height))
+    assert np.array_equal(read.frame_numbers, truth.frame_numbers)
+    assert read.intrinsics == truth.intrinsics
+    (points,) = read.points
+    assert points.side == truth.hands[0].side
+    assert np.abs(points.points - truth.hands[0].joints_3d).max() < 1e-6
+
+
+def test_points_in_pictures_are_read_back(truth: Take, written: Path) -> None:
+    read = read_recording(in_pictures(written), CaptureOptions())
+    assert read.seen is not None
+    assert np.abs(read.seen.keypoints - truth.hands[0].keypoints_2d).max() < 1e-3
+    assert read.seen.left.tolist() == [truth.hands[0].side == "left"] * len(truth.frame_numbers)
+
+
+def test_points_become_hands_again(truth: Take, written: Path) -> None:
+    take = capture(written, frames="5-12")
+    assert take.source.kind == "data"
+    assert take.frame_numbers.tolist() == list(range(5, 13))
+    (hand,) = take.hands
+    assert hand.side == truth.hands[0].side
+    assert hand.refinable
+    rows = np.isin(truth.frame_numbers, take.frame_numbers)
+    apart = np.linalg.norm(np.degrees(hand.hand_pose - truth.hands[0].hand_pose[rows]), axis=1) / np.sqrt(45)
+    assert apart.max() < 10.0
+
+
+def test_points_beside_their_pictures_take_the_place_of_a_search(truth: Take, written: Path) -> None:
+    """Without a landmark model: nobody looks at the pictures."""
+    take = capture(
+        str(SAMPLE / "hand.%04d.jpg"), keypoints=in_pictures(written), frames="3-10", landmark_model="none"
+    )
+    assert take.source.kind == "sequence"
+    assert (take.width, take.height) == (truth.width, truth.height)
+    rows = np.isin(truth.frame_numbers, take.frame_numbers)
+    seen = take.hands[0].keypoints_2d
+    assert np.abs(seen - truth.hands[0].keypoints_2d[rows]).max() < 1e-3
+
+
+def test_points_of_a_smaller_copy_are_brought_to_the_pictures_size(truth: Take, written: Path) -> None:
+    hands = json.loads(in_pictures(written).read_text(encoding="utf-8"))["hands"]
+    for hand in hands:
+        hand["keypoints_2d"] = (np.array(hand["keypoints_2d"]) / 2.0).tolist()
+    half = changed(written, width=truth.width // 2, height=truth.height // 2, hands=hands)
+    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=half, frames="3-4")
+    rows = np.isin(truth.frame_numbers, take.frame_numbers)
+    assert np.abs(take.hands[0].keypoints_2d - truth.hands[0].keypoints_2d[rows]).max() < 0.01
+
+
+def test_points_of_another_clip_are_refused(written: Path) -> None:
+    other = changed(written, frames=[n + 1000 for n in json.loads(written.read_text())["frames"]])
+    with pytest.raises(InputError, match=r"its frames are 1001 to .*give the keypoints of these pictures"):
+        capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=other)
+
+
+def test_a_file_of_points_has_no_other_keypoints(written: Path) -> None:
+    with pytest.raises(OptionError, match="holds no pictures"):
+        capture(written, keypoints=written)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"version": 2}, "newer version"),
+        ({"frames": []}, "expected"),
+        ({"frames": [1] * 24}, "numbers do not increase"),
+        ({"frames": [1], "hands": [{"side": "both", "keypoints_3d": [None]}]}, "neither left nor right"),
+        ({"hands": []}, "no hand"),
+        ({"hands": 3}, "not iterable"),
+        ({"hands": [{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]}, "inhomogeneous|expected"),
+        ({"frames": [1], "hands": [{"side": "left", "keypoints_3d": [[[1e300] * 3] * 21]}]}, "beyond"),
+        ({"fps": 0}, "fps must be"),
+        ({"width": -3}, "width must be"),
+        ({"intrinsics": {"fx": "wide"}}, "fx must be"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_sentence(written: Path, values: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        read_recording(changed(written, **values), CaptureOptions())
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"format": "another"}', "a,b\n1,2\n", "\0\1\2"])
+def test_a_file_of_no_known_format_is_described(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "file.csv"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"no hands or keypoints of a program that is known \(.*Points"):
+        read_recording(path, CaptureOptions())
+
+
+def test_the_command_line_converts_and_tells(
+    truth: Take, written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(written)]) == 0
+    assert (
+        f"points in space: {truth.hands[0].side} hand in {len(truth.frame_numbers)} frames"
+        in capsys.readouterr().out
+    )
+    take = tmp_path / "hand.take.npz"
+    assert main(["convert", str(written), "-o", str(take), "--frames", "1-4", "--progress", "none"]) == 0
+    assert is_take(take)
+    assert main(["info", str(take)]) == 0
+    assert "take of data" in capsys.readouterr().out
+    again = tmp_path / "again.points.json"
+    assert main(["convert", str(take), "-o", str(again), "--progress", "none"]) == 0
+    assert len(json.loads(again.read_text())["frames"]) == 4
+    assert main(["convert", str(take), "-o", str(tmp_path / "hand.xyz"), "--progress", "none"]) == 1
+    assert "end the name with one of" in capsys.readouterr().err
+
+
+def test_a_batch_takes_such_files_and_tells_takes_from_them(
+    truth: Take, written: Path, tmp_path: Path
+) -> None:
+    assert expand(str(written))[0].source == (str(written),)
+    take = truth.save(tmp_path / "hand.take.npz")
+    assert expand(str(take))[0].take == take
+    other = tmp_path / "other.npz"
+    np.savez(other, poses=np.zeros((3, 165)))
+    assert (expand(str(other))[0].take, expand(str(other))[0].source) == (None, (str(other),))
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    (folder / "a_000000_keypoints.json").write_text("{}")
+    assert is_recording(folder)
+    assert expand(str(folder))[0].source == (str(folder),)
