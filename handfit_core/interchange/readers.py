@@ -39,6 +39,7 @@ READERS: Final = Registry(
     Reader,
     {
         "points": f"{_HERE}.points:READER",
+        "sam3d-body": f"{_HERE}.sam3d_body:READER",
     },
 )
 """The readers by their names on the command line, the more particular ones first"""

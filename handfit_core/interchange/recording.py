@@ -9,6 +9,7 @@ import numpy as np
 
 from handfit_core.batch import Batch
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
 
@@ -58,6 +59,8 @@ class PointsHand:
     on_joints: bool = True
     """Whether the points are a skeleton's joints (a fingertip's lies on the skin), rather than where
     annotators click, as MediaPipe's do"""
+    landmarks: Landmarks | None = None
+    """Where on our hand a skeleton's points lie that are not its joints; None: as `on_joints` says"""
     sigma: float = 0.002
     """Metres that points are expected to be off"""
 

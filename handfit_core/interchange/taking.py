@@ -58,7 +58,8 @@ def _track_of(hand: PointsHand, points: np.ndarray, intrinsics: Intrinsics, fps:
     rows: list[HandDetection | None] = [None] * len(found)
     for row in np.flatnonzero(found):
         rows[row] = _seen_point_by_point(hand.side, points[row], hand.sigma, intrinsics)
-    return DetectedTrack(hand.side, tuple(rows), fps, landmarks=NO_OFFSETS if hand.on_joints else None)
+    landmarks = hand.landmarks or (NO_OFFSETS if hand.on_joints else None)
+    return DetectedTrack(hand.side, tuple(rows), fps, landmarks=landmarks)
 
 
 def _seen_point_by_point(

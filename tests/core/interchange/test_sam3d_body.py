@@ -1,0 +1,143 @@
+"""SAM 3D Body's files: people whose hands are ours, posed, with the joints of Meta's skeleton."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import HandfitError
+from handfit_core.geometry.similarity import align
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.chain import Chain
+from handfit_core.interchange.formats.sam3d_body import MHR_LANDMARKS
+from handfit_core.interchange.opening import read_recording
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import capture
+from handfit_core.skeleton import SIDES, Side
+
+FOCAL, CENTRE = 1500.0, np.array([960.0, 540.0])
+ORDER: dict[Side, list[int]] = {
+    "right": [41, 24, 23, 22, 21, 28, 27, 26, 25, 32, 31, 30, 29, 36, 35, 34, 33, 40, 39, 38, 37],
+    "left": [62, 45, 44, 43, 42, 49, 48, 47, 46, 53, 52, 51, 50, 57, 56, 55, 54, 61, 60, 59, 58],
+}
+"""MHR70's numbers of our 21 keypoints, counted on Meta's list of names"""
+
+
+def posed(side: Side, at: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A hand's pose (45,), and where MHR's joints are on it (21, 3), metres, camera frame."""
+    chain = Chain(load_model(None, side), MHR_LANDMARKS)
+    pose = np.random.default_rng(3).normal(0.0, 0.05, 45)
+    sign = 1.0 if side == "right" else -1.0
+    pose[2:36:3] += sign * 0.5
+    place = np.array([[at - sign * 0.25, -0.1, 2.5]])
+    turned = np.array([[0.2, sign * 0.3, sign * -1.4]])
+    return pose, chain.points(chain.state(np.zeros((1, 10)), turned, pose[None], place, place[:, 2]))[0]
+
+
+def person(at: float = 0.0) -> dict[str, Any]:
+    """What the estimator gives of one person, as far as hands and camera go."""
+    body = np.random.default_rng(0).normal(0.0, 0.3, (70, 3)) + [at, 0.0, 2.5]
+    for side in SIDES:
+        body[ORDER[side]] = posed(side, at)[1]
+    place = np.array([at, 0.4, 2.0])
+    return {
+        "bbox": np.zeros(4, np.float32),
+        "pred_keypoints_3d": (body - place).astype(np.float32),
+        "pred_keypoints_2d": (body[:, :2] / body[:, 2:] * FOCAL + CENTRE).astype(np.float32),
+        "pred_cam_t": place.astype(np.float32),
+        "mhr_model_params": np.zeros(204, np.float32),
+    }
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, at in (("img_subj00", -0.6), ("img_subj01", 0.5)):
+        np.savez(tmp_path / f"{name}.npz", **person(at))
+    return tmp_path
+
+
+def test_people_of_one_picture_and_its_camera(folder: Path) -> None:
+    read = read_recording(folder, CaptureOptions())
+    assert read.frame_numbers.tolist() == [1]
+    assert [hand.side for hand in read.points] == ["left", "right"] * 2
+    for hand, at in zip(read.points, (-0.6, -0.6, 0.5, 0.5), strict=True):
+        np.testing.assert_allclose(hand.points[0], posed(hand.side, at)[1], atol=1e-5)
+    assert read.size == (1920, 1080)
+    assert read.intrinsics is not None
+    assert [read.intrinsics.fx, read.intrinsics.cx, read.intrinsics.cy] == pytest.approx(
+        [FOCAL, *CENTRE], abs=0.02
+    )
+    one = read_recording(folder, CaptureOptions(person=2))
+    np.testing.assert_array_equal(one.points[1].points, read.points[3].points)
+
+
+def test_frames_by_the_numbers_of_the_names(tmp_path: Path) -> None:
+    for name in ("sam3d_0007", "sam3d_0009"):
+        np.savez(tmp_path / f"{name}.npz", **person())
+    assert read_recording(tmp_path, CaptureOptions()).frame_numbers.tolist() == [7, 9]
+
+
+def test_fingers_bend_as_they_did(folder: Path) -> None:
+    take = capture(folder / "img_subj00.npz")
+    for hand in take.hands:
+        pose, _ = posed(hand.side)
+        model = load_model(None, hand.side)
+        flat = np.zeros(3)
+        true, found = (model.keypoints(None, flat, p, flat) for p in (pose, hand.hand_pose[0]))
+        laid = align(found, true, with_scale=True)
+        off = np.linalg.norm(laid.scale * found @ laid.rotation.T + laid.translation - true, axis=-1)
+        assert off.mean() < 0.003, off
+
+
+def test_swapped_fingers_stand_out(folder: Path) -> None:
+    """The classic mistake: ring and little finger exchanged bring the knuckles out of their order."""
+    (hand,) = [
+        h for h in read_recording(folder / "img_subj00.npz", CaptureOptions()).points if h.side == "left"
+    ]
+    wrist, index, middle, ring, little = (hand.points[0][k] for k in (0, 5, 9, 13, 17))
+    steps = [np.linalg.norm(a - index) for a in (middle, ring, little)]
+    assert steps == sorted(steps)
+    assert np.linalg.norm(wrist - little) < np.linalg.norm(wrist - middle)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pred_keypoints_3d": np.zeros((133, 3))}, r"shape \(133, 3\), expected \(70, 3\)"),
+        ({"pred_keypoints_3d": np.full((70, 3), np.nan)}, "numbers that are none"),
+        ({"pred_cam_t": np.array([0.0, 0.0, -9.0])}, "behind the camera"),
+        ({"pred_keypoints_2d": np.random.default_rng(1).normal(500, 99, (70, 2))}, "one camera"),
+        ({"pred_keypoints_2d": np.array(["x"] * 70)}, "pred_keypoints_2d"),
+    ],
+)
+def test_bad_files_are_named_in_a_sentence(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    np.savez(tmp_path / "a.npz", **(person() | change))
+    with pytest.raises(HandfitError, match=words):
+        read_recording(tmp_path / "a.npz", CaptureOptions())
+
+
+def test_two_files_of_one_person_and_frame(tmp_path: Path) -> None:
+    for name in ("a_1_person0", "b_1_person0"):
+        np.savez(tmp_path / f"{name}.npz", **person())
+    with pytest.raises(HandfitError, match="one frame and person"):
+        read_recording(tmp_path, CaptureOptions())
+
+
+def test_there_are_fewer_people(folder: Path) -> None:
+    with pytest.raises(HandfitError, match="no person 3; there are 2"):
+        read_recording(folder, CaptureOptions(person=3))
+
+
+def test_real_files(samples: Path) -> None:
+    """Four people of one picture; the points are Meta's own joints to the last digit."""
+    folder = samples / "other_trackers"
+    read = read_recording(folder, CaptureOptions())
+    assert read.size == (1920, 890)
+    assert len(read.points) == 8
+    with np.load(folder / "sam3d_body_img_subj02.npz") as arrays:
+        joints = arrays["pred_joint_coords"].astype(np.float64) + arrays["pred_cam_t"]
+    np.testing.assert_allclose(read.points[5].points[0][[0, 5, 1]], joints[[41, 56, 61]], atol=1e-6)
+    np.testing.assert_allclose(read.points[4].points[0][[0, 5, 1]], joints[[77, 92, 97]], atol=1e-6)
