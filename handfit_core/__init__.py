@@ -9,25 +9,33 @@ Importing this package is light: SciPy, OpenCV and MediaPipe load with the first
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from handfit_core.errors import HandfitError
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.source import Source
-from handfit_core.take import HandTrack, Take
 from handfit_core.version import __version__
 
 if TYPE_CHECKING:
+    from handfit_core.geometry.camera import Intrinsics
+    from handfit_core.media.source import Source
     from handfit_core.pipeline import Progress, capture
+    from handfit_core.take import HandTrack, Take
 
 __all__ = ["HandTrack", "HandfitError", "Intrinsics", "Progress", "Source", "Take", "__version__", "capture"]
 
-_LAZY = {"capture", "Progress"}
+_LAZY = {
+    "HandTrack": "take",
+    "Intrinsics": "geometry.camera",
+    "Progress": "pipeline",
+    "Source": "media.source",
+    "Take": "take",
+    "capture": "pipeline",
+}
+"""Which module has what. None of them loads with the package: NumPy looks only when it loads at how many
+threads it may have, and `python -m handfit_core` loads the package before it can say so"""
 
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY:
-        from handfit_core import pipeline
-
-        return getattr(pipeline, name)
+        return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

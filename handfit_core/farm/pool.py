@@ -47,8 +47,10 @@ _ALIKE: Final = (*FINAL, "Timeout", "PartFailed")
 """Kinds that are to be expected on other machines, too, as long as nobody asks anew"""
 MEMORY: Final = 1.0e9
 """bytes that a task may need: 0.3e9 were measured for photos and 0.5e9 for clips of 1080 lines"""
-_LOOK: Final = 0.02
-"""seconds between two looks at all processes"""
+_LOOK: Final = (0.02, 0.2)
+"""seconds between two looks at all processes, at least and at most; in between"""
+_SHARE: Final = 0.01
+"""of the time that the youngest task is at hand: so little may looks cost, and being late"""
 _ELSEWHERE: Final = 2.0
 """seconds between two looks at a task that somebody else is at, where there are few"""
 _FEW: Final = 100
@@ -205,7 +207,8 @@ class Pool:
         more. Raises OptionError."""
         idle = [slot for slot, running in self._slots.items() if running is None]
         if len(idle) < wanted and len(self._slots) < self._room:
-            self._slots[Slot(self._command, debug=self._debug)] = None
+            slot = Slot(self._command, threads=self._here.get("threads"), debug=self._debug)
+            self._slots[slot] = None
         return next((slot for slot in idle if slot.ready), None)
 
     def occupy(self, slot: Slot, plan: Plan, running: _Running, processes: int | None) -> None:
@@ -231,7 +234,9 @@ class Pool:
                 if slot in self._slots:  # what it said before may have been its last
                     yield slot, self._slots[slot], event
         if not heard:
-            time.sleep(_LOOK)
+            now, (least, most) = time.monotonic(), _LOOK
+            youngest = min((now - running.began for running in self.running), default=0.0)
+            time.sleep(min(max(least, _SHARE * youngest), most))
 
     def overdue(self) -> list[tuple[Slot, _Running]]:
         """Slots that are at a task for too long."""

@@ -17,7 +17,7 @@ from handfit_core.version import __version__
 from handfit_core.worker.client import ending, ran_out_of_memory
 from handfit_core.worker.process import SAME_GROUP, ChildProcess, out_of_memory_kills
 from handfit_core.worker.protocol import encode
-from handfit_core.worker.runner import Event
+from handfit_core.worker.runner import THREAD_VARIABLES, Event
 
 COMMAND: Final = "slot"
 """What follows the command of a plan"""
@@ -30,9 +30,12 @@ _GRACE: Final = 3.0
 class Slot:
     """One such process. Nothing blocks; `events` has to be called again and again."""
 
-    def __init__(self, command: Sequence[str], *, debug: bool = False) -> None:
-        """Start it. Raises OptionError where there is no such program."""
+    def __init__(self, command: Sequence[str], *, threads: int | None = None, debug: bool = False) -> None:
+        """Start it. `threads`: how many the numeric libraries use in it at most. Raises OptionError where
+        there is no such program."""
         environment = {**os.environ, SAME_GROUP: "1"}
+        if threads is not None:
+            environment |= dict.fromkeys(THREAD_VARIABLES, str(threads))
         try:
             self._child = ChildProcess([*command, COMMAND], environment, echo=debug)
         except OSError as error:

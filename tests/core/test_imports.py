@@ -180,6 +180,12 @@ def test_light_half_is_light() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
+def test_the_package_loads_without_numpy() -> None:
+    """Or the worker could not tell NumPy's OpenBLAS how many threads it may have."""
+    code = "import sys, handfit_core; assert 'numpy' not in sys.modules; handfit_core.Take"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
 def test_capturing_and_fitting_again_need_no_torch() -> None:
     """From pictures to a take, and from the take to a corrected range."""
     code = """
