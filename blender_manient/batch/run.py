@@ -6,6 +6,7 @@ The process that runs here stays light: slots (slot.py), which are processes of 
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -201,7 +202,7 @@ def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
 def _do_elsewhere(args: argparse.Namespace, host: Host, plan: Path) -> int:
     """The same with Dask, whose client has threads: in a process of the Python that captures."""
     python = find_python(args.python or host.python)
-    command = worker_command(python, *work_words(args, plan))
+    command = worker_command(python, *work_words(args, plan), f"--parent={os.getpid()}")
     try:
         client = subprocess.Popen(command, env=worker_environment(python))
     except OSError as error:

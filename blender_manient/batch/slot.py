@@ -23,7 +23,7 @@ from handfit_core.farm.plan import Task
 from handfit_core.farm.report import Result
 from handfit_core.version import __version__
 from handfit_core.worker.client import Advice
-from handfit_core.worker.process import SAME_GROUP
+from handfit_core.worker.process import SAME_GROUP, end_with_parent
 from handfit_core.worker.protocol import encode
 from handfit_core.worker.runner import Runner
 
@@ -33,14 +33,12 @@ from .host import Host
 from .one_input import Work, fit
 from .order import Order
 
-_EVERY = 1
-"""seconds between two looks at whether whoever started this process is still there"""
-
 
 def serve(host: Host) -> int:
     """Do tasks until stdin ends. Returns the exit code."""
     requests, events = _own_streams()
-    _end_with_parent()
+    # Where nobody looks, the next event finds out that nobody hears it any more.
+    end_with_parent(os.getppid(), _end_group)
     with _Doing(host, events) as doing:
         doing.say("ready", version=__version__, pid=os.getpid())
         while line := requests.readline():
@@ -125,25 +123,6 @@ def _own_streams() -> tuple[BinaryIO, BinaryIO]:
     events = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return os.fdopen(os.dup(0), "rb"), events
-
-
-def _end_with_parent() -> None:
-    """End, with all that was started, soon after the process that gives tasks has ended.
-
-    Blender's process runs no threads, so a signal has to look; where there is none of the kind, the next
-    event finds it out.
-    """
-    if not hasattr(signal, "setitimer"):
-        return
-    parent = os.getppid()
-
-    def look(_number: int, _frame: object) -> None:
-        if os.getppid() != parent:
-            _end_group()
-
-    signal.signal(signal.SIGALRM, look)
-    signal.siginterrupt(signal.SIGALRM, False)
-    signal.setitimer(signal.ITIMER_REAL, _EVERY, _EVERY)
 
 
 def _end_group() -> None:

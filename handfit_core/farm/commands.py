@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, closing
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol
 
@@ -21,6 +22,7 @@ from handfit_core.farm.show import STYLES, Shown
 from handfit_core.files import shown
 from handfit_core.options import OPTIONS
 from handfit_core.version import __version__
+from handfit_core.worker.process import end_with_parent
 
 EXIT_SOME_FAILED: Final = 1
 EXIT_USAGE: Final = 2
@@ -173,6 +175,7 @@ def add_work_command(commands: Any) -> None:
     OPTIONS["processes"].add_to(parser)
     add_cluster_arguments(parser, required=True)
     parser.add_argument("--python", metavar="PATH", help="Python that captures, on the workers")
+    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # the process with which it ends
 
 
 def work_words(args: argparse.Namespace, plan: Path) -> list[str]:
@@ -191,6 +194,8 @@ def _work(args: argparse.Namespace) -> int:
     from handfit_core.farm.dask_engine import Cluster, words
 
     before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    if args.parent is not None:
+        end_with_parent(args.parent, partial(signal.raise_signal, signal.SIGTERM))
     try:
         plans = given_plans(args)
         doer = Cluster(

@@ -67,17 +67,18 @@ class SchedulerLost(HandfitError):
 def do_task(packed: bytes, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Do one task; called by a Dask worker. `packed`: `_packed` of it. `settings`: `Cluster.settings`.
 
-    Returns the `result`, as `asdict` makes it, and the `worker`, or why this worker can do none as `refused`.
+    Returns the `worker`, and the `result`, as `asdict` makes it, or as `refused` why this worker can do none.
     """
     from distributed import Reschedule, get_worker
 
     worker = get_worker()
     order = json.loads(zlib.decompress(packed))
     if order["plan"]["made_by"] != __version__:
-        return {
-            "refused": f"{worker.address} has version {__version__} of handfit_core, and the plan was made "
-            f"by version {order['plan']['made_by']}; use the same version on all machines"
-        }
+        why = (
+            f"{worker.address} has version {__version__} of handfit_core, and the plan was made by version "
+            f"{order['plan']['made_by']}; use the same version on all machines"
+        )
+        return {"refused": why, "worker": worker.address}
     plan = Plan.of_content(order["plan"], Path(order["path"]))
     listener = _Telling(worker, settings["topic"])
     try:
@@ -89,7 +90,7 @@ def do_task(packed: bytes, settings: Mapping[str, Any]) -> dict[str, Any]:
     except _NotWanted:
         raise Reschedule from None
     except OptionError as error:
-        return {"refused": f"{worker.address}: {error}"}
+        return {"refused": f"{worker.address}: {error}", "worker": worker.address}
     except HandfitError as error:  # the disk with the results is not here, as it may be elsewhere
         result = _failed(plan.tasks[0], f"{worker.address}: {error}", type(error).__name__)
     return {"result": asdict(result), "worker": worker.address, "begun": listener.begun}
@@ -220,6 +221,8 @@ class _Try:
     """The worker that another one shall do better"""
     prefer: str = ""
     """The worker that has already seen somebody else at it"""
+    only: frozenset[str] = frozenset()
+    """The workers that may have it; empty: all"""
     deaths: int = 0
     """How often Dask has given it up since its workers died"""
 
@@ -274,11 +277,7 @@ class Cluster:
         again: bool = False,
         retry_failed: bool = False,
     ) -> list[Result]:
-        """Do the tasks of a plan that are not sealed, the longest first; what came of each, in their order.
-
-        Raises OptionError where a worker can do none, SchedulerLost, and KeyboardInterrupt where it is
-        raised; workers then leave the tasks at hand to others.
-        """
+        """As `Pool.run`. Raises OptionError where no worker can do any, and SchedulerLost."""
         return _Run(self, plan, tasks, listener or Listener(), again, retry_failed).results()
 
     # What a run does with it
@@ -361,6 +360,8 @@ class _Run:
         self._results: dict[str, Result] = {}
         self._workers: Mapping[str, int] = {}
         """Threads by address"""
+        self._unfit: set[str] = set()
+        """Workers that can do no task of this plan"""
         self._counted = -_COUNTED
         self._alone = False
 
@@ -406,8 +407,14 @@ class _Run:
 
     def _count(self) -> None:
         with contextlib.suppress(OSError):
-            self._workers = self._cluster.client.nthreads()
+            threads = self._cluster.client.nthreads()
+            self._workers = {worker: n for worker, n in threads.items() if worker not in self._unfit}
         self._counted = time.monotonic()
+        for future, this in list(self._at.items()):
+            if this.only and this.only.isdisjoint(self._workers):  # Dask would wait for them to come back
+                del self._at[future]
+                future.cancel()
+                self._open.appendleft(this)
         if not self._workers and not self._alone:
             _say("there is no Dask worker; start some with 'dask worker', where handfit-core is installed")
         self._alone = not self._workers
@@ -418,8 +425,11 @@ class _Run:
             if (part := self._results.get(id)) is not None and part.status != "ok":
                 self._give_up(this, f"{task.shown}: {part.error}", "PartFailed")
                 return
-        others = [worker for worker in self._workers if worker != this.avoid] if this.avoid else []
-        chosen = [this.prefer] if this.prefer in self._workers else others
+        others = [worker for worker in self._workers if worker != this.avoid]
+        chosen = [this.prefer] if this.prefer in self._workers else others if this.avoid else []
+        if self._unfit:  # idle ones would steal what only should be elsewhere
+            chosen = chosen or list(self._workers)
+            this.only = frozenset(chosen)
         name = task.name if len(self._tasks) <= _NAMED else "task"
         future = self._cluster.client.submit(
             do_task,
@@ -430,7 +440,7 @@ class _Run:
             retries=ATTEMPTS - 1,
             priority=task.cost,
             workers=chosen or None,
-            allow_other_workers=bool(chosen),
+            allow_other_workers=bool(chosen) and not this.only,
         )
         self._at[future] = this
         future.add_done_callback(self._cluster.hear)
@@ -454,7 +464,8 @@ class _Run:
         except Exception:  # its worker or the scheduler has died since: the folder knows what is done
             good = []
         for future in ended:
-            this = self._at.pop(future)
+            if (this := self._at.pop(future, None)) is None:  # another answer has had it begun anew
+                continue
             if future in good:
                 self._answered(this, answers[good.index(future)])
             elif future.status == "error":
@@ -465,7 +476,9 @@ class _Run:
 
     def _answered(self, this: _Try, answer: Mapping[str, Any]) -> None:
         if "refused" in answer:
-            raise OptionError(answer["refused"])
+            self._leave_out(answer["worker"], answer["refused"])
+            self._open.appendleft(this)
+            return
         result = Result.of_entry(answer["result"])
         if answer["begun"]:
             self._progress(this.task.id, "", 0, 0)
@@ -477,6 +490,16 @@ class _Run:
             self._open.appendleft(this)
         else:
             self._end(this, result)
+
+    def _leave_out(self, worker: str, why: str) -> None:
+        """Do without a worker that can do no task. Raises OptionError where it was the last one."""
+        is_new = worker not in self._unfit
+        self._unfit.add(worker)
+        self._count()
+        if not self._workers:
+            raise OptionError(why)
+        if is_new:
+            _say(f"{why}. The other workers go on without this one")
 
     def _again_later(self, this: _Try, prefer: str = "") -> None:
         this.not_before, this.prefer = time.monotonic() + ELSEWHERE, prefer

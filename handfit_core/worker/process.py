@@ -32,6 +32,9 @@ _LOOK = 0.005
 _DEATH = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
 
+_EVERY = 1.0
+"""seconds between two looks at whether the parent is still there"""
+
 _killed: list[subprocess.Popen[Any]] = []
 """Processes that were killed; the system keeps their numbers until somebody asks how they ended"""
 
@@ -229,6 +232,25 @@ def out_of_memory_kills() -> int | None:
             if line.startswith(b"oom_kill "):
                 return int(line.split()[1])
     return None
+
+
+def end_with_parent(parent: int, end: Callable[[], None]) -> None:
+    """Call `end` soon after that parent of this process has ended, however it did.
+
+    Blender's process runs no threads, so a signal has to look, in the main thread; where there is none of the
+    kind, as on Windows, nobody does.
+    """
+    if not hasattr(signal, "setitimer"):
+        return
+
+    def look(_number: int, _frame: object) -> None:
+        if os.getppid() != parent:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            end()
+
+    signal.signal(signal.SIGALRM, look)
+    signal.siginterrupt(signal.SIGALRM, False)
+    signal.setitimer(signal.ITIMER_REAL, _EVERY, _EVERY)
 
 
 def reap() -> None:

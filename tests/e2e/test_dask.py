@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -47,3 +50,28 @@ def test_two_workers_and_again(tmp_path, monkeypatch):
     again = run("work", out)
     assert again.returncode == 0, again.stderr
     assert {name: (out / name / "done.json").read_bytes() for name in seals} == seals, "done once"
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="there nobody looks whether a parent is still there")
+def test_a_batch_that_is_killed_takes_its_client_along(tmp_path):
+    import psutil
+
+    (tmp_path / "hang.take.npz").write_bytes(TAKE.read_bytes())
+    log, peer = tmp_path / "log", ROOT / "tests" / "core" / "farm" / "peers.py"
+    words = ["hang.take.npz", "-o", "out", "--cluster", "local", "--jobs", "1", "--python", sys.executable]
+    program = ["--command", shlex.join([sys.executable, str(peer)])]
+    batch = subprocess.Popen(
+        [sys.executable, str(ROOT / "scripts" / "batch_fit.py"), *words, *program],
+        cwd=tmp_path,
+        env={**os.environ, "PEER_LOG": str(log)},
+    )
+    until = time.monotonic() + TIMEOUT
+    while not (log.exists() and "child" in log.read_text()):
+        assert batch.poll() is None
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    started = psutil.Process(batch.pid).children(recursive=True)
+    batch.kill()
+    batch.wait()
+    assert len(started) > 3, "the client, a worker, and what does the task"
+    assert not psutil.wait_procs(started, timeout=TIMEOUT)[1]

@@ -244,6 +244,34 @@ def test_another_version_is_told_and_not_tried_again(machines, tmp_path, log, wh
     assert not attempts(log)
 
 
+def test_a_worker_of_another_version_is_left_out(machines, tmp_path, log, capfd):
+    """And where all others die, those that come in their place have their tasks."""
+    plan = plan_of(tmp_path / "out", [f"slow-clip-{i}" for i in range(6)])
+    machines.start_worker(PEER_VERSION="0.0.1")
+    killed: list[int] = []
+
+    def strike() -> None:
+        if not killed and len(attempts(log)) > 2:
+            killed.append(machines.workers[1].pid)
+            machines.workers[1].kill()
+            machines.workers[1].wait()
+            machines.start_worker()
+
+    with Cluster(scheduler=machines.address) as cluster:
+        cluster.client.wait_for_workers(1)
+        (unfit,) = cluster.client.nthreads()
+        machines.start_worker()
+        cluster.client.wait_for_workers(2)
+        results = cluster.run(plan, plan.tasks, Told(strike))
+    assert killed
+    assert [r.status for r in results] == ["ok"] * 6
+    assert whole(plan)
+    said = [line for line in capfd.readouterr().err.splitlines() if "go on without this one" in line]
+    assert len(said) == 1
+    assert said[0].startswith(unfit)
+    assert "version 0.0.1" in said[0]
+
+
 def test_machines_without_the_package(machines, tmp_path):
     """Of workers, Dask takes those for dead; a scheduler is told of."""
     plan = plan_of(tmp_path / "out", ["a", "b"])
@@ -430,6 +458,22 @@ def test_stopped_workers_leave_what_they_are_at(machines, tmp_path, log, number)
     wait_until(lambda: not any(map(runs, pids)))
     wait_until(lambda: not (tmp_path / "out" / "hang").exists())
     assert machines.workers[0].poll() is None, "the worker is ready for the next plan"
+
+
+def test_a_client_ends_with_who_started_it(machines, tmp_path, log):
+    plan = plan_of(tmp_path / "out", ["hang"])
+    machines.start_worker()
+    work = [sys.executable, "-m", "handfit_core", "work", str(plan.path), "--scheduler", machines.address]
+    starting = f"import os, subprocess; subprocess.run({work!r} + [f'--parent={{os.getpid()}}'])"
+    parent = subprocess.Popen([sys.executable, "-c", starting], cwd=ROOT)
+    wait_until(lambda: any("child" in each for each in attempts(log)))
+    (client,) = psutil.Process(parent.pid).children()
+    parent.kill()
+    parent.wait()
+    wait_until(lambda: not runs(client.pid))
+    pids = [each[k] for each in attempts(log) for k in ("pid", "child") if k in each]
+    wait_until(lambda: not any(map(runs, pids)))
+    wait_until(lambda: not (tmp_path / "out" / "hang").exists())
 
 
 SBATCH = """#!{python}
