@@ -23,13 +23,16 @@ from handfit_core.interchange.recording import (
 )
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media, pictures_in
-from handfit_core.media.source import Frame, Media, Source
+from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.options import CaptureOptions
 
 DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt .trc .vrma".split(" "))
 """Endings of files that are read as recordings, whatever they are"""
 
 _ASKED: Final = tuple(field.name for field in fields(Asked))
+
+NO_RATE: Final = f"frames per second are not told: {DEFAULT_FPS:g} (--fps tells them)"
+"""What is assumed of a recording alone, and told by pictures beside it"""
 
 RELATIVE: Final = (1, 1)
 """A recording's size where keypoints are parts of the picture's width and height"""
@@ -109,27 +112,40 @@ def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Rec
     try:
         with READERS.blamed(name):
             recording = reader.read(document, Asked(**{name: getattr(options, name) for name in _ASKED}))
+            recording = _with_rate(recording, options.fps)
             recording.check()
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise InputError(
             f"{shown(path)}: this is meant to be {reader.title} ({reader.layout}), and is damaged or of a "
             f"version that is not known ({' '.join(str(error).split())[:200] or type(error).__name__})"
         ) from error
-    return recording if options.fps is None else replace(recording, fps=options.fps)
+    return recording
+
+
+def _with_rate(recording: Recording, fps: float | None) -> Recording:
+    """The recording with the rate that is asked for, its own, or the usual one."""
+    if fps is not None or recording.fps:
+        return replace(recording, fps=fps or recording.fps)
+    assumed = recording.assumed if len(recording.frame_numbers) == 1 else (*recording.assumed, NO_RATE)
+    return replace(recording, fps=DEFAULT_FPS, assumed=assumed)
 
 
 def beside(media: Media, recording: Recording) -> Recording:
     """A recording of those pictures, whose rows and pixels are theirs: a frame that it lacks has no hands.
 
-    Its frames are told by their numbers; where these count from 0 and the pictures' from 1, as other programs
-    do, by their order. Raises InputError where none is of these pictures.
+    Its frames are told by their numbers. Where these count from 0, as other programs do, and the pictures'
+    from 1, each is the next one's; where they are counted, as many as there are pictures, and none has a
+    picture's number, they are in the pictures' order. Raises InputError where none is of these pictures, and
+    for keypoints most of which lie outside them.
     """
     numbers = np.asarray(media.numbers(0, media.expected_frames or None))
     theirs = np.asarray(recording.frame_numbers)
     if len(numbers) == 1 == len(theirs):
         theirs = numbers
-    elif theirs[0] == 0 and numbers[0] == 1:
+    elif theirs[0] == 0 and (numbers[0] == 1 or media.source.kind == "video"):
         theirs = theirs + 1
+    elif theirs[0] in (0, 1) and len(theirs) == len(numbers) and not np.isin(theirs, numbers).any():
+        theirs = numbers
     if not np.isin(theirs, numbers).any():
         raise InputError(
             f"{shown(recording.files[0])}: its frames are {theirs[0]} to {theirs[-1]}, and the pictures' are "
@@ -139,7 +155,30 @@ def beside(media: Media, recording: Recording) -> Recording:
     common, here, there = np.intersect1d(numbers, theirs, return_indices=True)
     assert len(common)
     rows[here] = there
-    return scaled(at_rows(recording, rows, numbers), media.width, media.height)
+    assumed = tuple(phrase for phrase in recording.assumed if phrase != NO_RATE)
+    recording = replace(at_rows(recording, rows, numbers), fps=media.fps, assumed=assumed)
+    recording = scaled(recording, media.width, media.height)
+    _check_inside(recording)
+    return recording
+
+
+_MARGIN: Final = 0.25
+"""of a picture's size, by which keypoints may lie outside"""
+
+
+def _check_inside(recording: Recording) -> None:
+    """Raise InputError for keypoints of pictures of another size."""
+    if recording.seen is None or recording.size is None:
+        return
+    points = recording.seen.keypoints[np.isfinite(recording.seen.keypoints).all(axis=-1)]
+    outside = np.any(np.abs(points / recording.size - 0.5) > 0.5 + _MARGIN, axis=1)
+    if len(points) and outside.mean() > 0.5:
+        reach = np.abs(points).max(axis=0)
+        raise InputError(
+            f"{shown(recording.files[0])}: most of its keypoints lie outside the pictures, at up to "
+            f"{reach[0]:.0f}, {reach[1]:.0f} of {recording.size[0]}x{recording.size[1]} pixels; give the "
+            "size of the pictures that they were found in as --picture-size, or these pictures' keypoints"
+        )
 
 
 def at_rows(recording: Recording, rows: np.ndarray, numbers: np.ndarray) -> Recording:

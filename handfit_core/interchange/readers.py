@@ -40,6 +40,8 @@ READERS: Final = Registry(
     {
         "points": f"{_HERE}.points:READER",
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
+        "openpose": f"{_HERE}.openpose:READER",
+        "mmpose": f"{_HERE}.mmpose:READER",
     },
 )
 """The readers by their names on the command line, the more particular ones first"""

@@ -125,6 +125,12 @@ class Asked:
     picture_size: tuple[int, int] | None = None
     hand_mean: Literal["auto", "flat", "mean"] = "auto"
     model: str | None = None
+    hands: Literal["auto", "left", "right", "both"] = "auto"
+
+    @property
+    def rate(self) -> float:
+        """Frames per second of a file that does not tell: 0 stands for unknown there."""
+        return self.fps or 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +142,7 @@ class Recording:
     files: tuple[str, ...]
     """Absolute paths of what was read"""
     fps: float
-    """Frames per second"""
+    """Frames per second; 0: not told, as long as nobody needs them"""
     frame_numbers: np.ndarray
     """(T,) int, increasing"""
     seen: SeenHands | None = None

@@ -1,0 +1,155 @@
+"""Frames of JSON: a file a frame in a folder, or all in one file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.doors.values import LARGEST_WHOLE
+from handfit_core.errors import InputError
+from handfit_core.files import shown
+from handfit_core.interchange.document import Document
+
+_LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
+_NUMBER_KEYS: Final = ("frame", "frameid", "framenumber", "frameindex", "frameidx", "frameno", "imageid")
+_LISTS: Final = ("frames", "results", "data", "predictions", "detections", "annotations", "instanceinfo")
+_LONGEST_NUMBER: Final = 15
+
+
+def plain(key: str) -> str:
+    """A JSON key without its case and the signs between its words."""
+    return re.sub(r"[^a-z0-9]", "", key.lower())
+
+
+def keyed(content: Any) -> dict[str, Any]:
+    """An object's values by their plain keys; nothing for anything else."""
+    return {plain(key): value for key, value in content.items()} if isinstance(content, Mapping) else {}
+
+
+@dataclass(frozen=True, eq=False)
+class JsonFrames:
+    """T frames of a document, in order."""
+
+    numbers: np.ndarray
+    """(T,) int, increasing"""
+    contents: list[Any]
+    """(T) what the JSON has for each"""
+    header: dict[str, Any]
+    """What stands beside the frames, by plain keys"""
+    assumed: tuple[str, ...] = ()
+
+
+def frame_files(document: Document) -> list[tuple[int, Path]]:
+    """The JSON files of a folder with the frames' numbers, which are the last numbers in their names; counted
+    from 1 where they have none. Raises InputError for files of several sequences."""
+    files = document.files(".json")
+    found = [(_LAST_NUMBER.search(file.stem), file) for file in files]
+    numbered = [(match, file) for match, file in found if match and len(match[0]) <= _LONGEST_NUMBER]
+    if len(numbered) < len(files) or len(files) == 1:
+        return [
+            (int(match[0]) if match and len(files) == 1 else i, file)
+            for i, (match, file) in enumerate(found, 1)
+        ]
+    around = {(file.stem[: match.start()], file.stem[match.end() :]) for match, file in numbered}
+    if len(around) > 1:
+        first, second = sorted(around)[:2]
+        raise InputError(
+            f"{shown(document.path)}: its files belong to several clips ({first[0]}..{first[1]} and "
+            f"{second[0]}..{second[1]}, for example); give each its own folder"
+        )
+    return sorted((int(match[0]), file) for match, file in numbered)
+
+
+def first_content(document: Document) -> Any:
+    """What a document's JSON is, or that of a folder's first JSON file; None without one."""
+    if not document.is_folder:
+        return document.json if document.json is not None else document.lines
+    files = document.files(".json")
+    return Document(files[0]).json if files else None
+
+
+def frames_of(document: Document) -> JsonFrames:
+    """The frames of a folder of JSON files, of a list, of an object with a list or with frames by their
+    numbers, or of a single frame. Raises InputError."""
+    if document.is_folder:
+        files = frame_files(document)
+        contents = []
+        for _, file in files:
+            content = Document(file).json
+            if content is None:
+                raise InputError(f"{shown(file)}: this file of the sequence is no JSON, or a damaged one")
+            contents.append(content)
+        numbers = np.array([number for number, _ in files])
+        return _in_order(document, numbers, contents, {}, ())
+    content = first_content(document)
+    header = keyed(content)
+    if isinstance(content, Mapping):
+        listed = next((header[key] for key in _LISTS if isinstance(header.get(key), list | dict)), None)
+        if listed is not None:
+            content = listed
+            header = {key: value for key, value in header.items() if not isinstance(value, list | dict)}
+    if isinstance(content, Mapping) and content and all(_digits(key) for key in content):
+        numbers = np.array([int(key) for key in content])
+        return _in_order(document, numbers, list(content.values()), header, ())
+    if isinstance(content, Mapping):
+        match = _LAST_NUMBER.search(document.path.stem)
+        number = int(match[0]) if match and len(match[0]) <= _LONGEST_NUMBER else 1
+        return _in_order(document, np.array([_number_in(content) or number]), [content], header, ())
+    if not isinstance(content, list) or not content:
+        raise InputError(f"{shown(document.path)}: there is no frame in it")
+    told = [_number_in(each) for each in content]
+    if any(number is None for number in told):
+        assumed = ("its frames have no numbers: they are counted from 1",) if len(content) > 1 else ()
+        return _in_order(document, np.arange(1, len(content) + 1), content, header, assumed)
+    return _in_order(document, np.array(told), content, header, ())
+
+
+def _in_order(
+    document: Document,
+    numbers: np.ndarray,
+    contents: list[Any],
+    header: dict[str, Any],
+    assumed: tuple[str, ...],
+) -> JsonFrames:
+    """Frames by their numbers. Raises InputError where one comes twice."""
+    order = np.argsort(numbers, kind="stable")
+    numbers = numbers[order]
+    twice = np.flatnonzero(np.diff(numbers) == 0)
+    if len(twice):
+        raise InputError(f"{shown(document.path)}: frame {numbers[twice[0]]} is there twice")
+    return JsonFrames(numbers, [contents[i] for i in order], header, assumed)
+
+
+def size_in(header: Mapping[str, Any], before: str = "") -> tuple[int, int] | None:
+    """The pictures' size as plain keys tell it; None where they do not."""
+    width, height = header.get(f"{before}width"), header.get(f"{before}height")
+    if isinstance(width, int) and isinstance(height, int) and 0 < width < 1 << 24 and 0 < height < 1 << 24:
+        return width, height
+    return None
+
+
+def _digits(key: Any) -> bool:
+    return isinstance(key, str) and key.isascii() and key.isdigit() and len(key) <= _LONGEST_NUMBER
+
+
+def _number_in(content: Any) -> int | None:
+    """The number of a frame that tells its own; a text's last number, as of a picture's name."""
+    of = keyed(content)
+    for key in _NUMBER_KEYS:
+        value = of.get(key)
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= LARGEST_WHOLE:
+            return value
+        if (
+            isinstance(value, str)
+            and (match := _LAST_NUMBER.search(value[:300]))
+            and len(match[0]) <= _LONGEST_NUMBER
+        ):
+            return int(match[0])
+    return None

@@ -1,0 +1,135 @@
+"""How other programs name a hand's 21 points, in JSON keys and in columns of tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from handfit_core.skeleton import FINGERS, KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
+
+_APPLE_CODE: Final = re.compile(r"VNHLK([A-Z]{3,4})")
+_WORDS: Final = re.compile(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+|\d+")
+_AXES: Final = {"x": "x", "y": "y", "z": "z"} | dict.fromkeys(
+    ("c", "conf", "confidence", "score", "visibility", "v", "likelihood", "presence"), "c"
+)
+_SIDE_WORDS: Final[dict[str, Side]] = {
+    **dict.fromkeys(("left", "lefthand", "l", "lh"), SIDES[0]),
+    **dict.fromkeys(("right", "righthand", "r", "rh"), SIDES[1]),
+}
+_FILLING: Final = frozenset(
+    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px".split()
+)
+
+
+def _names() -> dict[str, int]:
+    known = {"wrist": 0} | {name.replace("_", ""): i for i, name in enumerate(KEYPOINT_NAMES)}
+    for f, finger in enumerate(FINGERS):
+        joints = ("cmc", "mcp", "ip", "tip") if finger == "thumb" else ("mcp", "pip", "dip", "tip")
+        for i, joint in enumerate(joints):
+            for called in (finger, "pinky") if finger == "little" else (finger,):
+                for between in ("", "finger"):
+                    known[called + between + joint] = 1 + 4 * f + i
+    return known | {"thumbmp": 2}
+
+
+_NAMES: Final = _names()
+_APPLE_FINGERS: Final = dict(zip("TIMRP", FINGERS, strict=True))
+
+
+def point_named(name: str) -> int | None:
+    """Which of the 21 points somebody calls so: MediaPipe (INDEX_FINGER_MCP), Apple's Vision (indexMCP,
+    VNHLKIMCP), and this project (index_1); None: none."""
+    if code := _APPLE_CODE.search(name):
+        if code[1] == "WRI":
+            return 0
+        return _NAMES.get(_APPLE_FINGERS.get(code[1][0], "") + code[1][1:].lower())
+    return _NAMES.get(re.sub(r"[^a-z0-9]", "", name.lower()))
+
+
+def is_apple(name: str) -> bool:
+    """Whether only Apple's Vision calls a point so."""
+    return bool(_APPLE_CODE.search(name)) or re.sub(r"[^a-z]", "", name.lower()).endswith(
+        ("thumbmp", "littlemcp", "littlepip", "littledip", "littletip")
+    )
+
+
+def side_named(text: object) -> Side | None:
+    """The side that a label names, as in Left, right_hand, R; None: none."""
+    if not isinstance(text, str):
+        return None
+    words = [word.lower() for word in _WORDS.findall(text[:100])]
+    sides: set[Side] = {_SIDE_WORDS[word] for word in words if word in _SIDE_WORDS}
+    return next(iter(sides)) if len(sides) == 1 else None
+
+
+@dataclass(frozen=True)
+class PointColumn:
+    """A table's column that holds one number of a hand's point."""
+
+    index: int
+    """Which column"""
+    point: int
+    axis: str
+    """x, y, z, or c: how sure it is"""
+    side: Side | None
+    hand: int
+    """Which hand, where columns number them"""
+    world: bool
+    """Whether it is in metres about the hand's middle, as MediaPipe's world landmarks"""
+
+
+def point_columns(names: Sequence[str]) -> list[PointColumn]:
+    """The columns of a table in which each row holds whole hands, as in x0, wrist_x or right_hand_wrist_x.
+
+    Where points are numbered from 1, 21 is among them and 0 is not.
+    """
+    numbered, found = set(), []
+    for i, name in enumerate(names):
+        parsed = _parsed(name)
+        if parsed is None:
+            continue
+        point, axis, side, hand, world = parsed
+        if isinstance(point, str):
+            numbered.add(int(point))
+        found.append((i, point, axis, side, hand, world))
+    first = 1 if NUM_KEYPOINTS in numbered and 0 not in numbered else 0
+    columns = []
+    for i, point, axis, side, hand, world in found:
+        number = point if isinstance(point, int) else int(point) - first
+        if 0 <= number < NUM_KEYPOINTS:
+            columns.append(PointColumn(i, number, axis, side, hand, world))
+    return columns
+
+
+def _parsed(name: str) -> tuple[int | str, str, Side | None, int, bool] | None:
+    """The point, a text of digits where it is numbered, axis, side, hand, and whether it is of the world."""
+    if len(name) > 100:
+        return None
+    if code := _APPLE_CODE.search(name):
+        words = [*_words(name[: code.start()]), *_words(name[code.end() :])]
+        rest = [code[0]]
+    else:
+        words, rest = _words(name), []
+    axis, side, world = None, None, False
+    for at, word in enumerate(words):
+        if word in _AXES and axis is None and at in (0, len(words) - 1):
+            axis = _AXES[word]
+        elif word in _SIDE_WORDS and side is None:
+            side = _SIDE_WORDS[word]
+        elif word in ("world", "w"):
+            world = True
+        elif word not in _FILLING:
+            rest.append(word)
+    if axis is None or not rest:
+        return None
+    digits = [word for word in rest if word.isdigit() and len(word) <= 4]
+    if len(digits) == len(rest) <= 2:
+        return digits[-1], axis, side, int(digits[0]) if len(digits) == 2 else 0, world
+    point = point_named("".join(rest))
+    return None if point is None else (point, axis, side, 0, world)
+
+
+def _words(name: str) -> list[str]:
+    return [word.lower() for word in _WORDS.findall(name)]
