@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, Self
 
 import numpy as np
@@ -62,6 +62,39 @@ class Batch:
             return mine
 
         return self._with(**{name: put(value, getattr(rows, name)) for name, value in self._rows()})
+
+    @classmethod
+    def filled(cls, count: int, parts: Iterable[Self]) -> Self:
+        """`joined` of parts that have `count` rows together, or fewer where they end before: each is let go
+        of once its rows are copied, so that a long batch is there once."""
+        whole, first = None, 0
+        for part in parts:
+            if whole is None:
+                whole = part._empty(count)
+            first += whole._put(first, part)
+        assert whole is not None
+        return whole if first == count else whole.select(slice(first))
+
+    def _empty(self, count: int) -> Self:
+        """The same with `count` rows that hold anything."""
+        return self._with(
+            **{
+                name: value._empty(count)
+                if isinstance(value, Batch)
+                else np.empty((count, *value.shape[1:]), value.dtype)
+                for name, value in self._rows()
+            }
+        )
+
+    def _put(self, first: int, part: Self) -> int:
+        """Overwrite the rows from `first` on with those of a part; returns how many."""
+        for name, value in self._rows():
+            rows = getattr(part, name)
+            if isinstance(value, Batch):
+                value._put(first, rows)
+            else:
+                value[first : first + len(rows)] = rows
+        return len(part)
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:

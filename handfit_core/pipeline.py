@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from handfit_core.batch import slices, spread
+from handfit_core.batch import slices
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.keypoints import DetectedTrack, SideBySide
 from handfit_core.detect.tracks import link_and_count
@@ -185,9 +185,12 @@ def capture_with(
         done += 1
         report(Progress("fit", done, total))
 
-    # A long clip's detections take most of the memory, and those of hands that are fitted are not kept.
-    waiting = deque(replace(track, detections=SideBySide(track.detections)) for track in tracks)
+    # A long clip's detections take most of the memory: they are there once, and not kept of hands that are
+    # fitted.
+    left, waiting = deque(tracks), deque[DetectedTrack]()
     del tracks
+    while left:
+        waiting.append(_side_by_side(left.popleft()))
     models = {track.side: load_model(options.model, track.side) for track in waiting}
     if hand_length is not None and can.takes_hand_length:
         # Both hands' models have one length.
@@ -410,6 +413,10 @@ def detect_to_file(
     }
 
 
+def _side_by_side(track: DetectedTrack) -> DetectedTrack:
+    return replace(track, detections=SideBySide(track.detections))
+
+
 def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
     """Warn where there were more hands than are captured."""
     if seen <= captured:
@@ -452,19 +459,31 @@ def _holes(numbers: list[int]) -> tuple[int, ...]:
 
 def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics: Intrinsics) -> HandTrack:
     """What a take keeps of one fitted track: the parameters and what follows from them."""
+    # A hand of hours has its arrays once here, and no list of its detections.
     count, seen, present = len(track.detections), track.detected, fit.present
-    found = [d for d in track.detections if d is not None]
-    points, world = (
-        spread(np.array(rows).reshape(-1, NUM_KEYPOINTS, 3), seen, count)
-        for rows in ([d.keypoints for d in found], [d.world for d in found])
-    )
+    points, world, joints_3d = (np.full((count, NUM_KEYPOINTS, 3), np.nan) for _ in range(3))
+    score, right_side = np.full(count, np.nan), np.full(count, np.nan)
+    other_side, overlapped = np.zeros(count, dtype=bool), np.zeros((count, NUM_KEYPOINTS), dtype=bool)
+    for row in np.flatnonzero(seen):
+        d = track.detections[row]
+        assert d is not None
+        points[row], world[row], score[row], other_side[row] = (
+            d.keypoints,
+            d.world,
+            d.score,
+            d.side != track.side,
+        )
+        if d.right_side is not None:
+            right_side[row] = d.right_side
+        if d.overlapped is not None:
+            overlapped[row] = d.overlapped
     keypoints_2d = points[..., :2]
-    none = np.zeros(NUM_KEYPOINTS, dtype=bool)
-    overlapped = np.array([none if d.overlapped is None else d.overlapped for d in found])
-    posed = fit.global_orient[present], fit.hand_pose[present], fit.transl[present]
-    joints = [model.keypoints(fit.betas, *(rows[part] for rows in posed)) for part in slices(len(posed[0]))]
-    joints_3d = spread(np.concatenate(joints), present, count)
-    distance = np.linalg.norm(intrinsics.project(joints_3d) - keypoints_2d, axis=-1)
+    there, error = np.flatnonzero(present), np.full(count, np.nan)
+    for rows in (there[part] for part in slices(len(there))):
+        posed = fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
+        joints_3d[rows] = model.keypoints(fit.betas, *posed)
+        distance = np.linalg.norm(intrinsics.project(joints_3d[rows]) - keypoints_2d[rows], axis=-1)
+        error[rows] = distance.mean(axis=-1)
     return HandTrack(
         side=track.side,
         betas=fit.betas,
@@ -473,17 +492,17 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         transl=fit.transl,
         joints_3d=joints_3d,
         keypoints_2d=keypoints_2d,
-        reprojection_error=distance.mean(axis=-1),
+        reprojection_error=error,
         detected=seen,
-        score=spread([d.score for d in found], seen, count),
+        score=score,
         filled=present & ~seen,
         doubtful=fit.doubtful,
         expected_error=fit.expected_error,
         keypoints_depth=points[..., 2],
         world_landmarks=world,
-        right_side=spread([np.nan if d.right_side is None else d.right_side for d in found], seen, count),
-        other_side=spread([d.side != track.side for d in found], seen, count, False),
-        overlapped=spread(overlapped, seen, count, False) if np.any(overlapped) else None,
+        right_side=right_side,
+        other_side=other_side,
+        overlapped=overlapped if overlapped.any() else None,
     )
 
 

@@ -88,7 +88,7 @@ def _data(problem: Problem, state: State) -> Blocks:
     """The frames' own matrices; zero where there is nothing to look at."""
     free = replace(problem, held=None)
     parts = slices(len(state), _AT_ONCE)
-    blocks = Blocks.joined([free.select(part).blocks(state.select(part)) for part in parts])
+    blocks = Blocks.filled(len(state), (free.select(part).blocks(state.select(part)) for part in parts))
     if problem.looked_at is None:
         return blocks
     nothing = ~problem.looked_at

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import slices, spread
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection, SideBySide
 from handfit_core.fit.clips import smoothed
@@ -155,12 +155,12 @@ class FastFitter:
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
-        parts = [slice(first, first + SLICE) for first in range(0, len(start), SLICE)]
-        return Solution.joined(
-            [
+        return Solution.filled(
+            len(start),
+            (
                 solve(problem.select(part), start.select(part), max_iterations=most, tolerance=TOLERANCE)
-                for part in parts
-            ]
+                for part in slices(len(start), SLICE)
+            ),
         )
 
     def solve_solid(
@@ -177,10 +177,10 @@ class FastFitter:
         meet = np.unique(np.concatenate(rows))
         if not len(meet):
             return seen, plain
-        found = self.solve_each(
-            self.problem(seen, held=held, solid=True).select(meet), plain.state.select(meet)
-        )
-        return seen, plain.replaced(meet, found)
+        solid = self.problem(seen, held=held, solid=True)
+        chosen = (meet[part] for part in slices(len(meet), SLICE))
+        found = (self.solve_each(solid.select(rows), plain.state.select(rows)) for rows in chosen)
+        return seen, plain.replaced(meet, Solution.filled(len(meet), found))
 
     def _meeting_terms(self, seen: Observation) -> tuple[Apart | InFront | Touch, ...]:
         """Those that couple parts of a hand."""
@@ -259,16 +259,21 @@ def fit_track(
         frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
     for _ in found:
         on_frame()
+    rows = np.flatnonzero(np.isin(frames, found))
+    told = np.empty((len(rows), 5, 6))
+    for part in slices(len(rows)):
+        points = fitter.chain.points(state.select(rows[part]))
+        told[part] = evidence(seen.select(part), points, np.full(len(points), sure))
+    converged = solution.converged
+    del seen, solution
+    expected = among_neighbours(expected_error(told), Times.between(found, cuts, track.fps))
     betas, orient, pose, transl = fitter.chain.parameters(state)
-    points = fitter.chain.points(state.select(np.isin(frames, found)))
-    expected = expected_error(evidence(seen, points, np.full(len(found), sure)))
-    expected = among_neighbours(expected, Times.between(found, cuts, track.fps))
     return TrackFit(
         betas=betas[0],
         global_orient=spread(orient, frames, count),
         hand_pose=spread(pose, frames, count),
         transl=spread(transl, frames, count),
-        converged=spread(solution.converged, found, count, False),
+        converged=spread(converged, found, count, False),
         filled=spread(True, np.setdiff1d(frames, found), count, False),
         doubtful=spread(doubtful(expected), found, count, False),
         expected_error=spread(expected, found, count),
@@ -280,13 +285,15 @@ def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Sol
     count = len(seen)
     chosen = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
     betas = fitter.solve_shape(seen.select(np.unique(chosen)))
-    parts = []
-    for first in range(0, count, CHUNK):
-        chunk = seen.select(slice(first, first + CHUNK))
-        parts.append(fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas)))
-        if should_stop():
-            break
-    return Solution.joined(parts)
+
+    def parts() -> Iterator[Solution]:
+        for part in slices(count, CHUNK):
+            chunk = seen.select(part)
+            yield fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas))
+            if should_stop():
+                return
+
+    return Solution.filled(count, parts())
 
 
 def _motion(smoothing: float, fps: float) -> Motion:

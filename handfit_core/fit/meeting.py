@@ -37,9 +37,8 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 def meeting(surface: Surface, seen: Observation, state: State, times: Times | None = None) -> Meeting:
     """What is seen of hands that are roughly where `state` has them. `times`: when they were seen in a clip,
     of which neighbours agree; None: they know nothing of each other."""
-    each = Meeting.joined(
-        [_alone(surface, seen.select(part), state.select(part)) for part in slices(len(state))]
-    )
+    parts = (_alone(surface, seen.select(part), state.select(part)) for part in slices(len(state)))
+    each = Meeting.filled(len(state), parts)
     crosses = each.front != 0.0
     says, touching = np.nan_to_num(each.front), np.nan_to_num(each.touching)
     if times is not None:
