@@ -13,7 +13,7 @@ import bpy
 from handfit_core.errors import HandfitError, InputError
 from handfit_core.farm.folder import files_in
 from handfit_core.farm.inputs import PREVIEW_SUFFIX
-from handfit_core.farm.plan import Task, files_of, fingerprint
+from handfit_core.farm.plan import Task, check_files, files_of, fingerprint
 from handfit_core.farm.report import Result
 from handfit_core.sheet import SUFFIX
 from handfit_core.take import Take
@@ -48,6 +48,8 @@ class Work:
     """Results that an earlier attempt has left, by their names"""
     parts: Sequence[Path]
     """Files in which the hands of the clip's parts are"""
+    named: Sequence[Sequence[str]]
+    """`Plan.files`: those that the options name"""
     say: Callable[..., None]
     """Takes the kind of an event and its fields"""
 
@@ -64,6 +66,7 @@ def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> Non
     are; otherwise they become Blender's factory settings. Raises HandfitError.
     """
     task, order, folder = work.task, work.order, work.folder
+    check_files(work.named)
     if task.part:
         return _detect(work, result, runner)
     take_path = folder / f"{task.name}{TAKE_SUFFIX}"
@@ -76,6 +79,7 @@ def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> Non
         _capture(work, take_path, result, runner)
         take = Take.load(take_path)
         _check_input(task, _WHILE_READ)
+        check_files(work.named)  # before it is told of: the next attempt would go on with it
     elif not (take_path.exists() and task.take and take_path.samefile(task.take)):
         take.save(take_path)
     result.describe(take)
@@ -89,6 +93,7 @@ def fit(work: Work, result: Result, runner: Runner, *, keep_addons: bool) -> Non
     with blender_silenced(order.debug):
         for path in _results(take, work, result, keep_addons):
             work.tell(path)
+    check_files(work.named)
 
 
 def _finished_take(work: Work, name: str) -> Take | None:

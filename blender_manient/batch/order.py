@@ -13,6 +13,8 @@ from typing import Any
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.landmark_model import VARIABLE
 from handfit_core.errors import OptionError
+from handfit_core.files import is_file
+from handfit_core.hand_model.files import files_of_model
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import SOLVERS, get_solver
 from handfit_core.worker.interpreter import find_python, runs_here
@@ -80,9 +82,15 @@ class Order:
         """From the options of a plan, and from `debug`, `python` and `processes` of this machine. Raises
         OptionError."""
         python = here.get("python")
-        capture = {**options["capture"], **{name: here[name] for name in _HERE if here.get(name) is not None}}
-        args = _OfPlan(**options["make"], capture=capture, debug=bool(here.get("debug")), python=python)
-        return cls.of_arguments(args, python)
+        chosen = {name: here[name] for name in _HERE if here.get(name) is not None}
+        try:
+            capture = {**options["capture"], **chosen}
+            args = _OfPlan(**options["make"], capture=capture, debug=bool(here.get("debug")), python=python)
+            return cls.of_arguments(args, python)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise OptionError(
+                "the plan's options are none that this version can read; make the plan anew"
+            ) from error
 
 
 class _OfPlan(argparse.Namespace):
@@ -101,11 +109,15 @@ def options_of(args: argparse.Namespace, order: Order) -> dict[str, Any]:
 
 
 def files_named(options: Mapping[str, Any]) -> list[str]:
-    """The files and folders that a plan's options name, and what stands for one that they do not name."""
-    named = [values.get(name) for values in options.values() for name in _FILES]
-    named.append(os.environ.get(VARIABLE))
-    found = (_file_of(str(name)).expanduser() for name in named if name)
-    return [str(path) for path in found if path.exists()]
+    """The files that a plan's options name, those of a hand model's both sides, and what stands for one that
+    they do not name."""
+    named = [(name, str(path)) for each in options.values() for name in _FILES if (path := each.get(name))]
+    named.append(("landmark_model", os.environ.get(VARIABLE) or ""))
+    found = []
+    for name, text in named:
+        path = _file_of(text).expanduser()
+        found += files_of_model(path) if name == "model" else [path]
+    return [str(path.absolute()) for path in found if is_file(path)]
 
 
 def _full(text: str) -> str:

@@ -79,7 +79,8 @@ class _Doing:
         try:
             finished = {name: Path(path) for name, path in request["finished"].items()}
             parts = [Path(path) for path in request["parts"]]
-            work = Work(task, self._order(request), Path(request["folder"]), finished, parts, self.say)
+            named, folder = request["files"], Path(request["folder"])
+            work = Work(task, self._order(request), folder, finished, parts, named, self.say)
             fit(work, result, self._runner(request), keep_addons=self.host.keep_addons)
         except Exception as error:
             kind, message = kind_of(error), " ".join(str(error).split())

@@ -28,7 +28,7 @@ from pathlib import Path, PurePath
 from typing import Any, Final
 
 from handfit_core.errors import HandfitError, OutputError
-from handfit_core.files import PART, flush, read_file, shown, why
+from handfit_core.files import PART, flush, is_file, read_file, shown, why
 from handfit_core.version import __version__
 
 BEAT: Final = 10.0
@@ -117,9 +117,11 @@ class TaskFolder:
         """The results that a failed attempt at that task has left, as they were then, by their names."""
         found = {}
         for name, known in (self.failures(id) or {}).get("files", {}).items():
-            with contextlib.suppress(OSError, ValueError):
-                if files_in(self.path, [name])[name] == known:
-                    found[name] = self.path / name
+            with contextlib.suppress(OSError, ValueError, TypeError):
+                # One of another size need not be read, nor waited for what is no file.
+                same = is_file(path := self.path / name) and path.stat().st_size == known["size"]
+                if same and files_in(self.path, [name])[name] == known:
+                    found[name] = path
         return found
 
     def holds(self, id: str) -> bool:
@@ -343,7 +345,7 @@ class Watch:
         of this machine, else after a time without a sign; empty where there is none any more, None while he
         seems to live."""
         try:  # in this order: opening a file has network disks ask how old it is
-            looks = (folder.running.read_text("utf-8", "replace"), folder.running.stat().st_mtime_ns)
+            looks = (_text(folder.running), folder.running.stat().st_mtime_ns)
         except FileNotFoundError:
             return ""
         alive = _lives(_read(folder.running) or {})
@@ -428,7 +430,7 @@ def _put(folder: TaskFolder, content: Mapping[str, Any], dead: str = "") -> bool
         if dead:
             # At no moment is there none: results that a killed process has moved would be nobody's. Of two
             # who come at once the second has it, and the first finds that out before it moves anything.
-            if folder.running.read_text("utf-8", "replace") != dead:
+            if _text(folder.running) != dead:
                 return False
             aside.replace(folder.running)
             return True
@@ -500,6 +502,11 @@ def _read(path: Path, *, missing_ok: bool = True) -> dict[str, Any] | None:
         return None
     known = isinstance(content, dict) and content.get("format") == _FORMAT
     return content if known and content.get("version") == _VERSION else None
+
+
+def _text(path: Path) -> str:
+    """Whatever a file holds. Raises OSError, also for what is no file, or larger than any of ours."""
+    return read_file(path, _LARGEST).decode("utf-8", "replace")
 
 
 def _content(id: str, **more: Any) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -36,12 +36,20 @@ FOLDER: Final = "plans"
 
 _FORMAT: Final = "manient-plan"
 _VERSION: Final = 1
-_LARGEST: Final = 1 << 30
+_LARGEST: Final = 1 << 27
+"""bytes of a plan; 100 000 tasks have 23 MB"""
+_MOST_ITEMS: Final = 8_000_000
+_MOST_LISTS: Final = 2_000_000
+"""Values in a plan's lists and objects, and lists and objects in it: in memory each takes up to 30 times what
+it takes in the file"""
 _AWAY: Final = (errno.ENOENT, errno.ESTALE, errno.EIO, errno.ETIMEDOUT, errno.ENOTCONN)
 """What systems say of a file on a disk that is not here"""
 _READ_WHOLE: Final = 4 << 20
 """bytes that the files of one input may have together for their contents to be compared; of larger ones
 names, sizes and times are, since reading a thousand clips costs hours"""
+_READ_NAMED: Final = 64 << 20
+"""The same of each file that the options name, such as a hand model: of these there are few, and machines may
+have copies of their own, whose times differ"""
 _BYTES_OF_FRAME: Final = 15_000
 """of a video whose header does not tell its frames"""
 _FRAME: Final = 0.02
@@ -89,8 +97,8 @@ class Task:
                 values.number(name, value, 0.0)
                 continue
             texts = value if isinstance(value, tuple) and name in ("source", "needs") else (value,)
-            if not all(isinstance(text, str) and "\0" not in text for text in texts):
-                raise ValueError(f"{shortly(value)} is no {name} of a task")
+            for text in texts:
+                values.path(f"{name} of a task", text)
         return cls(**known)
 
 
@@ -107,6 +115,8 @@ class Plan:
     """Whether all results lie in one folder"""
     overwrite: bool = False
     """Whether results replace those of other tasks that have their name"""
+    files: tuple[tuple[str, str], ...] = ()
+    """Those that the options name, and what each held when the plan was made, as `check_files` compares it"""
     command: tuple[str, ...] = ()
     """What does tasks of this plan on the machine that made it, but for the name of the command"""
     made_by: str = __version__
@@ -171,12 +181,14 @@ class Plan:
     def load(cls, path: Path) -> Plan:
         """Read a plan's file. Raises InputError."""
         try:
-            plan = cls.of_content(json.loads(read_file(path, _LARGEST)), path)
+            data = read_file(path, _LARGEST)
+            if data.count(b",") > _MOST_ITEMS or data.count(b"[") + data.count(b"{") > _MOST_LISTS:
+                raise ValueError("it lists more than any plan")
+            plan = cls.of_content(json.loads(data), path)
+            del data
             json.dumps(plan.options, allow_nan=False)
-            for id in (id for task in plan.tasks for id in (task.of, *task.needs) if id):
-                if id not in plan.by_id:
-                    raise ValueError(f"there is no task {shortly(id)}, which another one needs")
-        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            plan._check_parts()
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             reason = why(error) if isinstance(error, OSError) else shortly(str(error))
             gone = isinstance(error, OSError) and error.errno in _AWAY
             kind = PlanGone if gone else InputError
@@ -200,12 +212,23 @@ class Plan:
             content["options"],
             bool(content["flat"]),
             bool(content["overwrite"]),
-            tuple(map(str, content["command"])),
-            str(content["made_by"]),
-            str(content["created"]),
+            tuple((values.path("files", path), str(held)) for path, held in content.get("files", ())),
+            tuple(values.path("command", word) for word in content["command"]),
+            values.text("made_by", content["made_by"], 100),
+            values.text("created", content["created"], 100),
         )
         vars(plan)["path"] = path.absolute()
         return plan
+
+    def _check_parts(self) -> None:
+        """Raise ValueError where a task that another one needs is not there, or is no part of its clip: what
+        waited for itself would never be done."""
+        for task in self.tasks:
+            for id in (id for id in (task.of, *task.needs) if id):
+                if id not in self.by_id:
+                    raise ValueError(f"there is no task {shortly(id)}, which another one needs")
+            if any(self.by_id[id].of != task.id or self.by_id[id].needs for id in task.needs):
+                raise ValueError(f"the task {shortly(task.name)} needs what is no part of its clip")
 
     def mapped(self, places: Sequence[tuple[str, str]]) -> Plan:
         """The plan with other beginnings of paths: what is called `places[i][0]` where it was made is called
@@ -226,7 +249,7 @@ class Plan:
             return type(value)(map(here, value)) if isinstance(value, list | tuple) else value
 
         tasks = tuple(replace(t, source=here(t.source), take=here(t.take)) for t in self.tasks)
-        plan = replace(self, tasks=tasks, options=here(self.options))
+        plan = replace(self, tasks=tasks, options=here(self.options), files=here(self.files))
         vars(plan)["path"] = self.path
         return plan
 
@@ -298,16 +321,15 @@ def make_plan(
     parts_of: Callable[[Input], Sequence[str]] = lambda _: (),
     frames: FrameRange | None = None,
 ) -> Plan:
-    """A task for each input. `files`: those, and folders, that the options name; what they hold counts too.
+    """A task for each input. `files`: those that the options name; what they hold counts too.
     `parts_of` gives the ranges of frames in which the hands of an input are found by tasks of their own, if
     any. `frames`: those that the options want of a clip.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
     """
-    common = json.dumps(
-        [__version__, options, [fingerprint(_within(Path(file))) for file in files]], sort_keys=True
-    )
+    held = [fingerprint([Path(file)], _READ_NAMED) for file in files]
+    common = json.dumps([__version__, options, held], sort_keys=True)
     there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
     taken = set() if flat else {FOLDER, "report.json", "overview.html"}
     first: dict[str, int] = {}
@@ -346,7 +368,8 @@ def make_plan(
         parts = [replace(part, name=free(part.name, part.id)) for part in _parts(task, parts_of(each))]
         rest = round(task.cost - sum(part.cost for part in parts), 3)
         tasks += [*parts, replace(task, needs=tuple(part.id for part in parts), cost=rest)]
-    return Plan(output.absolute(), tuple(tasks), options, flat, overwrite, tuple(command))
+    named = tuple(zip(map(str, files), held, strict=True))
+    return Plan(output.absolute(), tuple(tasks), options, flat, overwrite, named, tuple(command))
 
 
 def _as_folder(name: str) -> str:
@@ -396,15 +419,32 @@ def files_of(source: Sequence[str]) -> list[Path]:
     return [Path(part) for part in source]
 
 
-def fingerprint(files: Sequence[Path]) -> str:
+def check_files(named: Iterable[Sequence[str]]) -> None:
+    """Raise OptionError where one of `Plan.files` holds something else than when the plan was made. Of one
+    that is not there, who needs it says so."""
+    for path, held in named:
+        size, changed = _size_and_time(Path(path))
+        if size >= 0 and _held_by(path, size, changed) != held:
+            raise OptionError(
+                f"{shown(path)}: holds something else than when the batch was planned; bring back what it "
+                "held, or start the batch again, which then does everything anew"
+            )
+
+
+@lru_cache(maxsize=64)
+def _held_by(path: str, _size: int, _changed: int) -> str:
+    return fingerprint([Path(path)], _READ_NAMED)
+
+
+def fingerprint(files: Sequence[Path], read_whole: int = _READ_WHOLE) -> str:
     """What files hold, in short: the same for the same, and another once one of them has changed, as far as
-    that can be told without reading large ones."""
+    that can be told without reading those that have more than `read_whole` bytes together."""
     found = [(file.name, *_size_and_time(file)) for file in files]
     digest = hashlib.sha256()
-    if sum(size for _, size, _ in found) <= _READ_WHOLE and all(size >= 0 for _, size, _ in found):
+    if sum(size for _, size, _ in found) <= read_whole and all(size >= 0 for _, size, _ in found):
         for file in files:
             try:
-                digest.update(read_file(file, _READ_WHOLE))
+                digest.update(read_file(file, read_whole))
             except (OSError, ValueError) as error:
                 digest.update(str(error).encode("utf-8", "replace"))
         found = [(name, size, 0) for name, size, _ in found]
@@ -414,11 +454,6 @@ def fingerprint(files: Sequence[Path]) -> str:
                 digest.update(sample)
     digest.update(json.dumps(found).encode())
     return digest.hexdigest()[:32]
-
-
-def _within(path: Path) -> list[Path]:
-    """The files of a folder; a file itself."""
-    return sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
 
 
 def _size_and_time(file: Path) -> tuple[int, int]:

@@ -219,6 +219,7 @@ class Pool:
             request="task",
             task=asdict(task),
             options=dict(plan.options),
+            files=plan.files,
             folder=str(running.part),
             parts=[str(plan.part_file(id)) for id in task.needs],
             finished={name: str(path) for name, path in running.kept.items()},

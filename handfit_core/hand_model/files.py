@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import zipfile
@@ -93,6 +94,15 @@ def file_of_side(path: Path, side: Side) -> Path:
         for candidate in _candidates(path.parent, side, (path.suffix.lower(),)):
             return candidate
     return path
+
+
+def files_of_model(path: Path) -> list[Path]:
+    """The files that `load_model` may read of a path: those of both sides, as far as they are there."""
+    found: dict[Path, None] = {}
+    for side in SIDES:
+        with contextlib.suppress(HandModelError, OSError, ValueError):
+            found[file_of_side(path, side)] = None
+    return [file for file in found if file.is_file()]
 
 
 def _candidates(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Path]:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,12 @@ import pytest
 pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.files import save_model_npz
 from handfit_core.media.source import Source
+from handfit_core.skeleton import SIDES
 from handfit_core.version import __version__
 from tests.capturing import can_capture
+from tests.imitation_mano import imitation_model
 from tests.takes import take_of, track_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -266,6 +270,7 @@ def peer(tmp_path, take_file):
         "    if 'crash' in name: os.abort()\n"
         "    if 'slow' in name: time.sleep(600)\n"
         "    if 'grow' in name and os.path.getsize(name) < 9: open(name, 'ab').write(b'more of it')\n"
+        "    if 'swap' in name: shutil.copy('other.npz', request['options']['model'])\n"
         "    os.makedirs(os.path.dirname(request['output']), exist_ok=True)\n"
         f"    shutil.copy({str(take)!r}, request['output'])\n"
         "    say(event='done', id=request['id'], output=request['output'])\n"
@@ -334,6 +339,47 @@ def test_an_input_that_grows_while_it_is_read(wheel, tmp_path):
     done = wheel("grow.jpg", "-o", out, "--format", "bvh")
     assert done.returncode == 0, done.stderr
     assert [(e["name"], e["status"]) for e in report(out)] == [("grow", "ok")]
+
+
+@needs_scripts
+@pytest.mark.parametrize("named", ["mano", "mano/MANO_RIGHT.npz"])
+def test_a_hand_model_that_is_replaced(wheel, tmp_path, named):
+    """Between `plan` and `work`, of whichever side: its results would be another task's."""
+    out, mano = tmp_path / "out", tmp_path / "mano"
+    mano.mkdir()
+    (tmp_path / "a.jpg").write_bytes(b"a")
+    files = {mano / f"MANO_{side.upper()}.npz": imitation_model(side) for side in SIDES}
+    for file, model in files.items():
+        save_model_npz(model, file)
+    assert wheel("plan", "a.jpg", "-o", out, "--format", "bvh", "--model", named).returncode == 0
+    for file, model in files.items():
+        save_model_npz(replace(model, v_template=model.v_template * 1.1), file)
+        assert wheel("work", out).returncode == 1
+        (entry,) = report(out)
+        assert entry["status"] == "failed"
+        assert entry["error"].startswith(f"{file}: holds something else than when the batch was planned;")
+        assert [path.name for path in (out / "a").iterdir()] == ["failed.json"]
+        save_model_npz(model, file)
+    (mano / "notes.txt").write_text("what no hand is read from")
+    done = wheel("work", out)
+    assert done.returncode == 0, done.stderr
+    assert [entry["status"] for entry in report(out)] == ["ok"]
+
+
+@needs_scripts
+def test_a_hand_model_that_is_replaced_while_it_is_used(wheel, tmp_path):
+    out, model = tmp_path / "out", tmp_path / "MANO_RIGHT.npz"
+    (tmp_path / "swap.jpg").write_bytes(b"a")
+    model.write_bytes(b"one")
+    (tmp_path / "other.npz").write_bytes(b"other")
+    options = "--format", "bvh", "--model", model
+    assert wheel("swap.jpg", "-o", out, *options).returncode == 1
+    (entry,) = report(out)
+    assert "MANO_RIGHT.npz: holds something else" in entry["error"]
+    assert not entry["files"], "the next attempt must not go on with it"
+    done = wheel("swap.jpg", "-o", out, *options)
+    assert done.returncode == 0, done.stderr
+    assert [(e["name"], e["status"]) for e in report(out)] == [("swap", "ok")]
 
 
 @needs_scripts

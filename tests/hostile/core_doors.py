@@ -26,6 +26,12 @@ from handfit_core import errors
 from handfit_core.__main__ import main
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.tracks import link_tracks
+from handfit_core.farm import pool
+from handfit_core.farm.collect import Report
+from handfit_core.farm.plan import Plan
+from handfit_core.farm.pool import Pool
+from handfit_core.farm.show import Shown
+from handfit_core.farm.templates import KINDS, write_template
 from handfit_core.hand_model import load_model
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import open_media
@@ -36,6 +42,7 @@ from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from handfit_core.worker import answering, protocol
 from handfit_core.worker.server import Server
+from tests.core.farm.peers import COMMAND as PEER
 from tests.hostile.engine import MOST_BYTES
 
 FRAMES = 4
@@ -85,6 +92,40 @@ def part(path: str) -> None:
         assert all(math.isfinite(n) and abs(n) <= 1e9 for n in numbers), "a hand that is beyond all bounds"
         if any(frames):
             link_tracks(frames)
+
+
+_doing: list[Pool] = []
+"""A pool that stays warm from case to case"""
+
+
+def farm(path: str) -> None:
+    """Do what is left of a plan with a stand-in for Blender, as `work` does, and report; write job files."""
+    plan = Plan.load(Path(path))
+    assert all(type(text) is str for task in plan.tasks for text in (*task.source, *task.needs, task.shown))
+    _doing[:] = _doing or [Pool(PEER, timeout=60.0)]
+    tasks = plan.tasks[:8]
+    report = Report([plan])
+    report.look()
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            results = _doing[0].run(plan, tasks, Shown(list(tasks), "json", report), wait=False)
+        report.look()
+        report.write()
+    except BaseException:
+        _doing.pop().stop()
+        raise
+    assert len(results) == len(tasks)
+    content = json.loads(Path("result/report.json").read_text("utf-8"), parse_constant=_no_number)
+    for result in content["inputs"]:
+        assert result["status"] in ("ok", "failed", "running", "pending"), result
+        assert "unexpected" not in result["error"], result
+    assert "<script>canary" not in Path("result/overview.html").read_text("utf-8", "replace")
+    for kind in KINDS:
+        write_template(kind, plan, Path("result", f"job.{kind}"), most=3)
+
+
+def _no_number(text: str) -> None:
+    raise AssertionError(f"{text} is no JSON")
 
 
 def model(path: str, side: str) -> None:
@@ -203,6 +244,7 @@ def server(path: str, endless: int = 0) -> None:
 DOORS: dict[str, Callable[..., Any]] = {
     "take": take,
     "part": part,
+    "farm": farm,
     "model": model,
     "media": media,
     "command": command,
@@ -210,3 +252,4 @@ DOORS: dict[str, Callable[..., Any]] = {
     "server": server,
 }
 os.environ["OPENCV_FFMPEG_READ_ATTEMPTS"] = "64"
+pool.BACK_OFF = (0.01, 0.01)

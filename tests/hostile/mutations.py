@@ -80,7 +80,7 @@ def _mutant(good: Callable[[], bytes], mutation: Callable[[bytearray, Random], N
     return mutated(good(), mutation, place.rng)
 
 
-def told(content: Any, path: tuple[str, ...], text: str) -> str:
+def told(content: Any, path: tuple[str | int, ...], text: str) -> str:
     """`content` as JSON, with that text where `path` leads."""
     content = inner = json.loads(json.dumps(content))
     for key in path[:-1]:

@@ -16,10 +16,22 @@ if sys.platform != "linux":
 pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 pytest.importorskip("cv2", reason="needs OpenCV")
 
-from tests.hostile import blends, commands, models, names, parts, peers, pickles, pictures, takes, videos
+from tests.hostile import (
+    blends,
+    commands,
+    farms,
+    models,
+    names,
+    parts,
+    peers,
+    pickles,
+    pictures,
+    takes,
+    videos,
+)
 from tests.hostile.engine import Case, Doorkeeper
 
-KINDS = (takes, parts, models, pickles, pictures, videos, names, peers, commands, blends)
+KINDS = (takes, parts, farms, models, pickles, pictures, videos, names, peers, commands, blends)
 # By door, so that the children that hold a door open change places once.
 CASES = sorted(
     (case for kind in KINDS for case in kind.cases()), key=lambda case: case.door.partition(".")[0]

@@ -11,8 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from handfit_core.errors import OptionError
 from handfit_core.farm.plan import Plan
-from handfit_core.files import written_whole
+from handfit_core.files import shown, written_whole
 
 from .farm import MOST_JOBS, PATIENCE, Farm, dealt
 from .filled import flamenco, slurm, snakemake
@@ -45,6 +46,8 @@ def write_template(
     that are called otherwise on the farm, as `task --map` takes them.
     """
     name, make = KINDS[kind]
+    if not plan.command:
+        raise OptionError(f"{shown(plan.path)}: this plan names no command that does its tasks; make it anew")
     file = (file or plan.path.with_name(name.format(plan.path.stem))).absolute()
     if timeout is None:
         timeout = max(_AT_LEAST, PATIENCE * max((task.cost for task in plan.tasks), default=0.0))

@@ -13,7 +13,7 @@ from handfit_core.farm.collect import Report
 from handfit_core.farm.commands import given_plans
 from handfit_core.farm.folder import TaskFolder, Watch, files_in
 from handfit_core.farm.inputs import expand
-from handfit_core.farm.plan import Plan, Task, make_plan, places_of, plans_in
+from handfit_core.farm.plan import Plan, Task, check_files, make_plan, places_of, plans_in
 
 
 @pytest.fixture
@@ -234,13 +234,27 @@ def test_large_files_of_equal_size_and_time_are_others(tmp_path):
     assert ids[0] != ids[1]
 
 
-def test_what_lies_in_a_folder_of_the_options_counts(photos, tmp_path):
-    model = tmp_path / "mano"
-    model.mkdir()
-    (model / "right.npz").write_bytes(b"one")
+@pytest.mark.parametrize("size", [3, 5_000_000], ids=["small", "large"])
+def test_what_files_of_the_options_hold_counts(photos, tmp_path, size):
+    model = tmp_path / "MANO_RIGHT.pkl"
+    model.write_bytes(b"1" * size)
     first = planned(photos, tmp_path / "out", files=[str(model)])
-    (model / "right.npz").write_bytes(b"two")
+    first.save()
+    (back,) = plans_in(tmp_path / "out")
+    assert back == first
+    os.utime(model, (1, 1))
+    check_files(back.files)
+    assert planned(photos, tmp_path / "out", files=[str(model)]).tasks[0].id == first.tasks[0].id
+    model.write_bytes(b"1" * (size - 1) + b"2")
+    with pytest.raises(OptionError, match=r"MANO_RIGHT\.pkl: holds something else than when the batch was"):
+        check_files(back.files)
     assert planned(photos, tmp_path / "out", files=[str(model)]).tasks[0].id != first.tasks[0].id
+    model.write_bytes(b"1" * size)
+    check_files(back.files)
+    model.unlink()
+    check_files(back.files)  # who needs it says that it is gone
+    moved = back.mapped([(str(tmp_path), str(tmp_path / "there"))])
+    assert [path for path, _ in moved.files] == [str(tmp_path / "there" / "MANO_RIGHT.pkl")]
 
 
 def test_an_input_that_was_renamed_stands_in_the_report_once(photos, tmp_path):
