@@ -464,7 +464,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
     points, world, joints_3d = (np.full((count, NUM_KEYPOINTS, 3), np.nan) for _ in range(3))
     score, right_side = np.full(count, np.nan), np.full(count, np.nan)
     other_side, overlapped = np.zeros(count, dtype=bool), np.zeros((count, NUM_KEYPOINTS), dtype=bool)
-    for row in np.flatnonzero(seen):
+    for row in np.flatnonzero(seen).tolist():
         d = track.detections[row]
         assert d is not None
         points[row], world[row], score[row], other_side[row] = (
