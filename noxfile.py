@@ -111,7 +111,8 @@ def tests(session: nox.Session, part: str) -> None:
         tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
         install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
-        run_pytest(session, "tests/core", allowed_skips="CUDA,anny,smplx,snakemake,openssl", workers=2)
+        allowed, clients = "CUDA,anny,smplx,snakemake,openssl", vrm_clients(session)
+        run_pytest(session, "tests/core", allowed_skips=allowed, env=clients, workers=2)
         run_again_as_another_processor(session, *NUMBERS)
     elif part == "open-hand":
         install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
@@ -121,6 +122,18 @@ def tests(session: nox.Session, part: str) -> None:
         run_again_as_another_processor(session, "tests/core/hand_model/test_open_hand.py")
     else:
         run_blender_tests(session, part.removeprefix("bpy-"))
+
+
+def vrm_clients(session: nox.Session) -> dict[str, str]:
+    """What plays VRM animations and checks glTF files, where there is npm; returns how tests find it."""
+    if shutil.which("npm") is None:
+        return {}
+    folder = Path(session.virtualenv.location) / "vrm-clients"
+    folder.mkdir(exist_ok=True)
+    shutil.copy(ROOT / "tests/core/interchange/vrm/package.json", folder)
+    quiet = ("--no-audit", "--no-fund", "--ignore-scripts", "--loglevel", "error")
+    session.run("npm", "install", "--prefix", str(folder), *quiet, external=True, silent=True)
+    return {"HANDFIT_VRM_CLIENTS": str(folder)}
 
 
 def blender_sessions(version: str, python: str) -> None:

@@ -129,6 +129,10 @@ def _parser() -> argparse.ArgumentParser:
     add_interchange_commands(commands)
     add_work_command(commands)
     add_model_commands(commands)
+    if importlib.util.find_spec("handfit_core.network"):  # as with the next one
+        from handfit_core.network.commands import add_send_command
+
+        add_send_command(commands)
     if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has
         from handfit_core.evaluate.commands import add_evaluate_command
 

@@ -21,12 +21,7 @@ def add_interchange_commands(commands: Any) -> None:
     convert = commands.add_parser(
         "convert", help="write a take, or another program's hands, in another format"
     )
-    convert.add_argument(
-        "input",
-        nargs="+",
-        metavar="INPUT",
-        help="a take, a file of docs/interchange.md, or what capture takes",
-    )
+    add_input(convert)
     convert.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="the file to write")
     convert.add_argument(
         "--to",
@@ -34,12 +29,11 @@ def add_interchange_commands(commands: Any) -> None:
         help=f"its format (default: by its ending): {', '.join(WRITERS.offered())}",
     )
     convert.add_argument(
-        "--progress",
-        choices=("bar", "json", "none"),
-        default="bar",
-        help="how to show progress (default: bar)",
+        "--wrist",
+        action="store_true",
+        help="for formats of whole persons (vrma): turn the hands too, straight in their first frame, with "
+        "forearms that keep still",
     )
-    add_options(convert)
     convert.set_defaults(handler=_convert)
 
     info = commands.add_parser("info", help="what a file of hands or keypoints is, and what is assumed of it")
@@ -48,24 +42,53 @@ def add_interchange_commands(commands: Any) -> None:
     info.set_defaults(handler=_info)
 
 
+def add_input(command: argparse.ArgumentParser) -> None:
+    """Add the input that `take_of_input` reads, and how it is read."""
+    command.add_argument(
+        "input",
+        nargs="+",
+        metavar="INPUT",
+        help="a take, a file of docs/interchange.md, or what capture takes",
+    )
+    command.add_argument(
+        "--progress",
+        choices=("bar", "json", "none"),
+        default="bar",
+        help="how to show progress (default: bar)",
+    )
+    add_options(command)
+
+
+def take_of_input(args: argparse.Namespace) -> Take:
+    """The take that the arguments of `add_input` name, or that is captured of what they name. Raises
+    HandfitError."""
+    from handfit_core.pipeline import capture_with
+
+    take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
+    if take is not None:
+        return take
+    source = args.input[0] if len(args.input) == 1 else args.input
+    report = None if args.progress == "none" else args.reporter.progress
+    return capture_with(source, CaptureOptions.of_arguments(args), report)
+
+
 def opened_take(path: Path) -> Take | None:
     """The take that a file holds; None for a file that is none. Raises TakeError for a damaged one."""
     return Take.load(path) if path.suffix.lower() == ".npz" and is_take(path) else None
 
 
 def _convert(args: argparse.Namespace) -> int:
-    from handfit_core.pipeline import capture_with, hand_summaries
+    from handfit_core.pipeline import hand_summaries
 
     started = time.perf_counter()
     writer = writer_for(args.output, args.to)
+    write = writer.write_wrist if args.wrist else writer.write
+    if write is None:
+        raise OptionError(f"--wrist: {writer.title} has no forearms that a hand could be turned to")
     check_writable(args.output)
-    take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
-    if take is None:
-        source = args.input[0] if len(args.input) == 1 else args.input
-        report = None if args.progress == "none" else args.reporter.progress
-        take = capture_with(source, CaptureOptions.of_arguments(args), report)
+    take = take_of_input(args)
     with written_whole(args.output) as beside:
-        writer.write(take, beside)
+        write(take, beside)
     args.reporter.done(
         {
             "output": str(args.output),

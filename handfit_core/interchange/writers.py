@@ -27,6 +27,8 @@ class Writer:
     write: Callable[[Take, Path], None]
     """Writes it into a file that may not exist, and is moved to its place afterwards. Raises OutputError, and
     OptionError for a take that the format cannot hold"""
+    write_wrist: Callable[[Take, Path], None] | None = None
+    """The same with how hands turn to their forearms, as far as that can be said; None: it is no question"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -37,6 +39,7 @@ WRITERS: Final = Registry(
     {
         "take": f"{_HERE}.take:WRITER",
         "points": f"{_HERE}.points:WRITER",
+        "vrma": f"{_HERE}.vrma:WRITER",
     },
 )
 """The writers by their names on the command line"""

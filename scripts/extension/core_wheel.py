@@ -15,7 +15,7 @@ from scripts.fetch_landmark_model import download_wheel
 
 BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 """Files that the core's build reads."""
-NOT_THE_ARTISTS = "handfit_core/evaluate/"
+NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/network/")
 """What only a checkout has."""
 
 LANDMARK_MODEL = f"handfit_core/detect/data/{landmark_model.FILE_NAME}"

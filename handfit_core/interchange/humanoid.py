@@ -1,0 +1,159 @@
+"""Hands of a humanoid as VRM and Unity have them: bones by name, turned relative to a T-pose.
+
+The **humanoid** frame is glTF's, right-handed, metres, y up, the person looking along +z with the left hand
+along +x. MANO's model frame has the same axes: the right hand's fingers along -x, its back +y, its thumb
+between -x and +z. In VRM's T-pose fingers lie exactly along x and thumbs half-way to +z, and no bone is
+turned; `retarget.transfer` meets the captured directions from there, and turns the thumb's nail as on any
+character.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.errors import OptionError
+from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat, unflip_quats
+from handfit_core.hand_model.axes import REST_FROM_MODEL
+from handfit_core.hand_model.kept import kept_model
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
+from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.take import Take
+
+BODY: Final[dict[str, tuple[str, tuple[float, float, float]]]] = {
+    "hips": ("", (0.0, 0.95, 0.0)),
+    "spine": ("hips", (0.0, 1.05, 0.0)),
+    "chest": ("spine", (0.0, 1.18, 0.0)),
+    "upperChest": ("chest", (0.0, 1.30, 0.0)),
+    "neck": ("upperChest", (0.0, 1.45, 0.0)),
+    "head": ("neck", (0.0, 1.54, 0.0)),
+    "leftShoulder": ("upperChest", (0.03, 1.40, 0.0)),
+    "leftUpperArm": ("leftShoulder", (0.16, 1.40, 0.0)),
+    "leftLowerArm": ("leftUpperArm", (0.43, 1.40, 0.0)),
+    "leftHand": ("leftLowerArm", (0.68, 1.40, 0.0)),
+    "leftUpperLeg": ("hips", (0.09, 0.88, 0.0)),
+    "leftLowerLeg": ("leftUpperLeg", (0.09, 0.48, 0.0)),
+    "leftFoot": ("leftLowerLeg", (0.09, 0.08, 0.0)),
+}
+"""VRM's names of a humanoid's bones but its fingers: the bone that each hangs from, and where it begins in
+the T-pose of a person of 1.7 metres, in metres; `rightX` is `leftX` mirrored at x = 0"""
+BODY.update(
+    {
+        "right" + name[4:]: (parent.replace("left", "right"), (-x, y, z))
+        for name, (parent, (x, y, z)) in BODY.items()
+        if name.startswith("left")
+    }
+)
+
+_PARTS: Final = ("Proximal", "Intermediate", "Distal")
+_THUMB_PARTS: Final = ("Metacarpal", "Proximal", "Distal")
+
+
+def bone_names(side: Side) -> tuple[str, ...]:
+    """VRM 1.0's names of a hand's 16 bones, by MANO's joints."""
+    names = [f"{side}Hand"] * NUM_JOINTS
+    for finger, joints in FINGER_JOINTS.items():
+        parts = _THUMB_PARTS if finger == "thumb" else _PARTS
+        for joint, part in zip(joints, parts, strict=True):
+            names[joint] = f"{side}{finger.title()}{part}"
+    return tuple(names)
+
+
+@dataclass(frozen=True, eq=False)
+class HumanoidHand:
+    """What a hand does in N moments, as rotations of a humanoid's bones."""
+
+    side: Side
+    times: np.ndarray
+    """(N,) seconds, increasing"""
+    quats: dict[str, np.ndarray]
+    """By VRM's name of a bone: (N, 4) quaternions (w, x, y, z), each relative to the bone's parent, in the
+    humanoid frame; without the hand's own where nobody knows how it is turned to the forearm"""
+    heads: np.ndarray
+    """(16, 3) metres: where bones begin in the T-pose, by MANO's joints"""
+
+    @classmethod
+    def of(
+        cls,
+        source: SourceHand,
+        times: np.ndarray,
+        turns: np.ndarray,
+        *,
+        wrist: bool = False,
+        joints: Sequence[int] = range(1, NUM_JOINTS),
+    ) -> HumanoidHand:
+        """From what a captured hand does.
+
+        `turns` (N, 16, 3, 3) as `TargetHand.local` takes them. `wrist`: turns[:, 0] is how the hand is turned
+        relative to the forearm, in rest space, and is kept. Only bones of `joints` are turned.
+        """
+        target, heads = t_pose(source)
+        names, quats = bone_names(source.side), {}
+        if wrist:
+            quats[names[0]] = target.aligned @ turns[:, 0] @ target.aligned.T
+        local = target.local(turns)
+        quats |= {name: local[:, target.bones.index(name)] for name in (names[j] for j in joints)}
+        return cls(source.side, times, {n: unflip_quats(rotmat_to_quat(r)) for n, r in quats.items()}, heads)
+
+
+def t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
+    """A humanoid's hand of the same size in VRM's T-pose, none of whose bones is turned, and where its bones
+    begin (16, 3), metres in the humanoid frame."""
+    own, tips = source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL
+    sideways = 1.0 if source.side == "left" else -1.0
+    heads, ends = own.copy(), tips.copy()
+    for finger, (first, second, third), tip, f in zip(
+        FINGERS, map(FINGER_JOINTS.__getitem__, FINGERS), tips, range(len(FINGERS)), strict=True
+    ):
+        along = np.array([sideways, 0.0, 1.0 if finger == "thumb" else 0.0])
+        along /= np.linalg.norm(along)
+        heads[second] = heads[first] + np.linalg.norm(own[second] - own[first]) * along
+        heads[third] = heads[second] + np.linalg.norm(own[third] - own[second]) * along
+        ends[f] = heads[third] + np.linalg.norm(tip - own[third]) * along
+    places, last = np.concatenate([heads, ends]), [FINGER_JOINTS[finger][2] for finger in FINGERS]
+    names = bone_names(source.side)
+    bones = Bones(
+        (*names, *(f"{finger} tip" for finger in FINGERS)),
+        np.array([*PARENTS, *last]),
+        places,
+        places,
+        np.broadcast_to(np.eye(3), (len(places), 3, 3)),
+        np.ones(len(places), dtype=bool),
+    )
+    hand_map = HandMap(source.side, names, thumb_roll=USUAL_THUMB_ROLL)
+    return target_hand(bones, hand_map, source), heads - heads[0] + BODY[names[0]][1]
+
+
+def hands_of(take: Take, *, wrist: bool = False) -> list[HumanoidHand]:
+    """The hands of a take, in the frames that they are in, timed from the take's first frame.
+
+    Pictures of a hand do not tell how it is turned to its forearm. `wrist`: take the hand as straight in its
+    first frame, and the forearm as still. Raises OptionError for a take without hands or with several of a
+    side, which no humanoid has, and HandModelError.
+    """
+    found = [track for track in take.hands if track.present.any()]
+    for side in SIDES:
+        number = sum(track.side == side for track in found)
+        if number > 1:
+            raise OptionError(
+                f"the take has {number} {side} hands, and a humanoid has one: build it in Blender and export "
+                "the wanted hands from there, or capture again with --hands"
+            )
+    if not found:
+        raise OptionError("there is no hand in this take")
+    hands = []
+    for track in found:
+        rows = np.flatnonzero(track.present)
+        pose = rotvec_to_rotmat(track.hand_pose[rows].reshape(len(rows), NUM_JOINTS - 1, 3))
+        root = rotvec_to_rotmat(track.global_orient[rows])
+        turns = np.concatenate([(root[0].T @ root)[:, None], pose], axis=1)
+        source = SourceHand.of(kept_model(take.model, track.side).shaped(track.betas), track.side)
+        times = (np.asarray(take.frame_numbers)[rows] - int(take.frame_numbers[0])) / take.fps
+        turns = REST_FROM_MODEL @ turns @ REST_FROM_MODEL.T
+        hands.append(HumanoidHand.of(source, times, turns, wrist=wrist))
+    return hands
