@@ -39,6 +39,7 @@ READERS: Final = Registry(
     Reader,
     {
         "points": f"{_HERE}.points:READER",
+        "bvh": f"{_HERE}.bvh:READER",
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
         "openpose": f"{_HERE}.openpose:READER",
         "mmpose": f"{_HERE}.mmpose:READER",

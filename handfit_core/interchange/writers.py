@@ -40,6 +40,7 @@ WRITERS: Final = Registry(
         "take": f"{_HERE}.take:WRITER",
         "points": f"{_HERE}.points:WRITER",
         "vrma": f"{_HERE}.vrma:WRITER",
+        "bvh": f"{_HERE}.bvh:WRITER",
     },
 )
 """The writers by their names on the command line"""

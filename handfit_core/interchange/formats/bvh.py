@@ -1,0 +1,397 @@
+"""Biovision's BVH: skeletons with fingers of any names, read; the names of MotionBuilder, written.
+
+Rotations are degrees, intrinsic in the order of the channels, and relative to a rest pose in which the axes
+of every bone are the file's own; offsets say where bones begin in it. Files do not tell their unit, nor what
+is up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from handfit_core.errors import HandModelError, InputError, OptionError
+from handfit_core.files import shown
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.axes import REST_FROM_MODEL
+from handfit_core.interchange.document import Document
+from handfit_core.interchange.readers import Reader
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.skeletons import (
+    UP_AXES,
+    AnimatedBones,
+    HandOfBones,
+    hand_of_bones,
+    name_of_unit,
+    no_hand,
+)
+from handfit_core.interchange.writers import Writer
+from handfit_core.media.source import DEFAULT_FPS
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
+from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS, Take
+
+_MOST_BYTES: Final = 1 << 27
+_MOST_BONES: Final = 2048
+_MOST_TURNS: Final = 1 << 24
+"""bones times frames"""
+_LONGEST_NAME: Final = 256
+_AXES: Final = {"x": 0, "y": 1, "z": 2}
+_END: Final = " end"
+_HEAD: Final = re.compile("head|neck", re.IGNORECASE)
+_FULL_TURN: Final = 2.0 * np.pi
+
+
+@dataclass
+class _Skeleton:
+    """A hierarchy while it is read."""
+
+    names: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    offsets: list[tuple[float, float, float]] = field(default_factory=list)
+    channels: list[list[str]] = field(default_factory=list)
+
+
+def _recognises(document: Document) -> bool:
+    return not document.is_folder and document.bytes[:64].lstrip(b"\xef\xbb\xbf \t\r\n").upper().startswith(
+        b"HIERARCHY"
+    )
+
+
+def _read(document: Document, asked: Asked) -> Recording:
+    try:
+        animated, seconds, degrees = _animated(document)
+    except _Wrong as error:
+        raise InputError(f"{shown(document.path)}: this BVH file {error}") from error
+    bones = animated.bones
+    assumed, up = [], _up_axis(bones)
+    hands: list[HandOfBones] = []
+    try:
+        for side in SIDES:
+            hand = hand_of_bones(animated, load_model(asked.model, side), UP_AXES[up])
+            hands += [hand] if hand is not None else []
+    except HandModelError as error:
+        raise InputError(f"{shown(document.path)}: {error}") from error
+    if not hands:
+        raise InputError(f"{shown(document.path)}: {no_hand(bones)}")
+    units = dict.fromkeys(name_of_unit(hand.unit) for hand in hands)
+    assumed.append(f"its numbers are {' and '.join(units)}, as its hands' size tells, and {up} is up")
+    for hand in hands:
+        assumed.append(f"the {hand.posed.side} hand's bones are those of {hand.hand_map.rig}")
+        if np.ptp(hand.posed.hand_pose, axis=0).max() == 0.0 and len(hand.posed.hand_pose) > 1:
+            assumed.append(f"the {hand.posed.side} hand's fingers do not move in this file")
+    if 0.0 < degrees <= _FULL_TURN:
+        assumed.append(
+            f"no angle exceeds {degrees:.2g}: BVH has degrees; if these are radians, write them as degrees"
+        )
+    fps = asked.fps
+    if fps is None:
+        told = 1.0 / seconds if seconds > 0.0 else 0.0
+        fps = told if SMALLEST_FPS <= told <= LARGEST_FPS else DEFAULT_FPS
+        if fps != told:
+            assumed.append(f"{DEFAULT_FPS:g} frames per second, as its frame time is {seconds:g}")
+    return Recording(
+        "bvh",
+        (str(document.path.absolute()),),
+        fps,
+        np.arange(1, len(animated.turned) + 1),
+        posed=tuple(hand.posed for hand in hands),
+        assumed=tuple(assumed),
+    )
+
+
+class _Wrong(Exception):
+    """What is wrong with a file, to be put after its name."""
+
+
+def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
+    """The bones, the seconds of a frame, and the largest angle that is written down."""
+    text = document.text
+    if text is None:
+        text = document.bytes.decode("latin-1")
+    if len(text) > _MOST_BYTES:
+        raise _Wrong(f"has {len(text)} characters, and at most {_MOST_BYTES} are read; cut it into parts")
+    motion = re.search(r"^\s*MOTION\s*$", text, re.MULTILINE | re.IGNORECASE)
+    if not motion:
+        raise _Wrong("has no MOTION, so that it is only a part of one")
+    head, tail = text[: motion.start()], text[motion.end() :]
+    skeleton = _hierarchy(iter(head.split()))
+    said = re.match(r"\s*Frames:?\s*(\d{1,9})\s+Frame\s+Time:?\s*(\S+)", tail, re.IGNORECASE)
+    if not said:
+        raise _Wrong("does not say Frames and Frame Time after MOTION")
+    count, width = int(said[1]), sum(map(len, skeleton.channels))
+    if not width or count * len(skeleton.names) > _MOST_TURNS:
+        raise _Wrong(f"has {count} frames of {len(skeleton.names)} bones and {width} channels")
+    try:
+        seconds = float(said[2])
+        numbers = np.array([*map(float, tail[said.end() :].split())])
+    except ValueError as error:
+        raise _Wrong(f"holds what is no number ({error})") from error
+    if not count or len(numbers) != count * width:
+        raise _Wrong(
+            f"says {count} frames of {width} channels, which are {count * width} numbers, and has "
+            f"{len(numbers)}; it may be cut off"
+        )
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise _Wrong("holds numbers that are none, or too large")
+    return _posed(skeleton, numbers.reshape(count, width), seconds)
+
+
+def _hierarchy(words: Iterator[str]) -> _Skeleton:
+    """What stands before MOTION. Raises _Wrong."""
+    skeleton, open_bones, name = _Skeleton(), [], []
+    try:
+        if next(words).upper() != "HIERARCHY":
+            raise _Wrong("does not begin with HIERARCHY")
+        for word in words:
+            match word.upper():
+                case "ROOT" | "JOINT" | "END":
+                    name = []
+                    while (part := next(words)) != "{":
+                        name.append(part)
+                    parent = open_bones[-1] if open_bones else -1
+                    called = " ".join(name)
+                    if word.upper() == "END":
+                        called = skeleton.names[parent] + _END if parent >= 0 else _END
+                    if len(skeleton.names) >= _MOST_BONES or not 0 < len(called) <= _LONGEST_NAME + len(_END):
+                        raise _Wrong(f"has more than {_MOST_BONES} bones, or one without a name of its own")
+                    while called in skeleton.names:
+                        called += "'"
+                    open_bones.append(len(skeleton.names))
+                    skeleton.names.append(called)
+                    skeleton.parents.append(parent)
+                    skeleton.offsets.append((0.0, 0.0, 0.0))
+                    skeleton.channels.append([])
+                case "OFFSET":
+                    x, y, z = (float(next(words)) for _ in range(3))
+                    skeleton.offsets[open_bones[-1]] = x, y, z
+                case "CHANNELS":
+                    named = [next(words).lower() for _ in range(min(int(next(words)), 7))]
+                    if len(set(named)) != len(named) or not all(
+                        n[:1] in _AXES and n[1:] in ("position", "rotation") for n in named
+                    ):
+                        raise _Wrong(
+                            f"has the channels {' '.join(named)[:100]}, expected Xposition, Zrotation..."
+                        )
+                    skeleton.channels[open_bones[-1]] = named
+                case "}":
+                    open_bones.pop()
+                case _:
+                    raise _Wrong(
+                        f"has {shown(word[:40])!r} where a JOINT, an OFFSET or CHANNELS are expected"
+                    )
+    except (StopIteration, IndexError, ValueError) as error:
+        raise _Wrong("has a HIERARCHY that is damaged or cut off") from error
+    if open_bones or not skeleton.names or not (np.abs(np.array(skeleton.offsets)) <= LARGEST).all():
+        raise _Wrong("has a HIERARCHY that is damaged or cut off")
+    return skeleton
+
+
+def _posed(skeleton: _Skeleton, numbers: np.ndarray, seconds: float) -> tuple[AnimatedBones, float, float]:
+    """Every bone in every frame. Positions stand for a bone's offset, where it has such channels."""
+    offsets, parents = np.array(skeleton.offsets), skeleton.parents
+    count, bones = len(numbers), len(parents)
+    rest = np.zeros((bones, 3))
+    turned = np.empty((count, bones, 3, 3))
+    heads = np.empty((count, bones, 3))
+    column, largest = 0, 0.0
+    for bone, parent in enumerate(parents):
+        step = np.broadcast_to(offsets[bone], (count, 3)).copy()
+        turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+        for channel in skeleton.channels[bone]:
+            values, axis = numbers[:, column], _AXES[channel[0]]
+            column += 1
+            if channel.endswith("position"):
+                step[:, axis] = values
+            else:
+                largest = max(largest, float(np.abs(values).max()))
+                turn = turn @ _about(axis, np.radians(values))
+        rest[bone] = offsets[bone] + (rest[parent] if parent >= 0 else 0.0)
+        turned[:, bone] = turn if parent < 0 else turned[:, parent] @ turn
+        heads[:, bone] = (
+            step if parent < 0 else heads[:, parent] + (turned[:, parent] @ step[..., None])[..., 0]
+        )
+    children = [next((c for c, p in enumerate(parents) if p == bone), bone) for bone in range(bones)]
+    found = Bones(
+        tuple(skeleton.names),
+        np.array(parents),
+        rest,
+        rest[children],
+        np.broadcast_to(np.eye(3), (bones, 3, 3)),
+        np.ones(bones, dtype=bool),
+    )
+    return AnimatedBones(found, turned, heads), seconds, largest
+
+
+def _about(axis: int, angles: np.ndarray) -> np.ndarray:
+    """(T,) radians about an axis -> (T, 3, 3)."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turn = np.broadcast_to(np.eye(3), (len(angles), 3, 3)).copy()
+    turn[:, i, i] = turn[:, j, j] = np.cos(angles)
+    turn[:, j, i] = np.sin(angles)
+    turn[:, i, j] = -turn[:, j, i]
+    return turn
+
+
+def _up_axis(bones: Bones) -> str:
+    """y, as in most files, or z where a body stands along it or the bones are those of our own rigs, which
+    Blender has written."""
+    head = next((bone for bone, name in enumerate(bones.names) if _HEAD.search(name)), None)
+    if head is None:
+        return "z" if any(re.match(r"wrist\.[LR]", name) for name in bones.names) else "y"
+    along = np.abs(bones.heads[head] - bones.heads[0])
+    return "z" if along[2] > along[1] else "y"
+
+
+_BODY: Final[dict[str, tuple[str, tuple[float, float, float]]]] = {
+    "Hips": ("", (0.0, 95.0, 0.0)),
+    "Spine": ("Hips", (0.0, 105.0, 0.0)),
+    "Spine1": ("Spine", (0.0, 118.0, 0.0)),
+    "Spine2": ("Spine1", (0.0, 130.0, 0.0)),
+    "Neck": ("Spine2", (0.0, 145.0, 0.0)),
+    "Head": ("Neck", (0.0, 154.0, 0.0)),
+    "LeftShoulder": ("Spine2", (3.0, 140.0, 0.0)),
+    "LeftArm": ("LeftShoulder", (16.0, 140.0, 0.0)),
+    "LeftForeArm": ("LeftArm", (43.0, 140.0, 0.0)),
+    "LeftHand": ("LeftForeArm", (68.0, 140.0, 0.0)),
+    "LeftUpLeg": ("Hips", (9.0, 88.0, 0.0)),
+    "LeftLeg": ("LeftUpLeg", (9.0, 48.0, 0.0)),
+    "LeftFoot": ("LeftLeg", (9.0, 8.0, 0.0)),
+}
+"""MotionBuilder's names of a body's bones: the one that each hangs from, and where it begins in the T-pose of
+a person of 1.7 metres who looks along z, centimetres; on the right, x is turned round"""
+_BODY |= {
+    name.replace("Left", "Right"): (parent.replace("Left", "Right"), (-x, y, z))
+    for name, (parent, (x, y, z)) in list(_BODY.items())
+    if name.startswith("Left")
+}
+_FINGERS: Final = {"little": "Pinky"}
+_CENTIMETRES: Final = 100.0
+_GROUND: Final = (0.0, -120.0, -40.0)
+"""centimetres from the hands to the ground under a person who may have them"""
+
+
+def _hand_names(side: Side) -> list[str]:
+    """MotionBuilder's names of a hand's bones, by MANO's joints."""
+    names = [f"{side.title()}Hand"] * NUM_JOINTS
+    for finger, joints in FINGER_JOINTS.items():
+        for number, joint in enumerate(joints, start=1):
+            names[joint] += f"{_FINGERS.get(finger, finger.title())}{number}"
+    return names
+
+
+def _t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
+    """The hand in a character's T-pose, whose bones' axes are the file's: fingers along x, the thumb half-way
+    to z; and where its bones begin and its fingers end (21, 3), metres from the wrist."""
+    own = np.concatenate([source.joints, source.tips]) @ REST_FROM_MODEL
+    places, sideways = own - own[0], 1.0 if source.side == "left" else -1.0
+    for f, finger in enumerate(FINGERS):
+        along = np.array([sideways, 0.0, 1.0 if finger == "thumb" else 0.0])
+        along /= np.linalg.norm(along)
+        for start, end in pairwise((*FINGER_JOINTS[finger], NUM_JOINTS + f)):
+            places[end] = places[start] + np.linalg.norm(own[end] - own[start]) * along
+    last = [FINGER_JOINTS[finger][2] for finger in FINGERS]
+    names = _hand_names(source.side)
+    bones = Bones(
+        (*names, *(names[joint] + _END for joint in last)),
+        np.array([*PARENTS, *last]),
+        places,
+        places,
+        np.broadcast_to(np.eye(3), (len(places), 3, 3)),
+        np.ones(len(places), dtype=bool),
+    )
+    hand_map = HandMap(source.side, tuple(names), thumb_roll=USUAL_THUMB_ROLL)
+    return target_hand(bones, hand_map, source), places
+
+
+def _write(take: Take, path: Path) -> None:
+    """One body, its hands where the take has them: their positions are their own, as the arms are not known.
+    Frames without a hand hold its last pose, or the first one."""
+    tracks = [track for track in take.hands if track.present.any()]
+    if not tracks:
+        raise OptionError("there is no hand in this take")
+    if len({track.side for track in tracks}) < len(tracks):
+        raise OptionError(
+            f"the take has {len(tracks)} hands, and a BVH body has one of each side: capture again with "
+            "--hands or --person"
+        )
+    numbers = np.arange(take.frame_numbers[0], take.frame_numbers[-1] + 1)
+    rows = np.searchsorted(take.frame_numbers, numbers, side="right") - 1
+    places = {name: (parent, np.array(place)) for name, (parent, place) in _BODY.items()}
+    turned: dict[str, np.ndarray] = {}
+    wrists: dict[str, np.ndarray] = {}
+    ends: dict[str, np.ndarray] = {"Head": np.array([0.0, 10.0, 0.0])}
+    up = UP_AXES["y"].T
+    for track in tracks:
+        shaped = load_model(take.model, track.side).shaped(track.betas)
+        target, own = _t_pose(SourceHand.of(shaped, track.side))
+        names = _hand_names(track.side)
+        there = np.flatnonzero(track.present)
+        held = there[np.maximum(np.searchsorted(there, rows, side="right") - 1, 0)]
+        turns = np.broadcast_to(np.eye(3), (len(held), NUM_JOINTS, 3, 3)).copy()
+        turns[:, 1:] = rotvec_to_rotmat(track.hand_pose[held].reshape(-1, NUM_JOINTS - 1, 3))
+        local = target.local(REST_FROM_MODEL @ turns @ REST_FROM_MODEL.T)
+        orient = rotvec_to_rotmat(track.global_orient[held])
+        turned[names[0]] = up @ orient @ REST_FROM_MODEL.T @ target.aligned.T
+        wrists[names[0]] = (track.transl[held] + shaped.joints[0]) @ up.T * _CENTIMETRES
+        for joint in range(1, NUM_JOINTS):
+            turned[names[joint]] = local[:, target.bones.index(names[joint])]
+            place = places[names[0]][1] + _CENTIMETRES * own[joint]
+            places[names[joint]] = names[PARENTS[joint]], place
+        for finger, end in zip(FINGERS, own[NUM_JOINTS:], strict=True):
+            last = FINGER_JOINTS[finger][2]
+            ends[names[last]] = _CENTIMETRES * (end - own[last])
+    ground = np.median(np.concatenate([*wrists.values()]), axis=0) + _GROUND
+    lines = ["HIERARCHY"]
+    columns: list[np.ndarray] = []
+
+    def add(name: str, depth: int) -> None:
+        parent, place = places[name]
+        step = place - places[parent][1] if parent else place
+        before = "\t" * depth
+        moved = name in wrists or not parent
+        lines.extend([f"{before}{'JOINT' if parent else 'ROOT'} {name}", before + "{"])
+        lines.append(f"{before}\tOFFSET {_words(step)}")
+        channels = "6 Xposition Yposition Zposition" if moved else "3"
+        lines.append(f"{before}\tCHANNELS {channels} Zrotation Xrotation Yrotation")
+        if moved:
+            there = wrists[name] - ground - places[parent][1] if parent else place + ground
+            columns.append(np.broadcast_to(there, (len(numbers), 3)))
+        columns.append(_degrees(turned[name]) if name in turned else np.zeros((len(numbers), 3)))
+        children = [other for other, (of, _) in places.items() if of == name]
+        for child in children:
+            add(child, depth + 1)
+        if not children:
+            end = _words(ends.get(name, np.array([0.0, 0.0, 10.0])))
+            lines.extend([f"{before}\tEnd Site", before + "\t{", f"{before}\t\tOFFSET {end}", before + "\t}"])
+        lines.append(before + "}")
+
+    add("Hips", 0)
+    lines += ["MOTION", f"Frames: {len(numbers)}", f"Frame Time: {1.0 / take.fps:.9g}"]
+    lines += map(_words, np.concatenate(columns, axis=1))
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _words(numbers: np.ndarray) -> str:
+    return " ".join(f"{number:.6f}" for number in numbers)
+
+
+def _degrees(rotmat: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) -> (T, 3) degrees about z, x and y, R = Rz Rx Ry, without jumps of full turns."""
+    z = np.arctan2(-rotmat[:, 0, 1], rotmat[:, 1, 1])
+    x = np.arcsin(np.clip(rotmat[:, 2, 1], -1.0, 1.0))
+    y = np.arctan2(-rotmat[:, 2, 0], rotmat[:, 2, 2])
+    return np.degrees(np.unwrap(np.stack([z, x, y], axis=-1), axis=0))
+
+
+READER = Reader("BVH", "a .bvh with finger bones", _recognises, _read)
+WRITER = Writer("BVH", (".bvh",), _write)

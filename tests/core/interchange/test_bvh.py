@@ -1,0 +1,242 @@
+"""BVH: fingers of skeletons with many names and rest poses, and our own with MotionBuilder's names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import HandfitError, InputError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.axes import REST_FROM_MODEL
+from handfit_core.interchange.formats.bvh import WRITER
+from handfit_core.interchange.opening import read_recording
+from handfit_core.interchange.recording import Recording
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import capture
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.names import RIGS
+from handfit_core.retarget.transfer import palm_frame
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
+from handfit_core.take import Take
+from tests.core.retarget.rigs import Built, add_hand, body, names_of
+from tests.takes import take_of, track_of
+
+CAMERA = Intrinsics(1000.0, 1000.0, 640.0, 360.0)
+FRAMES = 5
+
+
+def poses(seed: int = 0, most: float = 0.5) -> np.ndarray:
+    """(T, 45) radians."""
+    return np.random.default_rng(seed).uniform(-most, most, (FRAMES, 45))
+
+
+def take(betas: np.ndarray | None = None) -> Take:
+    """Both hands, turned every way."""
+    rng = np.random.default_rng(5)
+    hands = []
+    for side in SIDES:
+        orient = rng.uniform(-2.0, 2.0, (FRAMES, 3))
+        place = np.array([0.1 if side == "left" else -0.1, 0.0, 0.8]) + rng.uniform(-0.05, 0.05, (FRAMES, 3))
+        shape = {} if betas is None else {"betas": betas}
+        hands.append(track_of(side, orient, poses(int(side == "left")), place, CAMERA, **shape))
+    return take_of(hands, CAMERA, 1280, 720, fps=30.0, frame_numbers=np.arange(3, 3 + FRAMES))
+
+
+def text_of(bones: Bones, turns: np.ndarray, order: str = "ZYX", scale: float = 100.0) -> str:
+    """A BVH file, the bones (T, B, 3, 3) turned relative to their parents; written for the tests, so that a
+    mistake in the package's own is not made twice."""
+    lines = ["HIERARCHY"]
+    row: list[int] = []
+
+    def add(bone: int) -> None:
+        row.append(bone)
+        parent = int(bones.parents[bone])
+        offset = (bones.heads[bone] - (bones.heads[parent] if parent >= 0 else 0.0)) * scale
+        lines.extend([f"{'JOINT' if parent >= 0 else 'ROOT'} {bones.names[bone]}", "{"])
+        lines.append("OFFSET " + " ".join(f"{x:.9f}" for x in offset))
+        named = " ".join(f"{axis}rotation" for axis in order)
+        lines.append(
+            f"CHANNELS 6 Xposition Yposition Zposition {named}" if parent < 0 else f"CHANNELS 3 {named}"
+        )
+        for child in bones.children[bone]:
+            add(child)
+        if not bones.children[bone]:
+            lines.extend(["End Site", "{", "OFFSET 0 0 0", "}"])
+        lines.append("}")
+
+    add(0)
+    lines += ["MOTION", f"Frames: {len(turns)}", "Frame Time: 0.04"]
+    for frame in turns:
+        numbers = [*(bones.heads[0] * scale)]
+        for bone in row:
+            numbers += euler(frame[bone], order)
+        lines.append(" ".join(f"{x:.9f}" for x in numbers))
+    return "\n".join(lines)
+
+
+def euler(rotmat: np.ndarray, order: str) -> list[float]:
+    """Degrees, R = R_first R_second R_third, by SciPy."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotmat).as_euler(order.upper(), degrees=True).tolist()
+
+
+def read(tmp_path: Path, text: str) -> Recording:
+    path = tmp_path / "hand.bvh"
+    path.write_text(text, encoding="utf-8")
+    return read_recording(path, CaptureOptions())
+
+
+def in_palm(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
+    """(15, 3) directions of fingers' bones in their hand's own palm, from (16, 3) joints and (5, 3) tips."""
+    knuckles = {f: joints[FINGER_JOINTS[f][0]] for f in FINGERS}
+    frame, _ = palm_frame(joints[0], knuckles, side)
+    ends = np.concatenate([joints, tips])
+    steps = [
+        ends[b] - ends[a]
+        for f, finger in enumerate(FINGERS)
+        for a, b in zip(FINGER_JOINTS[finger], (*FINGER_JOINTS[finger][1:], 16 + f), strict=True)
+    ]
+    return np.array([step / np.linalg.norm(step) @ frame for step in steps])
+
+
+@pytest.mark.parametrize("betas", [None, np.linspace(-1.5, 1.5, 10)])
+def test_our_own_comes_back(tmp_path: Path, betas: np.ndarray | None) -> None:
+    true = take(betas)
+    WRITER.write(true, tmp_path / "out.bvh")
+    again = capture(tmp_path / "out.bvh")
+    assert again.fps == pytest.approx(30.0)
+    for hand in again.hands:
+        (was,) = (track for track in true.hands if track.side == hand.side)
+        exact = 1e-5 if betas is None else 2e-3
+        np.testing.assert_allclose(hand.betas, was.betas, atol=1e-3)
+        for name in ("hand_pose", "global_orient"):
+            own, theirs = (rotvec_to_rotmat(np.reshape(getattr(one, name), (-1, 3))) for one in (hand, was))
+            np.testing.assert_allclose(own, theirs, atol=exact, err_msg=name)
+        moved = hand.joints_3d - hand.joints_3d[:1, :1]
+        model = load_model(None, hand.side)
+        truth = model.keypoints(was.betas, was.global_orient, was.hand_pose, was.transl)
+        np.testing.assert_allclose(moved, truth - truth[:1, :1], atol=1e-4)
+
+
+@pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
+@pytest.mark.parametrize("side", SIDES)
+def test_flat_rest_needs_no_mapping(tmp_path: Path, side: Side, order: str) -> None:
+    """As our rigs are exported: their rest is the flat hand in Blender's axes, and rotations are MANO's."""
+    built = Built()
+    (rig,) = (rig for rig in RIGS if rig.label == "Captured hand")
+    names = names_of(rig, side)
+    rest = load_model(None, side).shaped()
+    joints = rest.joints @ REST_FROM_MODEL.T
+    for joint in range(16):
+        built.add(names[joint], (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)[joint], joints[joint])
+    for finger, tip in zip(FINGERS, rest.tips @ REST_FROM_MODEL.T, strict=True):
+        built.add(f"{finger} tip", FINGER_JOINTS[finger][2], tip)
+    pose = poses(2)
+    turns = np.broadcast_to(np.eye(3), (FRAMES, 21, 3, 3)).copy()
+    turns[:, 1:16] = REST_FROM_MODEL @ rotvec_to_rotmat(pose.reshape(FRAMES, 15, 3)) @ REST_FROM_MODEL.T
+    (hand,) = read(tmp_path, text_of(built.bones(), turns, order, 1.0)).posed
+    assert hand.side == side
+    np.testing.assert_allclose(hand.hand_pose, pose, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "label", ["Mixamo", "Ready Player Me", "Rokoko", "Unreal Engine", "Reallusion", "VRM 1"]
+)
+@pytest.mark.parametrize("bend", [0.0, 0.4])
+def test_any_rest_pose_and_names(tmp_path: Path, label: str, bend: float) -> None:
+    """Fingers point where the file's own do, by a forward pass over its bones: that is what a rest pose that
+    is not ours must not change."""
+    rig = next(rig for rig in RIGS if rig.label == label)
+    built, rng = Built(), np.random.default_rng(7)
+    for side in SIDES:
+        fore, place = body(built, side)
+        names = {s: n.replace(" ", "_") for s, n in names_of(rig, side).items()}
+        add_hand(built, side, names, rng, parent=fore, place=place, bend=bend, stretch=0.1, tips=True)
+    bones = built.bones()
+    turns = np.broadcast_to(np.eye(3), (FRAMES, len(bones.names), 3, 3)).copy()
+    hands = [names_of(rig, side)[joint].replace(" ", "_") for side in SIDES for joint in range(16)]
+    moved = [bones.index[name] for name in hands]
+    turns[:, moved] = rotvec_to_rotmat(rng.uniform(-0.3, 0.3, (FRAMES, len(moved), 3)))
+    got = {hand.side: hand for hand in read(tmp_path, text_of(bones, turns)).posed}
+    places, turned = np.empty((FRAMES, len(bones.names), 3)), np.empty_like(turns)
+    for bone, parent in enumerate(bones.parents.tolist()):
+        step = bones.heads[bone] - (bones.heads[parent] if parent >= 0 else 0.0)
+        places[:, bone] = step if parent < 0 else places[:, parent] + turned[:, parent] @ step
+        turned[:, bone] = turns[:, bone] if parent < 0 else turned[:, parent] @ turns[:, bone]
+    for side in SIDES:
+        names = {s: n.replace(" ", "_") for s, n in names_of(rig, side).items()}
+        at = [bones.index[names[joint]] for joint in range(16)]
+        tips = [bones.index[f"{names[FINGER_JOINTS[f][2]]}_tip"] for f in FINGERS]
+        hand, model = got[side], load_model(None, side)
+        still = np.zeros((FRAMES, 3))
+        keypoints = model.posed(None, still, hand.hand_pose, still)
+        ends = np.stack([keypoints.keypoints[:, 4 + 4 * f] for f in range(5)], axis=1)
+        for row in range(FRAMES):
+            theirs = in_palm(places[row, at], places[row, tips], side)
+            ours = in_palm(keypoints.joints[row], ends[row], side)
+            angle = np.degrees(np.arccos(np.clip((theirs * ours).sum(axis=1), -1.0, 1.0)))
+            assert np.delete(angle, [2, 5, 8, 11, 14]).max() < 0.01, (row, angle)
+
+
+def simple(tmp_path: Path) -> str:
+    WRITER.write(take(), tmp_path / "own.bvh")
+    return (tmp_path / "own.bvh").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t[:-200], "cut off"),
+        (lambda t: t[:900], "only a part"),
+        (lambda t: t.replace("MOTION", "MOVES"), "no MOTION"),
+        (lambda t: t.replace("Frames: 5", "Frames: 999999999"), "999999999 frames"),
+        (lambda t: t.replace("Frames: 5", "Frames: 6"), "says 6 frames"),
+        (lambda t: t.replace("Zrotation", "Wrotation"), "expected Xposition"),
+        (lambda t: t.replace("OFFSET 0.000000 95", "OFFSET nan 95"), "damaged"),
+        (lambda t: t.rstrip() + "x", "no number"),
+        (lambda t: t[: t.rstrip().rindex(" ")] + " 1e300\n", "too large"),
+        (lambda t: t.replace("Thumb", "Tail").replace("Index", "Toe").replace("Hand", "Foo"), None),
+    ],
+)
+def test_bad_files_are_named_in_a_sentence(tmp_path: Path, change, words: str | None) -> None:
+    text = change(simple(tmp_path))
+    if words is None:
+        read(tmp_path, text)  # by its structure
+        return
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, text)
+
+
+def test_a_body_without_fingers(tmp_path: Path) -> None:
+    built = Built()
+    for side in SIDES:
+        body(built, side)
+    bones = built.bones()
+    turns = np.broadcast_to(np.eye(3), (2, len(bones.names), 3, 3))
+    with pytest.raises(InputError, match="a hand with two fingers"):
+        read(tmp_path, text_of(bones, turns))
+
+
+def test_radians_and_still_fingers_are_pointed_out(tmp_path: Path) -> None:
+    head, _, motion = simple(tmp_path).partition("Frame Time:")
+    lines = motion.splitlines()
+    numbers = np.radians([[*map(float, line.split())] for line in lines[1:]])
+    numbers = (numbers + np.pi) % (2.0 * np.pi) - np.pi
+    radians = "\n".join(" ".join(f"{x:.9f}" for x in row) for row in numbers)
+    assumed = read(tmp_path, f"{head}Frame Time:{lines[0]}\n{radians}\n").assumed
+    assert any("radians" in phrase for phrase in assumed)
+    constant = "\n".join([lines[1]] * 5)
+    assumed = read(tmp_path, f"{head}Frame Time:{lines[0]}\n{constant}\n").assumed
+    assert sum("do not move" in phrase for phrase in assumed) == 2
+
+
+def test_two_hands_of_a_side_are_refused(tmp_path: Path) -> None:
+    one = take()
+    twice = take_of([one.hands[0], one.hands[0]], CAMERA, 1280, 720, frame_numbers=one.frame_numbers)
+    with pytest.raises(HandfitError, match="one of each side"):
+        WRITER.write(twice, tmp_path / "x.bvh")
