@@ -252,7 +252,7 @@ def _up_axis(bones: Bones) -> str:
     return "z" if along[2] > along[1] else "y"
 
 
-_BODY: Final[dict[str, tuple[str, tuple[float, float, float]]]] = {
+_BODY: dict[str, tuple[str, tuple[float, float, float]]] = {
     "Hips": ("", (0.0, 95.0, 0.0)),
     "Spine": ("Hips", (0.0, 105.0, 0.0)),
     "Spine1": ("Spine", (0.0, 118.0, 0.0)),
