@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +21,7 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.humanoid import BODY, bone_names, t_pose
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.interchange.skeletons import (
@@ -35,8 +35,7 @@ from handfit_core.interchange.skeletons import (
 from handfit_core.interchange.writers import Writer
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
-from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
+from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
 from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS, Take
 
@@ -252,28 +251,12 @@ def _up_axis(bones: Bones) -> str:
     return "z" if along[2] > along[1] else "y"
 
 
-_BODY: dict[str, tuple[str, tuple[float, float, float]]] = {
-    "Hips": ("", (0.0, 95.0, 0.0)),
-    "Spine": ("Hips", (0.0, 105.0, 0.0)),
-    "Spine1": ("Spine", (0.0, 118.0, 0.0)),
-    "Spine2": ("Spine1", (0.0, 130.0, 0.0)),
-    "Neck": ("Spine2", (0.0, 145.0, 0.0)),
-    "Head": ("Neck", (0.0, 154.0, 0.0)),
-    "LeftShoulder": ("Spine2", (3.0, 140.0, 0.0)),
-    "LeftArm": ("LeftShoulder", (16.0, 140.0, 0.0)),
-    "LeftForeArm": ("LeftArm", (43.0, 140.0, 0.0)),
-    "LeftHand": ("LeftForeArm", (68.0, 140.0, 0.0)),
-    "LeftUpLeg": ("Hips", (9.0, 88.0, 0.0)),
-    "LeftLeg": ("LeftUpLeg", (9.0, 48.0, 0.0)),
-    "LeftFoot": ("LeftLeg", (9.0, 8.0, 0.0)),
+_CALLED: Final = {
+    **{"hips": "Hips", "spine": "Spine", "chest": "Spine1", "upperChest": "Spine2"},
+    **{"neck": "Neck", "head": "Head", "Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm"},
+    **{"Hand": "Hand", "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot"},
 }
-"""MotionBuilder's names of a body's bones: the one that each hangs from, and where it begins in the T-pose of
-a person of 1.7 metres who looks along z, centimetres; on the right, x is turned round"""
-_BODY |= {
-    name.replace("Left", "Right"): (parent.replace("Left", "Right"), (-x, y, z))
-    for name, (parent, (x, y, z)) in list(_BODY.items())
-    if name.startswith("Left")
-}
+"""MotionBuilder's names of a body's bones by VRM's, without the side"""
 _FINGERS: Final = {"little": "Pinky"}
 _CENTIMETRES: Final = 100.0
 _GROUND: Final = (0.0, -120.0, -40.0)
@@ -289,28 +272,10 @@ def _hand_names(side: Side) -> list[str]:
     return names
 
 
-def _t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
-    """The hand in a character's T-pose, whose bones' axes are the file's: fingers along x, the thumb half-way
-    to z; and where its bones begin and its fingers end (21, 3), metres from the wrist."""
-    own = np.concatenate([source.joints, source.tips]) @ REST_FROM_MODEL
-    places, sideways = own - own[0], 1.0 if source.side == "left" else -1.0
-    for f, finger in enumerate(FINGERS):
-        along = np.array([sideways, 0.0, 1.0 if finger == "thumb" else 0.0])
-        along /= np.linalg.norm(along)
-        for start, end in pairwise((*FINGER_JOINTS[finger], NUM_JOINTS + f)):
-            places[end] = places[start] + np.linalg.norm(own[end] - own[start]) * along
-    last = [FINGER_JOINTS[finger][2] for finger in FINGERS]
-    names = _hand_names(source.side)
-    bones = Bones(
-        (*names, *(names[joint] + _END for joint in last)),
-        np.array([*PARENTS, *last]),
-        places,
-        places,
-        np.broadcast_to(np.eye(3), (len(places), 3, 3)),
-        np.ones(len(places), dtype=bool),
-    )
-    hand_map = HandMap(source.side, tuple(names), thumb_roll=USUAL_THUMB_ROLL)
-    return target_hand(bones, hand_map, source), places
+def _body_name(name: str) -> str:
+    """MotionBuilder's name of a bone that VRM calls so; the empty one's own."""
+    side = next((side for side in SIDES if name.startswith(side)), "")
+    return side.title() + _CALLED[name[len(side) :]] if name else ""
 
 
 def _write(take: Take, path: Path) -> None:
@@ -326,15 +291,18 @@ def _write(take: Take, path: Path) -> None:
         )
     numbers = np.arange(take.frame_numbers[0], take.frame_numbers[-1] + 1)
     rows = np.searchsorted(take.frame_numbers, numbers, side="right") - 1
-    places = {name: (parent, np.array(place)) for name, (parent, place) in _BODY.items()}
+    places = {
+        _body_name(name): (_body_name(parent), _CENTIMETRES * np.array(place))
+        for name, (parent, place) in BODY.items()
+    }
     turned: dict[str, np.ndarray] = {}
     wrists: dict[str, np.ndarray] = {}
     ends: dict[str, np.ndarray] = {"Head": np.array([0.0, 10.0, 0.0])}
     up = UP_AXES["y"].T
     for track in tracks:
         shaped = load_model(take.model, track.side).shaped(track.betas)
-        target, own = _t_pose(SourceHand.of(shaped, track.side))
-        names = _hand_names(track.side)
+        target, heads = t_pose(SourceHand.of(shaped, track.side))
+        names, index = _hand_names(track.side), [*map(target.bones.index, bone_names(track.side)[1:])]
         there = np.flatnonzero(track.present)
         held = there[np.maximum(np.searchsorted(there, rows, side="right") - 1, 0)]
         turns = np.broadcast_to(np.eye(3), (len(held), NUM_JOINTS, 3, 3)).copy()
@@ -343,13 +311,12 @@ def _write(take: Take, path: Path) -> None:
         orient = rotvec_to_rotmat(track.global_orient[held])
         turned[names[0]] = up @ orient @ REST_FROM_MODEL.T @ target.aligned.T
         wrists[names[0]] = (track.transl[held] + shaped.joints[0]) @ up.T * _CENTIMETRES
-        for joint in range(1, NUM_JOINTS):
-            turned[names[joint]] = local[:, target.bones.index(names[joint])]
-            place = places[names[0]][1] + _CENTIMETRES * own[joint]
-            places[names[joint]] = names[PARENTS[joint]], place
-        for finger, end in zip(FINGERS, own[NUM_JOINTS:], strict=True):
+        for joint, bone in enumerate(index, start=1):
+            turned[names[joint]] = local[:, bone]
+            places[names[joint]] = names[PARENTS[joint]], _CENTIMETRES * heads[joint]
+        for finger, tip in zip(FINGERS, target.tips, strict=True):
             last = FINGER_JOINTS[finger][2]
-            ends[names[last]] = _CENTIMETRES * (end - own[last])
+            ends[names[last]] = _CENTIMETRES * (tip - target.heads[index[last - 1]])
     ground = np.median(np.concatenate([*wrists.values()]), axis=0) + _GROUND
     lines = ["HIERARCHY"]
     columns: list[np.ndarray] = []
