@@ -1,4 +1,4 @@
-"""NumPy's `.npz` files from anywhere: looked through before anything is read.
+"""NumPy's `.npz` and `.npy` files from anywhere: looked through before anything is read.
 
 What a zip and the arrays in it declare costs nothing to write: a thousand members, a terabyte of zeros,
 objects that are code. Here only the members that are asked for are read, by name, and each only after what
@@ -13,6 +13,7 @@ import math
 import re
 import struct
 import zipfile
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -74,35 +75,25 @@ class NpzArchive:
         info = self._members[name]
         try:
             with self._archive.open(info) as stream:
-                shape, fortran, dtype = _description(stream)
-                # Before anything is computed from it: no number of the shape is beyond what the zip declares.
-                if (
-                    dtype.kind not in kinds
-                    or dtype.hasobject
-                    or dtype.shape
-                    or dtype.itemsize not in _SIZES[dtype.kind]
-                ):
-                    raise NotNpz(f"holds {dtype} as {name}, which is none of its kinds")
-                if not all(type(n) is int and 0 <= n <= info.file_size for n in shape):
-                    raise NotNpz(f"holds {name} with an impossible shape")
-                count = math.prod(shape)
-                if count * dtype.itemsize + stream.tell() != info.file_size:
-                    raise NotNpz(f"holds {name} with another size than it declares")
-                if dtype.kind != "U":
-                    self._pay(name, count * (8 if dtype.kind == "f" else dtype.itemsize))
-                raw = stream.read(count * dtype.itemsize)
-                if (
-                    stream.read(1) or len(raw) != count * dtype.itemsize
-                ):  # the end is where the sum is compared
-                    raise NotNpz(f"holds {name} with another size than it declares")
+                return _array_of(stream, info.file_size, name, kinds, self._pay)
         except (NotNpz, MemoryError):
             raise
         except Exception as error:
             raise NotNpz(f"holds {name}, which is damaged ({str(error)[:200]})") from error
-        flat = np.frombuffer(bytearray(raw), dtype=dtype)
-        del raw
-        wanted = np.dtype(np.float64) if dtype.kind == "f" else dtype.newbyteorder("=")
-        return flat.astype(wanted, copy=False).reshape(shape, order="F" if fortran else "C")
+
+    def pickle(self, name: str) -> bytes:
+        """The pickle that a member with Python's objects holds, for `safe_pickle`. Raises KeyError where
+        there is no such member, and NotNpz, also for a member of numbers."""
+        info = self._members[name]
+        try:
+            with self._archive.open(info) as stream:
+                _object_array(stream, name)
+                self._pay(name, info.file_size)
+                return stream.read(info.file_size)
+        except (NotNpz, MemoryError):
+            raise
+        except Exception as error:
+            raise NotNpz(f"holds {name}, which is damaged ({str(error)[:200]})") from error
 
     def header(self, name: str = "header") -> dict[str, Any]:
         """The JSON object that a member holds as its only text. Raises KeyError and NotNpz."""
@@ -137,6 +128,61 @@ _SIZES: Final[dict[str, range | tuple[int, ...]]] = {
     "U": range(4, 4 * LONGEST_HEADER + 1, 4),
 }
 """Bytes of an item, by NumPy's kind"""
+
+
+def npy_array(data: bytes, kinds: str, most_bytes: int) -> np.ndarray:
+    """The array of a .npy file, as `NpzArchive.array` has one. Raises NotNpz."""
+
+    def pay(name: str, size: int) -> None:
+        if size > most_bytes:
+            raise NotNpz(f"would take more memory than such a file ever needs, with its {name}")
+
+    try:
+        return _array_of(io.BytesIO(data), len(data), "array", kinds, pay)
+    except (NotNpz, MemoryError):
+        raise
+    except Exception as error:
+        raise NotNpz(f"is no .npy, or a damaged one ({str(error)[:200]})") from error
+
+
+def npy_pickle(data: bytes) -> bytes:
+    """The pickle that a .npy file with Python's objects holds, for `safe_pickle`. Raises NotNpz."""
+    stream = io.BytesIO(data)
+    try:
+        _object_array(stream, "array")
+    except NotNpz:
+        raise
+    except Exception as error:
+        raise NotNpz(f"is no .npy, or a damaged one ({str(error)[:200]})") from error
+    return stream.read()
+
+
+def _object_array(stream: Any, name: str) -> None:
+    """Go to where the pickle of an array of objects begins."""
+    if not _description(stream)[2].hasobject:
+        raise NotNpz(f"holds numbers as {name}, and no objects")
+
+
+def _array_of(stream: Any, size: int, name: str, kinds: str, pay: Callable[[str, int], None]) -> np.ndarray:
+    """The array that `size` bytes hold; `pay` is told of the bytes that it will take, and may refuse."""
+    shape, fortran, dtype = _description(stream)
+    # Before anything is computed from it: no number of the shape is beyond what is declared.
+    if dtype.kind not in kinds or dtype.hasobject or dtype.shape or dtype.itemsize not in _SIZES[dtype.kind]:
+        raise NotNpz(f"holds {dtype} as {name}, which is none of its kinds")
+    if not all(type(n) is int and 0 <= n <= size for n in shape):
+        raise NotNpz(f"holds {name} with an impossible shape")
+    count = math.prod(shape)
+    if count * dtype.itemsize + stream.tell() != size:
+        raise NotNpz(f"holds {name} with another size than it declares")
+    if dtype.kind != "U":
+        pay(name, count * (8 if dtype.kind == "f" else dtype.itemsize))
+    raw = stream.read(count * dtype.itemsize)
+    if stream.read(1) or len(raw) != count * dtype.itemsize:  # the end is where a zip's sum is compared
+        raise NotNpz(f"holds {name} with another size than it declares")
+    flat = np.frombuffer(bytearray(raw), dtype=dtype)
+    del raw
+    wanted = np.dtype(np.float64) if dtype.kind == "f" else dtype.newbyteorder("=")
+    return flat.astype(wanted, copy=False).reshape(shape, order="F" if fortran else "C")
 
 
 def _table_start(data: bytes) -> int:

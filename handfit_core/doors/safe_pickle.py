@@ -69,6 +69,22 @@ class _Dtype(StandIn):
     __slots__ = ()
 
 
+class _Scalar(StandIn):
+    """numpy.core.multiarray.scalar: args (dtype, bytes)."""
+
+    __slots__ = ()
+
+    def number(self) -> float | None:
+        """None for what is no number."""
+        try:
+            dtype = _dtype_of(self.args[0])
+            raw = self.args[1]
+            raw = raw.encode("latin1") if isinstance(raw, str) else raw
+            return float(np.frombuffer(raw, dtype=dtype, count=1)[0])
+        except (NotAnArray, IndexError, ValueError, TypeError):
+            return None
+
+
 class Unused(StandIn):
     """Names that occur around the arrays but carry nothing that is read."""
 
@@ -112,7 +128,7 @@ STAND_INS: dict[str, type[StandIn]] = {
 
 for _core in ("numpy.core", "numpy._core"):
     STAND_INS[f"{_core}.multiarray._reconstruct"] = _Array
-    STAND_INS[f"{_core}.multiarray.scalar"] = Unused
+    STAND_INS[f"{_core}.multiarray.scalar"] = _Scalar
     STAND_INS[f"{_core}.numeric._frombuffer"] = _ArrayFromBuffer
 
 
@@ -164,6 +180,61 @@ def array_of(value: Any) -> np.ndarray:
     if not isinstance(raw, bytes | bytearray) or len(raw) % numpy_dtype.itemsize:
         raise NotAnArray("is not an array of numbers")
     return reshaped(np.frombuffer(raw, dtype=numpy_dtype), shape, "F" if fortran else "C")
+
+
+MOST_PARTS = 3_000_000
+"""values of a pickle, each as often as it is named, that `plain` gives"""
+MOST_BYTES = 1 << 29
+"""of all its arrays"""
+
+
+def plain(value: Any) -> Any:
+    """What `load` gave as dictionaries, lists, texts, numbers and arrays: those of objects are lists, or
+    their only object where they have no dimension; what is none of these is None.
+
+    Raises Refused for one that is nested without end, or names the same parts over and over.
+    """
+    return _Plain().of(value, 0)
+
+
+class _Plain:
+    """Each array once, however often it is named, and only so many values."""
+
+    def __init__(self) -> None:
+        self._left, self._bytes = MOST_PARTS, MOST_BYTES
+        self._arrays: dict[int, Any] = {}
+
+    def of(self, value: Any, depth: int) -> Any:
+        self._left -= 1
+        if self._left < 0 or depth > MOST_NESTED:
+            raise Refused("nests more values than arrays need")
+        if isinstance(value, dict):
+            return {key: self.of(each, depth + 1) for key, each in value.items()}
+        if isinstance(value, list | tuple):
+            return [self.of(each, depth + 1) for each in value]
+        if isinstance(value, _Array | _ArrayFromBuffer):
+            if id(value) not in self._arrays:
+                self._arrays[id(value)] = self._array(value, depth)
+            return self._arrays[id(value)]
+        if isinstance(value, _Scalar):
+            return value.number()
+        return value if value is None or isinstance(value, str | int | float | bool) else None
+
+    def _array(self, value: StandIn, depth: int) -> Any:
+        try:
+            array = array_of(value)
+        except NotAnArray:
+            pass
+        else:
+            self._bytes -= array.nbytes
+            if self._bytes < 0:  # one text may be the contents of many arrays
+                raise Refused("has more numbers than such files have")
+            return array
+        state = value.state
+        if not (isinstance(state, tuple) and len(state) in (4, 5) and isinstance(state[-1], list)):
+            return None  # texts and times
+        objects = self.of(state[-1], depth + 1)
+        return objects[0] if state[-4] == () and len(objects) == 1 else objects
 
 
 def reshaped(array: np.ndarray, shape: Any, order: Any) -> np.ndarray:

@@ -18,7 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors import safe_pickle
+from handfit_core.doors.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 from handfit_core.errors import InputError
 from handfit_core.files import read_file, shown, why
 
@@ -32,6 +33,9 @@ _MOST_MEMORY: Final = 1 << 28
 _MOST_PACKED: Final = 50
 """times the size of a larger file that its arrays may have"""
 _MOST_COLUMNS: Final = 10_000
+_MOST_STEPS: Final = 2_000_000
+"""instructions of a pickle, each of which may take a hundred bytes"""
+_NPY: Final = b"\x93NUMPY"
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +148,65 @@ class Document:
         except NotNpz:
             return None
 
+    @cached_property
+    def npy(self) -> np.ndarray | None:
+        """The numbers of a .npy, floats as float64."""
+        if self.bytes[:6] != _NPY:
+            return None
+        try:
+            return npy_array(self.bytes, "fiub", max(_MOST_MEMORY, _MOST_PACKED * len(self.bytes)))
+        except NotNpz:
+            return None
+
+    @cached_property
+    def objects(self) -> Any:
+        """What Python objects a .npy or a pickle holds: dictionaries, lists, texts, numbers and arrays. The
+        pickle is read without running anything of it."""
+        pickled = self.bytes[:1] == b"\x80"
+        try:
+            if not pickled and self.bytes[:6] != _NPY:
+                return None
+            return _unpickled(self.bytes if pickled else npy_pickle(self.bytes))
+        except (NotNpz, safe_pickle.Refused):
+            return None
+
+    @cached_property
+    def refused(self) -> str:
+        """Why `objects` of a pickle cannot be had, as in `asks to run os.system`; empty where they can."""
+        if self.objects is not None:
+            return ""
+        try:
+            _unpickled(self.bytes if self.bytes[:1] == b"\x80" else npy_pickle(self.bytes))
+        except (NotNpz, safe_pickle.Refused) as error:
+            return str(error)
+        return ""
+
+    @property
+    def names(self) -> list[str]:
+        """Of the arrays of a .npz, or the keys of a dictionary in JSON, a .npy or a pickle."""
+        if self.npz is not None:
+            return self.npz.names
+        held = self.json if self.json is not None else self.objects
+        return list(held) if isinstance(held, dict) else []
+
+    def value(self, name: str) -> Any:
+        """What stands under one of the `names`: an array, a text, or a dictionary or list of such; None where
+        there is none. Raises InputError for what cannot be read."""
+        if self.npz is None:
+            held = self.json if self.json is not None else self.objects
+            return held.get(name) if isinstance(held, dict) else None
+        if name not in self.npz:
+            return None
+        try:
+            return self.npz.array(name, "fiubU")
+        except NotNpz as error:
+            try:
+                return _unpickled(self.npz.pickle(name))
+            except NotNpz:
+                raise InputError(f"{shown(self.path)}: this file {error}") from error
+            except safe_pickle.Refused as reason:
+                raise InputError(f"{shown(self.path)}: refused: its {name} {reason}") from error
+
     def array(self, name: str, kinds: str = "fiub") -> np.ndarray:
         """One array of a .npz, floats as float64. Raises InputError where it is missing or damaged."""
         if self.npz is None:
@@ -181,9 +244,28 @@ class Document:
             return f"JSON with {_some(list(self.json))}"
         if isinstance(self.json, list):
             return f"JSON with a list of {len(self.json)}"
+        if self.npy is not None:
+            return f"an .npy of the shape {'x'.join(map(str, self.npy.shape)) or 'of one number'}"
+        if isinstance(self.objects, dict):
+            return f"a pickle with {_some(list(self.objects))}"
+        if self.refused:
+            return (
+                f"a pickle that {self.refused}; such files are not read, as they can run programs: write "
+                "what is in it as .npz or JSON"
+            )
         if self.table is not None:
             return f"a table with the columns {_some(list(self.table.columns))}"
         return f"a file of {len(self.bytes)} bytes that is no JSON, .npz or table"
+
+
+def _unpickled(data: bytes) -> Any:
+    """Raises Refused, also for a pickle that is damaged."""
+    try:
+        return safe_pickle.plain(safe_pickle.load(data, most_steps=_MOST_STEPS, numbered=True))
+    except (safe_pickle.Refused, MemoryError):
+        raise
+    except Exception as error:  # a damaged pickle can fail in any way
+        raise safe_pickle.Refused(f"is a damaged pickle ({str(error)[:100]})") from error
 
 
 def _some(names: Sequence[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import struct
 import tracemalloc
 import zipfile
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 
 ENOUGH = 1_000_000
 """bytes that the arrays of these small files may have"""
@@ -197,3 +198,45 @@ def test_damaged_numbers_are_noticed() -> None:
     data[data.index(b"PK\x01\x02") - 50] ^= 1
     with pytest.raises(NotNpz, match="holds a, which is damaged"):
         NpzArchive(bytes(data), ENOUGH).array("a", "f")
+
+
+# Single arrays, and pickles in them
+
+
+def npy(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=True)
+    return stream.getvalue()
+
+
+def test_an_npy_is_read_like_a_member() -> None:
+    array = np.asfortranarray(np.arange(6, dtype=np.float32).reshape(2, 3))
+    np.testing.assert_array_equal(npy_array(npy(array), "f", ENOUGH), array)
+    for data, said in {
+        npy(array)[:-1]: "another size",
+        npy(array) + b"x": "another size",
+        b"\x93NUMPY": "damaged",
+        b"": "damaged",
+        npy(np.array({"a": 1}, dtype=object)): "none of its kinds",
+        npy(np.array(["text"])): "none of its kinds",
+        described(array, shape=(1 << 60,)): "impossible",
+    }.items():
+        with pytest.raises(NotNpz, match=said):
+            npy_array(data, "f", ENOUGH)
+    with pytest.raises(NotNpz, match="memory"):
+        npy_array(npy(np.zeros(1000)), "f", 100)
+
+
+def test_pickles_are_handed_over_unread() -> None:
+    held = np.array({"a": 1}, dtype=object)
+    pickled = npy_pickle(npy(held))
+    assert pickle.loads(pickled)[()] == {"a": 1}
+    archive = NpzArchive(npz(held=held, numbers=np.ones(3)), ENOUGH)
+    assert archive.pickle("held") == pickled
+    for wrong in (lambda: archive.pickle("numbers"), lambda: npy_pickle(npy(np.ones(3)))):
+        with pytest.raises(NotNpz, match="no objects"):
+            wrong()
+    with pytest.raises(KeyError):
+        archive.pickle("missing")
+    with pytest.raises(NotNpz, match="damaged"):
+        npy_pickle(b"\x93NUMPY\x01")

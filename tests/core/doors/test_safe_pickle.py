@@ -134,3 +134,50 @@ def test_labels_may_be_numbered() -> None:
     for key in (-1, safe_pickle.MOST_NUMBERED, True, 1.0):
         with pytest.raises(safe_pickle.Refused, match="key that is no text"):
             safe_pickle.load(pickle.dumps({key: None}), numbered=True)
+
+
+# Values as plain as they were
+
+PLAIN = {"a": [1, 2.5, None, "x", True], "b": {"c": np.arange(3.0)}, "d": (np.float32(0.5), np.int64(7))}
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_plain_values(protocol: int) -> None:
+    of_objects = np.array([{"e": np.ones((2, 2))}, "f"], dtype=object)
+    held = safe_pickle.plain(
+        safe_pickle.load(pickle.dumps({**PLAIN, "o": of_objects, "t": np.array(["u"])}, protocol))
+    )
+    assert held["a"] == PLAIN["a"]
+    np.testing.assert_array_equal(held["b"]["c"], np.arange(3.0))
+    assert held["d"] == [0.5, 7.0]
+    np.testing.assert_array_equal(held["o"][0]["e"], np.ones((2, 2)))
+    assert held["o"][1] == "f"
+    assert held["t"] is None
+
+
+def test_one_object_without_dimension() -> None:
+    held = safe_pickle.plain(safe_pickle.load(pickle.dumps(np.array({"a": 1}, dtype=object))))
+    assert held == {"a": 1}
+
+
+def test_lists_of_the_same_lists_end() -> None:
+    """Thirty lists of two references are a milliard values."""
+    nested: list[object] = [1]
+    for _ in range(30):
+        nested = [nested, nested]
+    with pytest.raises(safe_pickle.Refused, match="nests more values"):
+        safe_pickle.plain(safe_pickle.load(pickle.dumps(nested)))
+    endless: list[object] = []
+    endless.append(endless)
+    with pytest.raises(safe_pickle.Refused, match="nests more values"):
+        safe_pickle.plain(safe_pickle.load(pickle.dumps(endless)))
+
+
+def test_arrays_of_the_same_contents_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(safe_pickle, "MOST_BYTES", 1000)
+    arrays = [np.arange(100.0) + i for i in range(2)]
+    with pytest.raises(safe_pickle.Refused, match="more numbers"):
+        safe_pickle.plain(safe_pickle.load(pickle.dumps(arrays)))
+    same = [arrays[0]] * 50
+    held = safe_pickle.plain(safe_pickle.load(pickle.dumps(same)))
+    assert all(array is held[0] for array in held)
