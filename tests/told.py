@@ -43,7 +43,7 @@ def told() -> Told:
     poses = share * closed
     orient = np.tile([0.0, 0.0, 1.4], (FRAMES, 1)) + 0.2 * share
     tracks, pixels, depth, points, world = [], {}, {}, {}, {}
-    for side, x in zip(SIDES, (0.12, -0.12), strict=True):
+    for side, x in zip(SIDES, (0.2, -0.2), strict=True):
         turned, bent = (orient, poses) if side == "right" else mirrored_pose(orient, poses)
         transl = np.column_stack([np.full(FRAMES, x), np.linspace(0.0, 0.03, FRAMES), np.full(FRAMES, 0.7)])
         tracks.append(track_of(side, turned, bent, transl, CAMERA))

@@ -38,7 +38,7 @@ def add_interchange_commands(commands: Any) -> None:
 
     info = commands.add_parser("info", help="what a file of hands or keypoints is, and what is assumed of it")
     info.add_argument("input", metavar="FILE", help="a take, or a file or folder of docs/interchange.md")
-    add_options(info, ("reader", "person", "fps", "picture_size", "hand_mean", "model"))
+    add_options(info, ("reader", "person", "hands", "fps", "picture_size", "hand_mean", "model"))
     info.set_defaults(handler=_info)
 
 

@@ -10,6 +10,7 @@ from typing import Final
 from handfit_core.skeleton import FINGERS, KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
 
 _APPLE_CODE: Final = re.compile(r"VNHLK([A-Z]{3,4})")
+_APPLE_THUMB: Final = re.compile(r"thumb_?MP(?![a-zA-Z])", re.IGNORECASE)
 _WORDS: Final = re.compile(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+|\d+")
 _AXES: Final = {"x": "x", "y": "y", "z": "z"} | dict.fromkeys(
     ("c", "conf", "confidence", "score", "visibility", "v", "likelihood", "presence"), "c"
@@ -49,10 +50,8 @@ def point_named(name: str) -> int | None:
 
 
 def is_apple(name: str) -> bool:
-    """Whether only Apple's Vision calls a point so."""
-    return bool(_APPLE_CODE.search(name)) or re.sub(r"[^a-z]", "", name.lower()).endswith(
-        ("thumbmp", "littlemcp", "littlepip", "littledip", "littletip")
-    )
+    """Whether a point's or a column's name is Apple's Vision's alone: its keys, and its thumb's MP."""
+    return bool(_APPLE_CODE.search(name)) or bool(_APPLE_THUMB.search(name))
 
 
 def side_named(text: object) -> Side | None:

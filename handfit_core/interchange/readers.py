@@ -43,9 +43,14 @@ READERS: Final = Registry(
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
         "openpose": f"{_HERE}.openpose:READER",
         "mmpose": f"{_HERE}.mmpose:READER",
+        "points-table": f"{_HERE}.points_table:READER",
+        "freemocap": f"{_HERE}.freemocap:READER",
+        "apple-vision": f"{_HERE}.apple_vision:READER",
+        "mediapipe": f"{_HERE}.mediapipe:READER",
     },
 )
-"""The readers by their names on the command line, the more particular ones first"""
+"""The readers by their names on the command line, the more particular ones first. MediaPipe's comes last: it
+takes whatever has 21 points a hand"""
 
 
 def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:

@@ -41,6 +41,8 @@ WRITERS: Final = Registry(
         "points": f"{_HERE}.points:WRITER",
         "vrma": f"{_HERE}.vrma:WRITER",
         "bvh": f"{_HERE}.bvh:WRITER",
+        "points-table": f"{_HERE}.points_table:WRITER",
+        "mediapipe": f"{_HERE}.mediapipe:WRITER",
     },
 )
 """The writers by their names on the command line"""

@@ -114,6 +114,21 @@ def test_missing_points_do_not_pull_the_hand(tmp_path: Path) -> None:
     assert np.median(off[:, 8]) < 0.3
 
 
+def test_doubtful_points_pull_less(tmp_path: Path) -> None:
+    off = []
+    for sure in (0.9, 0.02):
+        path = openpose(tmp_path / f"op{sure}", range(24))
+        for file in path.iterdir():
+            content = json.loads(file.read_text())
+            hand = np.array(content["people"][0][f"hand_{SIDE}_keypoints_2d"]).reshape(21, 3)
+            hand[8] = [*(hand[8, :2] + 0.4 * np.ptp(hand[:, 0])), sure]
+            content["people"][0][f"hand_{SIDE}_keypoints_2d"] = hand.ravel().tolist()
+            file.write_text(json.dumps(content))
+        fitted = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path).hands[0].joints_3d
+        off.append(np.linalg.norm(TRUTH.intrinsics.project(fitted)[:, 8] - PIXELS[:, 8], axis=-1).mean())
+    assert off[1] < 0.7 * off[0]
+
+
 def test_the_pictures_size_is_told_or_its_keypoints_are_refused(tmp_path: Path) -> None:
     path = openpose(tmp_path / "op", range(24), scale=3.0)
     pictures = str(SAMPLE / "hand.%04d.jpg")
