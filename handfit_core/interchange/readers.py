@@ -40,6 +40,8 @@ READERS: Final = Registry(
     {
         "points": f"{_HERE}.points:READER",
         "bvh": f"{_HERE}.bvh:READER",
+        "hand-tracking": f"{_HERE}.hand_tracking:READER",
+        "leap": f"{_HERE}.leap:READER",
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
         "openpose": f"{_HERE}.openpose:READER",
         "mmpose": f"{_HERE}.mmpose:READER",
