@@ -313,7 +313,10 @@ class Worker(Runner):
                 f"'{self.python}' is not a Python that can capture (it ended {ending(code)}{said}); "
                 f"{self._advice.python}"
             )
-        return f"the worker process ended {ending(code)}{said}; {self._advice.crash}"
+        advice = self._advice.crash
+        if self._open:
+            advice = f"if only this input does that, save it anew with another program; otherwise {advice}"
+        return f"the worker process ended {ending(code)}{said}; {advice}"
 
 
 def _last_line(words: str) -> str:

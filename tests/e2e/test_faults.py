@@ -1,4 +1,5 @@
-"""A real batch that is killed at random moments and started again ends as one that was left alone.
+"""A real batch that is killed at random moments and started again ends as one that was left alone; a video
+that kills the process that captures is the only thing that fails.
 
 `HANDFIT_KILLS=30` kills as often as the figures in docs/batch.md were made with.
 """
@@ -10,6 +11,7 @@ import json
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -24,8 +26,10 @@ if sys.platform != "linux":
     pytest.skip("processes are looked for in Linux's /proc", allow_module_level=True)
 
 from handfit_core.farm.plan import plans_in
+from handfit_core.farm.pool import ATTEMPTS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import Source
+from tests.capturing import needs_capture
 from tests.takes import take_of, track_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,6 +37,9 @@ SCRIPT = ROOT / "scripts" / "batch_fit.py"
 KILLS = int(os.environ.get("HANDFIT_KILLS", "3"))
 INPUTS = 12
 LIMIT = 600
+PYTHON = os.environ.get("HANDFIT_PYTHON", sys.executable)
+KEY_FRAME = b"\x9d\x01\x2a"
+"""What stands before a VP8 key frame's width and height: RFC 6386, 9.1"""
 
 
 @pytest.fixture
@@ -54,8 +61,8 @@ def takes(tmp_path) -> list[Path]:
     return made
 
 
-def start(takes: list[Path], output: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, SCRIPT, *takes, "-o", output, "--format", "blend,glb,bvh", "--no-sheet"]
+def start(inputs: list[Path], output: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, SCRIPT, *inputs, "-o", output, "--format", "blend,glb,bvh", "--no-sheet"]
     return subprocess.Popen(
         list(map(str, [*command, "--jobs", "2"])),
         stdout=subprocess.PIPE,
@@ -123,3 +130,56 @@ def test_a_batch_killed_at_random_moments_ends_as_if_it_was_not(takes, tmp_path)
     assert not list(out.glob("*/running.json"))
     entries = json.loads((out / "report.json").read_text(encoding="utf-8"))["inputs"]
     assert [entry["status"] for entry in entries] == ["ok"] * INPUTS
+
+
+@pytest.fixture
+def crashing_video(tmp_path) -> Path:
+    """A small VP8 file whose first key frame claims more columns than the container: OpenCV's FFmpeg ends by
+    SIGSEGV in it."""
+    path = tmp_path / "crashing.webm"
+    code = (
+        "import cv2, sys, numpy as np\n"
+        "vp8 = cv2.VideoWriter.fourcc(*'VP80')\n"
+        "video = cv2.VideoWriter(sys.argv[1], cv2.CAP_FFMPEG, vp8, 12, (124, 216))\n"
+        "assert video.isOpened()\n"
+        "for shade in range(26):\n"
+        "    video.write(np.full((216, 124, 3), 9 * shade, np.uint8))\n"
+        "video.release()\n"
+    )
+    subprocess.run([PYTHON, "-c", code, path], check=True, timeout=LIMIT, capture_output=True)
+    data = bytearray(path.read_bytes())
+    dimensions = data.index(KEY_FRAME) + len(KEY_FRAME)
+    data[dimensions : dimensions + 4] = struct.pack("<HH", 4096, 216)
+    path.write_bytes(data)
+    read = (
+        "import sys\n"
+        "from handfit_core.media.opening import open_media\n"
+        "for frame in open_media(sys.argv[1]).frames(): pass\n"
+    )
+    alone = subprocess.run([PYTHON, "-c", read, path], cwd=ROOT, timeout=LIMIT, capture_output=True)
+    if alone.returncode >= 0:
+        pytest.skip("this OpenCV does not crash on the video that its pinned version crashes on")
+    return path
+
+
+@needs_capture
+def test_a_video_that_kills_the_process_that_captures_fails_alone(crashing_video, tmp_path):
+    good, out = ROOT / "samples" / "rendered_hand" / "hand.0001.jpg", tmp_path / "out"
+    running = start([crashing_video, good], out)
+    said, _ = running.communicate(timeout=LIMIT)
+    assert running.returncode == 1, said
+    assert "Traceback" not in said
+    entries = json.loads((out / "report.json").read_text(encoding="utf-8"))["inputs"]
+    crashed, done = entries
+    assert (crashed["name"], crashed["status"]) == ("crashing", "failed")
+    assert len(crashed["attempts"]) == ATTEMPTS
+    for attempt in crashed["attempts"]:
+        assert attempt["kind"] == "WorkerDied"
+        assert "SIGSEGV" in attempt["error"]
+        assert "save it anew with another program" in attempt["error"]
+        assert "\n" not in attempt["error"]
+    assert (done["status"], done["attempts"]) == ("ok", [])
+    assert {Path(name).suffix for name in done["files"]} == {".npz", ".blend", ".glb", ".bvh"}
+    assert not processes_of(out)
+    assert not list(out.glob(".part-*"))
+    assert not list(out.glob("*/running.json"))

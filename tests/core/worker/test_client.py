@@ -477,6 +477,7 @@ def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
         time.sleep(0.01)
     (event,) = events
     assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerDied")
+    assert "if only this input does that, save it anew" in event["message"]
     assert "last words" in event["details"]
     assert "exit code 7" in event["details"]
     assert worker.wait(worker.submit("capture"), timeout=20)["pid"] == worker.pid
