@@ -152,6 +152,8 @@ def capture_with(
     report = progress or (lambda _: None)
     media, intrinsics = _opened(source, options)
     recording = _recording(media, options)
+    if recording is not None and recording.intrinsics and options.intrinsics is None and options.lens is None:
+        intrinsics = recording.intrinsics  # the hands lie where that camera has them
     if recording is not None and recording.seen is None:
         numbers = [int(number) for number in recording.frame_numbers]
         posed = _chosen(options, posed_hands(recording))
@@ -252,7 +254,8 @@ def _recording(media: Media, options: CaptureOptions) -> Recording | None:
                 f"{media.source.name}: this input holds no pictures, so that no other keypoints belong "
                 "to it; give the pictures as the input, or leave --keypoints out"
             )
-        recording = beside(media, read_recording(options.keypoints, options))
+        told = replace(options, picture_size=options.picture_size or (media.width, media.height))
+        recording = beside(media, read_recording(options.keypoints, told))
     elif isinstance(media, RecordedMedia):
         recording = media.in_range()
     else:

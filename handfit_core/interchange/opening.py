@@ -80,10 +80,17 @@ def is_recording(source: MediaInput) -> bool:
     try:
         if path.is_dir():
             document = Document(path)
-            return not pictures_in(path) and bool(document.files(".json", ".npz", ".npy"))
+            return not pictures_in(path) and _holds_data(document)
         return path.suffix.lower() in DATA_SUFFIXES
     except (OSError, ValueError, RuntimeError):
         return False
+
+
+def _holds_data(document: Document) -> bool:
+    """Whether files of data are in a folder, or lie in folders of it as a reader knows them."""
+    if document.files(*DATA_SUFFIXES):
+        return True
+    return any(reader.recognises(document) for reader in READERS.built_in().values())
 
 
 def open_input(source: MediaInput, options: CaptureOptions) -> Media:

@@ -26,8 +26,9 @@ from handfit_core.interchange.recording import (
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import TrackFit
 
-_APART: Final = 0.15
-"""Metres between the wrists of a left and a right hand that have no place"""
+_APART: Final = 0.35
+"""Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
+the other hand from its origin, are 0.15 m apart"""
 _UNKNOWN_SIGMA: Final = 1e4
 """pixels: what is known of a point that is missing"""
 _NEAREST: Final = 0.25

@@ -43,6 +43,8 @@ WRITERS: Final = Registry(
         "bvh": f"{_HERE}.bvh:WRITER",
         "points-table": f"{_HERE}.points_table:WRITER",
         "mediapipe": f"{_HERE}.mediapipe:WRITER",
+        "smplx": f"{_HERE}.smplx:WRITER",
+        "smplx-keywords": f"{_HERE}.smplx_keywords:WRITER",
     },
 )
 """The writers by their names on the command line"""

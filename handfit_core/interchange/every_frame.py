@@ -1,0 +1,85 @@
+"""A take as players of animations want it: one hand a side, a pose in every frame, frames in equal steps."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handfit_core.skeleton import SIDES, Side
+from handfit_core.take import HandTrack, Take
+
+log = logging.getLogger("handfit")
+
+
+@dataclass(frozen=True, eq=False)
+class WholeHand:
+    """One hand over F frames, without gaps: where it was not seen, it is as it was last, or will be first."""
+
+    global_orient: np.ndarray
+    """(F, 3) radians, camera frame"""
+    hand_pose: np.ndarray
+    """(F, 45) radians, relative to the flat hand"""
+    transl: np.ndarray
+    """(F, 3) metres, camera frame"""
+    betas: np.ndarray
+    """(10,)"""
+    present: np.ndarray
+    """(F,) bool: where the take has the hand"""
+
+
+@dataclass(frozen=True, eq=False)
+class EveryFrame:
+    """The hands of a take on frames in equal steps."""
+
+    numbers: np.ndarray
+    """(F,) int: the take's frame numbers, and those between that it lacks"""
+    fps: float
+    """Of these frames"""
+    hands: Mapping[Side, WholeHand]
+
+    @classmethod
+    def of(cls, take: Take) -> EveryFrame:
+        """Of several hands of one side the one that is seen longest is taken, and a warning says so."""
+        given = np.asarray(take.frame_numbers)
+        step = int(np.gcd.reduce(np.diff(given))) if len(given) > 1 else 1
+        count = (int(given[-1]) - int(given[0])) // step + 1
+        # A single number that is far off, as names of pictures may have, makes no million of frames.
+        even = count <= max(100 * len(given), 1000)
+        numbers = np.arange(given[0], given[-1] + 1, step) if even else given
+        hands: dict[Side, WholeHand] = {}
+        for side in SIDES:
+            tracks = [hand for hand in take.hands if hand.side == side and hand.present.any()]
+            if len(tracks) > 1:
+                log.warning(
+                    "%d %s hands are in the take, and this format has one: the one that is seen longest",
+                    len(tracks),
+                    side,
+                )
+            if tracks:
+                longest = max(tracks, key=lambda hand: int(hand.present.sum()))
+                hands[side] = _whole(longest, given, numbers)
+        return cls(numbers, take.fps / step, hands)
+
+
+def _whole(hand: HandTrack, given: np.ndarray, numbers: np.ndarray) -> WholeHand:
+    rows = np.flatnonzero(hand.present)
+    last = np.maximum(np.searchsorted(given[rows], numbers, side="right") - 1, 0)
+    held = rows[last]
+    return WholeHand(
+        hand.global_orient[held],
+        hand.hand_pose[held],
+        hand.transl[held],
+        hand.betas,
+        given[held] == numbers,
+    )
+
+
+def written(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays as a .npz of that very name, which `np.savez` would add to."""
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)

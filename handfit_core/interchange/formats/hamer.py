@@ -1,0 +1,265 @@
+"""What users keep of HaMeR's, WiLoR's and WiLoR-mini's results: MANO's parameters of the hands in pictures.
+
+HaMeR and WiLoR give rotation matrices, a left hand's as those of the right hand in the crop that they have
+mirrored; WiLoR-mini gives axis-angle, and has mirrored left hands back. None adds a mean. Their own programs
+write no parameters, so that names vary: those of the network's output are known, and what users make of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.doors.values import Unfit
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.interchange import mano
+from handfit_core.interchange.document import Document
+from handfit_core.interchange.readers import Reader
+from handfit_core.interchange.recording import Asked, Recording
+
+_SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
+_NESTED: Final = ("pred_mano_params", "mano_params", "wilor_preds")
+_RIGHT: Final = ("right", "is_right")
+_PLACE: Final = ("pred_cam_t_full", "cam_t_full", "cam_t")
+"""Not pred_cam_t, which is HaMeR's for the crop alone"""
+_FRAME: Final = ("frame", "frames", "frame_id", "frame_ids", "frame_idx")
+_FOCAL: Final = ("scaled_focal_length", "focal_length")
+_FOCAL_OF_SIZE: Final = 5000.0 / 256.0
+"""HaMeR's and WiLoR's focal length, in longer sides of the picture"""
+_PERSON: Final = re.compile(r"(\d+)(?:_(\d+))?$")
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The hands of one dictionary."""
+
+    frame: int | None
+    values: dict[str, Any]
+
+
+def _flat(document_or_dict: Any) -> dict[str, Any]:
+    """The values of a dictionary, those within its part with the parameters among them."""
+    if isinstance(document_or_dict, Document):
+        held = {name: document_or_dict.value(name) for name in document_or_dict.names}
+    else:
+        held = document_or_dict
+    flat: dict[str, Any] = {}
+    for name, value in held.items():
+        key = str(name)
+        if key in _NESTED and isinstance(value, dict):
+            flat.update({str(k): v for k, v in value.items()})
+        else:
+            # np.savez makes "pred_mano_params.hand_pose" or "pred_mano_params_hand_pose" of a loop's names.
+            for nested in _NESTED:
+                key = key.removeprefix(f"{nested}.").removeprefix(f"{nested}_").removeprefix(f"{nested}/")
+            flat[key] = value
+    return flat
+
+
+def _is_hand(held: Any) -> bool:
+    return (
+        isinstance(held, dict)
+        and {"global_orient", "hand_pose"} <= set(held)
+        and any(name in held for name in _RIGHT)
+    )
+
+
+def _first(document: Document) -> dict[str, Any] | None:
+    """The first dictionary with hands; None where there is none."""
+    if document.is_folder:
+        files = document.files(*_SUFFIXES)
+        return _first(Document(files[0])) if files else None
+    names = set(document.names)
+    if names:
+        shown = names | {part for name in names for part in re.split(r"[./]", name)}
+        if not (names & set(_NESTED) or {"hand_pose", "global_orient"} <= shown or _numbered(names)):
+            return None
+        if not _numbered(names):
+            flat = _flat(document)
+            return flat if _is_hand(flat) else None
+    try:
+        return next((part.values for part in _parts(document) if _is_hand(part.values)), None)
+    except Unfit:
+        return None
+
+
+def _numbered(names: Any) -> bool:
+    """Whether keys are frames: numbers, or names of pictures."""
+    return bool(names) and all(re.search(r"\d+", str(name)) for name in names)
+
+
+def _parts(document: Document) -> Iterator[_Part]:
+    """The dictionaries with hands in a file, or in the files of a folder."""
+    if document.is_folder:
+        for path in document.files(*_SUFFIXES):
+            match = _PERSON.search(path.stem)
+            for part in _parts(Document(path)):
+                yield _Part(part.frame if match is None else int(match[1]), part.values)
+        return
+    names = document.names
+    if names and not _numbered(names):
+        yield _Part(None, _flat(document))
+        return
+    held = document.json if document.json is not None else document.objects
+    if isinstance(held, dict):
+        for name, value in held.items():
+            match = re.search(r"(\d+)\D*$", str(name))
+            for values in value if isinstance(value, list) else [value]:
+                if isinstance(values, dict):
+                    yield _Part(int(match[1]) if match else None, _flat(values))
+    elif isinstance(held, list):
+        for row, value in enumerate(held):
+            for values in value if isinstance(value, list) else [value]:
+                if isinstance(values, dict):
+                    of_row = row + 1 if isinstance(value, list) else None
+                    yield _Part(of_row, _flat(values))
+
+
+def _of(values: dict[str, Any], names: tuple[str, ...]) -> Any:
+    return next((values[name] for name in names if values.get(name) is not None), None)
+
+
+def _recognises_matrices(document: Document) -> bool:
+    first = _first(document)
+    return first is not None and mano.is_matrices(first.get("hand_pose"))
+
+
+def _recognises_vectors(document: Document) -> bool:
+    return _first(document) is not None
+
+
+def _read(document: Document, asked: Asked, name: str, title: str, mirrored: bool) -> Recording:
+    return mano.in_words(document.path, title, lambda: _recording(document, asked, name, mirrored))
+
+
+def _recording(document: Document, asked: Asked, name: str, mirrored: bool) -> Recording:
+    """`mirrored`: whether left hands are given as the right ones of a mirrored crop."""
+    assumed: list[str] = []
+    found: list[mano.FoundHand] = []
+    focals: list[float] = []
+    size = asked.picture_size
+    for part in _parts(document):
+        if not _is_hand(part.values):
+            continue
+        found += _hands_of(part, asked, mirrored, assumed)
+        focal, told = _of(part.values, _FOCAL), part.values.get("img_size")
+        if focal is not None:
+            focals += mano.numbers("the focal length", focal, 1)[:, 0].tolist()
+        if told is not None and size is None:
+            width, height = mano.numbers("img_size", told, 2)[0]
+            size = int(width), int(height)
+    if not found:
+        raise Unfit("there is no hand in it")
+    frames = np.array(sorted({hand.frame for hand in found}))
+    posed = mano.followed(found, frames, asked, assumed)
+    other = "wilor-mini" if mirrored else "hamer"
+    if any(hand.side == "left" for hand in posed):
+        mano.tell(
+            assumed,
+            "left hands were taken as the right ones of a mirrored crop, as HaMeR's and WiLoR's are"
+            if mirrored
+            else "left hands were taken as left ones already, as WiLoR-mini's are",
+        )
+    camera = _camera(focals, size, assumed) if posed and posed[0].transl is not None else None
+    fps = mano.rate(None, asked, assumed)
+    return mano.recording_of(
+        name,
+        document,
+        fps,
+        frames,
+        posed,
+        asked,
+        assumed,
+        chosen=True,
+        mirrored_by=f"if they look so, read them with --reader {other}",
+        size=size if camera is not None else None,
+        intrinsics=camera,
+    )
+
+
+def _camera(focals: list[float], size: tuple[int, int] | None, assumed: list[str]) -> Intrinsics | None:
+    if size is None:
+        mano.tell(
+            assumed,
+            "the pictures' size is not told: hands lie as far away as the network's camera has them, but are "
+            "not laid over pictures (--picture-size, or the pictures as the input and this as --keypoints)",
+        )
+        return None
+    focal = float(np.median(focals)) if focals else _FOCAL_OF_SIZE * max(size)
+    if not focals:
+        mano.tell(assumed, f"a focal length of {focal:.0f} pixels, the networks' own for this size")
+    return Intrinsics(focal, focal, size[0] / 2.0, size[1] / 2.0)
+
+
+def _hands_of(part: _Part, asked: Asked, mirrored: bool, assumed: list[str]) -> list[mano.FoundHand]:
+    values = part.values
+    right = mano.numbers("right", _of(values, _RIGHT), 1)[:, 0]
+    if not np.isin(right, (0.0, 1.0)).all():
+        raise Unfit("right must be 1 for right hands and 0 for left ones")
+    count = len(right)
+    orient = mano.rotations("global_orient", values["global_orient"], 1, count)
+    pose = mano.rotations("hand_pose", values["hand_pose"], 15, count)
+    place = _of(values, _PLACE)
+    transl = None if place is None else mano.numbers("pred_cam_t_full", place, 3)
+    if transl is not None and len(transl) != count:
+        raise Unfit(f"pred_cam_t_full has {len(transl)} rows where {count} are expected")
+    if transl is None:
+        mano.tell(assumed, "where the hands are is not told (pred_cam_t_full): each stays in its place")
+    betas = values.get("betas")
+    shapes = None if betas is None else mano.numbers("betas", betas, 10)
+    found = []
+    for row, frame in enumerate(_frames(part, count, right, assumed)):
+        side = "right" if right[row] else "left"
+        hand = orient[row : row + 1], pose[row : row + 1]
+        if side == "left" and mirrored:
+            hand = mano.left_of_right(*hand)
+        flat = mano.from_flat(hand[1], side, asked, "flat")
+        found.append(
+            mano.FoundHand(
+                frame,
+                side,
+                hand[0][0],
+                flat[0],
+                None if transl is None else transl[row],
+                None if shapes is None or len(shapes) != count else shapes[row],
+            )
+        )
+    return found
+
+
+def _frames(part: _Part, count: int, right: np.ndarray, assumed: list[str]) -> list[int]:
+    """Each hand's frame."""
+    told = _of(part.values, _FRAME)
+    if told is not None:
+        rows = mano.numbers("frame", told, 1)[:, 0]
+        if len(rows) == 1:
+            rows = np.repeat(rows, count)
+        if len(rows) != count or not np.all(rows == np.round(rows)):
+            raise Unfit(f"frame must be {count} whole numbers, one for each hand")
+        return [int(row) for row in rows]
+    if part.frame is not None:
+        return [part.frame] * count
+    if count > 1 and len(set(right)) == 1:
+        mano.tell(assumed, "its rows were taken as one hand's frames, as it does not tell whose they are")
+        return list(range(1, count + 1))
+    return [1] * count
+
+
+HAMER: Final = Reader(
+    "HaMeR or WiLoR",
+    "global_orient and hand_pose as matrices with right and pred_cam_t_full, in an .npz, JSON, .npy or "
+    "pickle, or a folder of these with the frame's number in the names",
+    _recognises_matrices,
+    lambda document, asked: _read(document, asked, "hamer", "HaMeR or WiLoR", True),
+)
+WILOR_MINI: Final = Reader(
+    "WiLoR-mini",
+    "lists of hands with is_right and wilor_preds, axis-angle, in JSON, .npz, .npy or a pickle, or a folder "
+    "of these with the frame's number in the names",
+    _recognises_vectors,
+    lambda document, asked: _read(document, asked, "wilor-mini", "WiLoR-mini", False),
+)

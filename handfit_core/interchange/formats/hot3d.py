@@ -1,0 +1,102 @@
+"""HOT3D: mano_hand_pose_trajectory.jsonl, and the folders of its clips with *.hands.json.
+
+15 coefficients of MANO's principal directions with its mean pose, the wrist as smplx has it: its turn is
+global_orient and its place transl, in the world. Hand 0 is the left one.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.doors.values import Unfit
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
+from handfit_core.interchange import mano
+from handfit_core.interchange.document import Document
+from handfit_core.interchange.readers import Reader
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.skeleton import SIDES
+
+_COEFFICIENTS: Final = 15
+_OF_CLIPS: Final = re.compile(r"(\d+)\.hands\.json")
+_NANOSECONDS: Final = 1e-9
+
+
+def _recognises(document: Document) -> bool:
+    if document.is_folder:
+        return bool(_clip(document))
+    lines = document.lines
+    return bool(lines) and isinstance(lines[0], dict) and {"timestamp_ns", "hand_poses"} <= set(lines[0])
+
+
+def _clip(document: Document) -> list[Path]:
+    return [path for path in document.files(".json") if _OF_CLIPS.fullmatch(path.name)]
+
+
+def _read(document: Document, asked: Asked) -> Recording:
+    return mano.in_words(document.path, "HOT3D", lambda: _recording(document, asked))
+
+
+def _recording(document: Document, asked: Asked) -> Recording:
+    assumed = [mano.UNTOLD_WORLD]
+    found: list[mano.FoundHand] = []
+    told = None
+    if document.is_folder:
+        numbers = []
+        for path in _clip(document):
+            match = _OF_CLIPS.fullmatch(path.name)
+            assert match is not None
+            numbers.append(int(match[1]))
+            hands = Document(path).json
+            if not isinstance(hands, dict):
+                raise Unfit(f"{path.name} is no JSON of hands")
+            for side in SIDES:
+                pose = (hands.get(side) or {}).get("mano_pose")
+                if pose is not None:
+                    found.append(_hand(numbers[-1], SIDES.index(side), pose, asked))
+    else:
+        lines = document.lines or []
+        times = mano.numbers("timestamp_ns", [line["timestamp_ns"] for line in lines], 1)[:, 0]
+        if len(times) > 1 and np.median(np.diff(times)) > 0:
+            told = 1.0 / (_NANOSECONDS * float(np.median(np.diff(times))))
+        numbers = list(range(1, len(lines) + 1))
+        for number, line in zip(numbers, lines, strict=True):
+            for index, pose in line["hand_poses"].items():
+                if index not in ("0", "1"):
+                    raise Unfit(f"hand_poses must be 0 (left) and 1 (right), and has {index[:40]}")
+                found.append(_hand(number, int(index), pose, asked))
+    frames = np.array(sorted(numbers))
+    posed = [mano.seen_from(hand, asked, mano.Z_UP) for hand in mano.followed(found, frames, asked, assumed)]
+    fps = mano.rate(told, asked, assumed)
+    return mano.recording_of("hot3d", document, fps, frames, posed, asked, assumed, chosen=True)
+
+
+def _hand(frame: int, index: int, pose: dict[str, Any], asked: Asked) -> mano.FoundHand:
+    side = SIDES[index]
+    if "joint_angles" in pose:
+        raise Unfit("it has joint_angles, which are UmeTrack's hands: give the file of MANO's hands")
+    given = pose["pose"] if "pose" in pose else pose["thetas"]
+    coefficients = mano.numbers("pose", given, _COEFFICIENTS)[:1]
+    wrist = pose["wrist_xform"]
+    if isinstance(wrist, dict):
+        orient = rotmat_to_rotvec(quat_to_rotmat(mano.numbers("q_wxyz", wrist["q_wxyz"], 4)))[0]
+        transl = mano.numbers("t_xyz", wrist["t_xyz"], 3)[0]
+    else:
+        both = mano.numbers("wrist_xform", wrist, 6)[0]
+        orient, transl = both[:3], both[3:]
+    betas = pose.get("betas")
+    flat = mano.from_flat(mano.from_directions(coefficients, side, asked), side, asked, "mean")
+    return mano.FoundHand(
+        frame, side, orient, flat[0], transl, None if betas is None else mano.numbers("betas", betas, 10)[0]
+    )
+
+
+READER = Reader(
+    "HOT3D",
+    "mano_hand_pose_trajectory.jsonl, or a clip's folder with *.hands.json",
+    _recognises,
+    _read,
+)
