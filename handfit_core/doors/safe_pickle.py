@@ -190,7 +190,7 @@ MOST_BYTES = 1 << 29
 
 def plain(value: Any) -> Any:
     """What `load` gave as dictionaries, lists, texts, numbers and arrays: those of objects are lists, or
-    their only object where they have no dimension; what is none of these is None.
+    their only object where they have no dimension; keys are texts; what is none of these is None.
 
     Raises Refused for one that is nested without end, or names the same parts over and over.
     """
@@ -209,7 +209,7 @@ class _Plain:
         if self._left < 0 or depth > MOST_NESTED:
             raise Refused("nests more values than arrays need")
         if isinstance(value, dict):
-            return {key: self.of(each, depth + 1) for key, each in value.items()}
+            return {str(key): self.of(each, depth + 1) for key, each in value.items()}
         if isinstance(value, list | tuple):
             return [self.of(each, depth + 1) for each in value]
         if isinstance(value, _Array | _ArrayFromBuffer):

@@ -8,16 +8,14 @@ wrists are given by the joints before them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from handfit_core.doors.values import Unfit
-from handfit_core.errors import InputError, OptionError
-from handfit_core.files import shown
+from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
@@ -28,7 +26,7 @@ from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import LARGEST
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""
@@ -356,7 +354,7 @@ def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str
 # A wrong mean, or a mirror that is missing
 
 _FINGERS: Final = np.array([j - 1 for f, joints in FINGER_JOINTS.items() if f != "thumb" for j in joints])
-_STRONG: Final = np.radians(8.0)
+_STRONG: Final = np.radians(4.0)
 """What the bends of the four fingers' joints are beyond their range, on average, in a wrong reading"""
 _MUCH_BETTER: Final = 0.4
 
@@ -431,10 +429,7 @@ def rate(value: Any, asked: Asked, assumed: list[str]) -> float:
     if value is None:
         tell(assumed, f"{DEFAULT_FPS:g} frames per second, which it does not tell (--fps)")
         return DEFAULT_FPS
-    fps = float(numbers("the frame rate", value, 1)[0, 0])
-    if not SMALLEST_FPS <= fps <= LARGEST_FPS:
-        raise Unfit(f"the frame rate must be from {SMALLEST_FPS:g} to {LARGEST_FPS:g}, not {fps:g}")
-    return fps
+    return float(numbers("the frame rate", value, 1)[0, 0])
 
 
 def only(hand: PosedHand, there: np.ndarray) -> PosedHand:
@@ -468,16 +463,11 @@ def recording_of(
 ) -> Recording:
     """The recording of hands that are there, with what is doubtful about them. `chosen`: whether the hands
     are already those of the person asked for; else there is one person. Raises Unfit."""
-    frames = np.asarray(frames)
-    if frames.dtype.kind not in "iu" or not len(frames) or np.any(np.diff(frames) <= 0):
-        raise Unfit("its frame numbers must be whole numbers that increase")
     if not chosen and asked.person not in (None, 1):
         raise Unfit(f"there is no person {asked.person}: it has 1")
     hands = tuple(hand for hand in posed if hand.present.any())
     if not hands:
         raise Unfit("there is no hand in any of its frames")
-    if any(len(hand.hand_pose) != len(frames) for hand in hands):
-        raise Unfit(f"its hands have other numbers of frames than {len(frames)}")
     return Recording(
         name,
         (str(document.path.absolute()),),
@@ -488,18 +478,3 @@ def recording_of(
         intrinsics=intrinsics,
         assumed=(*assumed, *doubts(hands, asked, mirrored_by)),
     )
-
-
-def in_words(path: Path, title: str, read: Callable[[], Any]) -> Any:
-    """What `read` gives; what is unfit in a file is said in one sentence with its name. Raises InputError."""
-    try:
-        return read()
-    except (InputError, OptionError):
-        raise
-    except Unfit as error:
-        raise InputError(f"{shown(path)}: this is no sound file of {title}: {error}") from error
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{shown(path)}: this is no sound file of {title}: its parts are not what they should be "
-            f"({type(error).__name__}: {str(error)[:120]})"
-        ) from error

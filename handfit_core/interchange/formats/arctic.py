@@ -22,10 +22,6 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "ARCTIC", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed = [mano.UNTOLD_WORLD]
     posed = []
     for side in SIDES:

@@ -37,10 +37,6 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "DexYCB", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed: list[str] = []
     meta = _text(document.path.absolute().parent / "meta.yml")
     sides = re.findall(r"mano_sides:\s*\n?\s*(?:-|\[)\s*['\"]?(\w+)", meta)

@@ -23,10 +23,6 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "Dyn-HaMR", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed: list[str] = []
     right = np.asarray(document.value("is_right"), dtype=np.float64)
     if right.ndim != 2 or not right.size:

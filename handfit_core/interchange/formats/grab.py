@@ -22,10 +22,6 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "GRAB", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed: list[str] = []
     turn = mano.standing(
         mano.rotations("body's global_orient", _params(document, "body")["global_orient"], 1), assumed

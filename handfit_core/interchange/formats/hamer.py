@@ -132,11 +132,7 @@ def _recognises_vectors(document: Document) -> bool:
     return _first(document) is not None
 
 
-def _read(document: Document, asked: Asked, name: str, title: str, mirrored: bool) -> Recording:
-    return mano.in_words(document.path, title, lambda: _recording(document, asked, name, mirrored))
-
-
-def _recording(document: Document, asked: Asked, name: str, mirrored: bool) -> Recording:
+def _read(document: Document, asked: Asked, name: str, mirrored: bool) -> Recording:
     """`mirrored`: whether left hands are given as the right ones of a mirrored crop."""
     assumed: list[str] = []
     found: list[mano.FoundHand] = []
@@ -254,12 +250,12 @@ HAMER: Final = Reader(
     "global_orient and hand_pose as matrices with right and pred_cam_t_full, in an .npz, JSON, .npy or "
     "pickle, or a folder of these with the frame's number in the names",
     _recognises_matrices,
-    lambda document, asked: _read(document, asked, "hamer", "HaMeR or WiLoR", True),
+    lambda document, asked: _read(document, asked, "hamer", mirrored=True),
 )
 WILOR_MINI: Final = Reader(
     "WiLoR-mini",
     "lists of hands with is_right and wilor_preds, axis-angle, in JSON, .npz, .npy or a pickle, or a folder "
     "of these with the frame's number in the names",
     _recognises_vectors,
-    lambda document, asked: _read(document, asked, "wilor-mini", "WiLoR-mini", False),
+    lambda document, asked: _read(document, asked, "wilor-mini", mirrored=False),
 )

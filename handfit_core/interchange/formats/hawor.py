@@ -54,8 +54,7 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    read = _of_folder if document.is_folder else _of_world
-    return mano.in_words(document.path, "HaWoR", lambda: read(document, asked))
+    return _of_folder(document, asked) if document.is_folder else _of_world(document, asked)
 
 
 def _of_folder(document: Document, asked: Asked) -> Recording:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.doors.values import Unfit
+from handfit_core.doors.values import Unfit, whole
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
@@ -37,10 +37,6 @@ def _clip(document: Document) -> list[Path]:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "HOT3D", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed = [mano.UNTOLD_WORLD]
     found: list[mano.FoundHand] = []
     told = None
@@ -59,7 +55,7 @@ def _recording(document: Document, asked: Asked) -> Recording:
                     found.append(_hand(numbers[-1], SIDES.index(side), pose, asked))
     else:
         lines = document.lines or []
-        times = mano.numbers("timestamp_ns", [line["timestamp_ns"] for line in lines], 1)[:, 0]
+        times = [whole("timestamp_ns", line["timestamp_ns"]) for line in lines]
         if len(times) > 1 and np.median(np.diff(times)) > 0:
             told = 1.0 / (_NANOSECONDS * float(np.median(np.diff(times))))
         numbers = list(range(1, len(lines) + 1))

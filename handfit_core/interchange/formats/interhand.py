@@ -30,10 +30,6 @@ def _first(held: Any) -> Any:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "InterHand2.6M", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed = ["its cameras are in another file: the hands are seen along the axes of its world"]
     captures: dict[str, Any] = document.json
     chosen = asked.person or 1

@@ -39,10 +39,6 @@ def _recognises(document: Document) -> bool:
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    return mano.in_words(document.path, "SMPL-X", lambda: _recording(document, asked))
-
-
-def _recording(document: Document, asked: Asked) -> Recording:
     assumed: list[str] = []
     pelvis, body, hands = _parts(document)
     told = next((document.value(name) for name in _RATES if name in document.names), None)

@@ -26,7 +26,6 @@ from handfit_core.take import Take
 
 _FINGERS: Final = tuple(f"{side}_hand_pose" for side in SIDES)
 _BODY: Final = {"global_orient", "body_pose", *_FINGERS}
-_OURS: Final = tuple(f"{side}_global_orient" for side in SIDES)
 _FRAME_AND_BOX: Final = re.compile(r"(\d+)_(\d+)")
 
 
@@ -55,10 +54,8 @@ def _recognises(document: Document) -> bool:
 
 def _read(document: Document, asked: Asked) -> Recording:
     if document.is_folder:
-        return mano.in_words(document.path, "SMPLer-X", lambda: _smpler_x(document, asked))
-    if _of_hands(document):
-        return mano.in_words(document.path, "smplx's parameters", lambda: _hands(document, asked))
-    return mano.in_words(document.path, "smplx's parameters", lambda: _sequence(document, asked))
+        return _smpler_x(document, asked)
+    return _hands(document, asked) if _of_hands(document) else _sequence(document, asked)
 
 
 def _hands(document: Document, asked: Asked) -> Recording:
