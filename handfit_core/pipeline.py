@@ -152,9 +152,9 @@ def capture_with(
     report = progress or (lambda _: None)
     media, intrinsics = _opened(source, options)
     recording = _recording(media, options)
-    if recording is not None and recording.intrinsics and options.intrinsics is None and options.lens is None:
-        intrinsics = recording.intrinsics  # the hands lie where that camera has them
     if recording is not None and recording.seen is None:
+        if recording.intrinsics and options.intrinsics is None and options.lens is None:
+            intrinsics = recording.intrinsics  # the hands lie where that camera has them
         numbers = [int(number) for number in recording.frame_numbers]
         posed = _chosen(options, posed_hands(recording))
         if posed and not options.refit:

@@ -24,7 +24,6 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
-from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
 from handfit_core.take import LARGEST
 
@@ -422,14 +421,9 @@ def _how(hand: PosedHand) -> str:
 # What surrounds them
 
 
-def rate(value: Any, asked: Asked, assumed: list[str]) -> float:
-    """Frames per second: what the user says, the file tells, or else is usual. Raises Unfit."""
-    if asked.fps is not None:
-        return asked.fps
-    if value is None:
-        tell(assumed, f"{DEFAULT_FPS:g} frames per second, which it does not tell (--fps)")
-        return DEFAULT_FPS
-    return float(numbers("the frame rate", value, 1)[0, 0])
+def rate(told: Any, asked: Asked) -> float:
+    """Frames per second of a file that tells them, or not (None). Raises Unfit."""
+    return asked.rate if told is None else float(numbers("the frame rate", told, 1)[0, 0])
 
 
 def only(hand: PosedHand, there: np.ndarray) -> PosedHand:

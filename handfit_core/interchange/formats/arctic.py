@@ -36,7 +36,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         pose = mano.from_flat(pose, side, asked, "mean")
         shape = mano.shape_of(hand.get("shape"), asked, assumed)
         posed.append(mano.seen_from(PosedHand(side, orient, pose, transl, shape), asked, mano.Z_UP))
-    fps = mano.rate(None, asked, assumed)
+    fps = asked.rate
     frames = np.arange(1, len(posed[0].hand_pose) + 1)
     return mano.recording_of("arctic", document, fps, frames, posed, asked, assumed)
 

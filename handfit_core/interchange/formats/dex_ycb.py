@@ -67,7 +67,7 @@ def _read(document: Document, asked: Asked) -> Recording:
     camera = _camera(document.path)
     if camera is None:
         assumed.append("its camera is not told: calibration/intrinsics is not where DexYCB has it")
-    fps = mano.rate(None, asked, assumed)
+    fps = asked.rate
     return mano.recording_of(
         "dex-ycb",
         document,

@@ -55,7 +55,7 @@ def _read(document: Document, asked: Asked) -> Recording:
     return mano.recording_of(
         "dyn-hamr",
         document,
-        mano.rate(None, asked, assumed),
+        asked.rate,
         np.arange(1, count + 1),
         posed,
         asked,

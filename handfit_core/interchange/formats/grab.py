@@ -37,7 +37,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         posed.append(mano.seen_from(PosedHand(side, orient, pose, transl), asked, turn))
     assumed.append("the subject's own shape (vtemp) is left out")
     told = document.value("framerate")
-    fps = mano.rate(_FPS if told is None else told, asked, assumed)
+    fps = mano.rate(_FPS if told is None else told, asked)
     frames = np.arange(1, len(posed[0].hand_pose) + 1)
     return mano.recording_of("grab", document, fps, frames, posed, asked, assumed)
 

@@ -161,7 +161,7 @@ def _read(document: Document, asked: Asked, name: str, mirrored: bool) -> Record
             else "left hands were taken as left ones already, as WiLoR-mini's are",
         )
     camera = _camera(focals, size, assumed) if posed and posed[0].transl is not None else None
-    fps = mano.rate(None, asked, assumed)
+    fps = asked.rate
     return mano.recording_of(
         name,
         document,

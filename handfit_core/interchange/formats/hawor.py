@@ -89,7 +89,7 @@ def _of_folder(document: Document, asked: Asked) -> Recording:
     return mano.recording_of(
         "hawor",
         document,
-        mano.rate(None, asked, assumed),
+        asked.rate,
         frames,
         posed,
         asked,
@@ -117,7 +117,7 @@ def _of_world(document: Document, asked: Asked) -> Recording:
         shape = None if betas is None else mano.shape_of(betas[there], asked, assumed)
         pose = mano.from_flat(pose, side, asked, "flat")
         posed.append(mano.only(PosedHand(side, orient, pose, transl, shape), there))
-    fps = mano.rate(None, asked, assumed)
+    fps = asked.rate
     return mano.recording_of("hawor", document, fps, np.arange(1, count + 1), posed, asked, assumed)
 
 

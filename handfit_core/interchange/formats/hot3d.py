@@ -23,6 +23,8 @@ from handfit_core.skeleton import SIDES
 _COEFFICIENTS: Final = 15
 _OF_CLIPS: Final = re.compile(r"(\d+)\.hands\.json")
 _NANOSECONDS: Final = 1e-9
+_TOGETHER: Final = 4_000_000
+"""nanoseconds between pictures of one moment"""
 
 
 def _recognises(document: Document) -> bool:
@@ -54,7 +56,7 @@ def _read(document: Document, asked: Asked) -> Recording:
                 if pose is not None:
                     found.append(_hand(numbers[-1], SIDES.index(side), pose, asked))
     else:
-        lines = document.lines or []
+        lines = _of_one_camera(document.lines or [])
         times = [whole("timestamp_ns", line["timestamp_ns"]) for line in lines]
         if len(times) > 1 and np.median(np.diff(times)) > 0:
             told = 1.0 / (_NANOSECONDS * float(np.median(np.diff(times))))
@@ -66,8 +68,19 @@ def _read(document: Document, asked: Asked) -> Recording:
                 found.append(_hand(number, int(index), pose, asked))
     frames = np.array(sorted(numbers))
     posed = [mano.seen_from(hand, asked, mano.Z_UP) for hand in mano.followed(found, frames, asked, assumed)]
-    fps = mano.rate(told, asked, assumed)
+    fps = mano.rate(told, asked)
     return mano.recording_of("hot3d", document, fps, frames, posed, asked, assumed, chosen=True)
+
+
+def _of_one_camera(lines: list[Any]) -> list[Any]:
+    """The lines of the first camera: Aria's glasses have several, which take their pictures at almost the
+    same time and have a line each."""
+    kept: list[Any] = []
+    for line in lines:
+        time = whole("timestamp_ns", line["timestamp_ns"])
+        if not kept or not 0 <= time - kept[-1]["timestamp_ns"] < _TOGETHER:
+            kept.append(line)
+    return kept
 
 
 def _hand(frame: int, index: int, pose: dict[str, Any], asked: Asked) -> mano.FoundHand:

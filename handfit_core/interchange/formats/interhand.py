@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -58,9 +59,8 @@ def _read(document: Document, asked: Asked) -> Recording:
     if not found:
         raise Unfit(f"capture {name} has no hand")
     frames = np.array(sorted({hand.frame for hand in found}))
-    everyone = Asked(None, asked.fps, asked.picture_size, asked.hand_mean, asked.model)
-    posed = mano.followed(found, frames, everyone, assumed)
-    fps = mano.rate(None, asked, assumed)
+    posed = mano.followed(found, frames, replace(asked, person=None), assumed)
+    fps = asked.rate
     return mano.recording_of("interhand", document, fps, frames, posed, asked, assumed, chosen=True)
 
 

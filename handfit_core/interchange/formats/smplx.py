@@ -42,7 +42,7 @@ def _read(document: Document, asked: Asked) -> Recording:
     assumed: list[str] = []
     pelvis, body, hands = _parts(document)
     told = next((document.value(name) for name in _RATES if name in document.names), None)
-    fps = mano.rate(told, asked, assumed)
+    fps = mano.rate(told, asked)
     # BEAT2's files are posed with a model that adds the mean; all others' with one that does not.
     beat = str(document.value("model")) == "smplx2020"
     turn = mano.standing(pelvis, assumed)

@@ -81,7 +81,7 @@ def _hands(document: Document, asked: Asked) -> Recording:
             hand = mano.only(hand, mano.numbers(f"{side}_present", present, 1)[:, 0] > 0.0)
         posed.append(hand)
         count = max(count, len(orient))
-    fps = mano.rate(document.value("fps"), asked, assumed)
+    fps = mano.rate(document.value("fps"), asked)
     given = document.value("frame_numbers")
     frames = np.arange(1, count + 1) if given is None else np.asarray(given).reshape(-1)
     size, camera = _size_and_camera(document)
@@ -105,7 +105,7 @@ def _sequence(document: Document, asked: Asked) -> Recording:
     turn = mano.standing(pelvis, assumed)
     posed = [mano.seen_from(hand, asked, turn) for hand in _of_one_body(document, asked, pelvis, "flat")]
     told = next((document.value(n) for n in ("mocap_frame_rate", "fps") if n in document.names), None)
-    fps = mano.rate(told, asked, assumed)
+    fps = mano.rate(told, asked)
     frames = np.arange(1, len(pelvis) + 1)
     return mano.recording_of("smplx-keywords", document, fps, frames, posed, asked, assumed)
 
@@ -151,7 +151,7 @@ def _smpler_x(document: Document, asked: Asked) -> Recording:
     posed = mano.followed(found, frames, asked, assumed)
     if len({hand.person for hand in found}) > 1:
         assumed.append("persons are told apart by the number in the files' names, which may change places")
-    fps = mano.rate(None, asked, assumed)
+    fps = asked.rate
     return mano.recording_of("smplx-keywords", document, fps, frames, posed, asked, assumed, chosen=True)
 
 

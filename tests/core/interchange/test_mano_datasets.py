@@ -197,7 +197,7 @@ def test_interhand_that_is_damaged(tmp_path: Path, model: Path, changes: dict[st
 # HOT3D
 
 
-def hot3d(path: Path) -> Path:
+def hot3d(path: Path, cameras: int = 1) -> Path:
     """Hand 0, the left one, is missing in the second line."""
     lines = []
     for frame in range(FRAMES):
@@ -214,13 +214,16 @@ def hot3d(path: Path) -> Path:
             }
         if frame == 1:
             del poses["0"]
-        lines.append(json.dumps({"timestamp_ns": 5_000_000_000 + frame * 33_333_333, "hand_poses": poses}))
+        for camera in range(cameras):
+            time = 5_000_000_000 + frame * 33_333_333 + camera * 90_000
+            lines.append(json.dumps({"timestamp_ns": time, "hand_poses": poses}))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
 
-def test_hot3d(tmp_path: Path, model: Path) -> None:
-    path = hot3d(tmp_path / "mano_hand_pose_trajectory.jsonl")
+@pytest.mark.parametrize("cameras", [1, 2], ids=["Quest 3", "Aria"])
+def test_hot3d(tmp_path: Path, model: Path, cameras: int) -> None:
+    path = hot3d(tmp_path / "mano_hand_pose_trajectory.jsonl", cameras)
     assert_asks_for_mano(path, "coefficients of MANO's principal directions")
     recording = read(path, model=str(model))
     assert recording.format == "hot3d"

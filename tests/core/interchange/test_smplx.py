@@ -160,7 +160,7 @@ def test_amass_is_read_with_the_mean_when_told(tmp_path: Path) -> None:
         ({"poses": np.zeros((0, 165))}, "impossible shape"),
         ({"poses": np.full((FRAMES, 165), 90.0)}, "degrees"),
         ({"poses": np.full((FRAMES, 165), np.nan)}, "never move|no hand"),
-        ({"mocap_frame_rate": np.array(0.0)}, "frame rate is 0"),
+        ({"mocap_frame_rate": np.array(-1.0)}, "frame rate is -1"),
         ({"mocap_frame_rate": np.array("fast")}, "must be numbers"),
     ],
     ids=["SMPL", "width", "zeros", "empty", "degrees", "NaN", "rate", "text"],
