@@ -104,7 +104,10 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     likely = np.zeros(len(chains))
     for i, (_, own) in enumerate(chains):
         others = [j for j in range(len(chains)) if j != i]
-        near = far(own[0]) / np.median([far(starts[j]) for j in others]) if len(own) == shortest else 1.0
+        usual = float(np.median([far(starts[j]) for j in others]))
+        if not usual > 0.0:
+            raise HandModelError("two bones begin in one place")
+        near = far(own[0]) / usual if len(own) == shortest else 1.0
         aside = _unit(bones.heads[ends[i]] - bones.heads[own[0]]) @ _unit(
             np.sum([along[j] for j in others], axis=0)
         )

@@ -222,6 +222,22 @@ def test_a_body_without_fingers(tmp_path: Path) -> None:
         read(tmp_path, text_of(bones, turns))
 
 
+def test_mittens_whose_fingers_begin_in_the_wrist(tmp_path: Path) -> None:
+    """As in the motions of Carnegie Mellon's library: LThumb, and LeftFingerBase with LeftHandIndex1."""
+    built = Built()
+    for side in SIDES:
+        fore, place = body(built, side)
+        name, out = side.title(), np.array([0.01 if side == "left" else -0.01, 0.0, 0.0])
+        hand = built.add(f"{name}Hand", fore, place)
+        base = built.add(f"{name}FingerBase", hand, place)
+        built.add(f"{name}HandIndex1", base, place + out)
+        built.add(f"{name[0]}Thumb", hand, place)
+    bones = built.bones()
+    turns = np.broadcast_to(np.eye(3), (2, len(bones.names), 3, 3))
+    with np.errstate(all="raise"), pytest.raises(InputError, match="a hand with two fingers"):
+        read(tmp_path, text_of(bones, turns))
+
+
 def test_radians_and_still_fingers_are_pointed_out(tmp_path: Path) -> None:
     head, _, motion = simple(tmp_path).partition("Frame Time:")
     lines = motion.splitlines()
