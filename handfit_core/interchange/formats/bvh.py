@@ -8,6 +8,7 @@ is up.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +42,7 @@ from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS, Take
 
 _MOST_BYTES: Final = 1 << 27
 _MOST_BONES: Final = 2048
-_MOST_TURNS: Final = 1 << 24
+_MOST_TURNS: Final = 1 << 23
 """bones times frames"""
 _LONGEST_NAME: Final = 256
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
@@ -129,12 +130,17 @@ def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
         raise _Wrong("does not say Frames and Frame Time after MOTION")
     count, width = int(said[1]), sum(map(len, skeleton.channels))
     if not width or count * len(skeleton.names) > _MOST_TURNS:
-        raise _Wrong(f"has {count} frames of {len(skeleton.names)} bones and {width} channels")
+        raise _Wrong(
+            f"has {count} frames of {len(skeleton.names)} bones and {width} channels, and at most "
+            f"{_MOST_TURNS // len(skeleton.names)} frames of so many bones are read; cut it into parts"
+        )
     try:
         seconds = float(said[2])
-        numbers = np.array([*map(float, tail[said.end() :].split())])
-    except ValueError as error:
-        raise _Wrong(f"holds what is no number ({error})") from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)
+            numbers = np.fromstring(tail[said.end() :], sep=" ")
+    except (ValueError, DeprecationWarning) as error:
+        raise _Wrong("holds what is no number among its frames") from error
     if not count or len(numbers) != count * width:
         raise _Wrong(
             f"says {count} frames of {width} channels, which are {count * width} numbers, and has "
