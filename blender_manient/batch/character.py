@@ -194,7 +194,8 @@ class Character:
                 f"{shown(self.path)}: drivers that need Python stand still, as no script of the file is run "
                 f"({bpy.app.autoexec_fail_message})"
             )
-        return CharacterObjects.of(armature), {"armature": armature.name, "hands": told}, [*alone, *warnings]
+        character = replace(CharacterObjects.of(armature), hand_maps=tuple(self.bones.values()))
+        return character, {"armature": armature.name, "hands": told}, [*alone, *warnings]
 
     def _armature(self, gone: list[str]) -> bpy.types.Object:
         """The one that was named, or the only one, or the only one that deforms or carries a mesh."""

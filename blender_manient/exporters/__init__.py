@@ -15,7 +15,7 @@ PRESETS = (
 """Name, label and description of the programs that formats know"""
 
 _TOLD = ("name", "label", "description", "suffix")
-_OURS = ("blend", "fbx", "gltf", "usd", "bvh", "alembic", "take")
+_OURS = ("blend", "fbx", "gltf", "usd", "bvh", "alembic", "vrma", "take")
 """The files of this folder that are no plug-ins, in the order of the buttons"""
 
 EXPORTERS: dict[str, Exporter] = {}

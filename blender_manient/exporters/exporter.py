@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -93,6 +94,18 @@ class Exporter(ABC):
         if self.operator.startswith("wm."):
             return "missing in this build of Blender; take the one from blender.org"
         return "switched off with its add-on; enable that in Blender's preferences"
+
+
+def whole_glb(stream: BinaryIO, size: int) -> bool:
+    """Whether a binary glTF file is as long as its header says, and its chunks fill it."""
+    magic, _version, length = struct.unpack("<4sII", stream.read(12))
+    if magic != b"glTF" or length != size:
+        return False
+    place = 12
+    while place < size:
+        stream.seek(place)
+        place += 8 + struct.unpack("<I", stream.read(4))[0]
+    return place == size
 
 
 def blank(path: Path, folder: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -11,7 +10,7 @@ from typing import BinaryIO
 import bpy
 
 from ..blender_versions import gltf_left_out
-from .exporter import Exporter, HandObjects, Preset
+from .exporter import Exporter, HandObjects, Preset, whole_glb
 
 _PRESETS = {
     # glTF itself says: metres, Y up.
@@ -63,14 +62,7 @@ class GltfExporter(Exporter):
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
         """The header tells the length of the file, and each chunk its own."""
-        magic, _version, length = struct.unpack("<4sII", stream.read(12))
-        if magic != b"glTF" or length != size:
-            return False
-        place = 12
-        while place < size:
-            stream.seek(place)
-            place += 8 + struct.unpack("<I", stream.read(4))[0]
-        return place == size
+        return whole_glb(stream, size)
 
 
 @contextlib.contextmanager

@@ -93,6 +93,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
         layout.operator("manient.apply_to_character", text="Apply Pose", icon="POSE_HLT").mode = "POSE"
         layout.prop(character, "live", icon="LINKED", toggle=True)
+        layout.operator("manient.export_character", icon="EXPORT")
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
             sentence(layout, context, capitalised(trouble), "ERROR", alert=True)

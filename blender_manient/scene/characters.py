@@ -26,6 +26,8 @@ class CharacterObjects:
     armature: bpy.types.Object
     meshes: tuple[bpy.types.Object, ...]
     side: None = None
+    hand_maps: tuple[HandMap, ...] = ()
+    """Tables of its hands that stand before those that are kept or recognised"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:

@@ -87,5 +87,5 @@ def test_gltf_keeps_the_time(make_take, tmp_path, fps):
 
 def test_unknown_format_lists_the_known_ones(make_take, tmp_path):
     made = make_take(sides=("left",))
-    with pytest.raises(OptionError, match=r"'obj'.*blend, fbx, glb, usd, bvh, abc$"):
+    with pytest.raises(OptionError, match=r"'obj'.*blend, fbx, glb, usd, bvh, abc, vrma$"):
         export_take(build_take(made.take), made.take, tmp_path, "x", "obj")

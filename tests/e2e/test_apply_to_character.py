@@ -16,6 +16,7 @@ from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES, Side
 from handfit_core.take import Take
+from tests.core.interchange.humanoids import Played, named
 from tests.takes import take_of, track_of
 
 from .character_child import bone_names
@@ -129,7 +130,7 @@ def test_a_character_comes_out_with_the_motion(request, in_blender, hero, look, 
         endings += [".usdc", ".abc"]
     clip.save(tmp_path / "clip.take.npz")
     out = tmp_path / "out"
-    formats = ",".join(ending[1:] for ending in endings).replace("usdc", "usd")
+    formats = ",".join([*(ending[1:] for ending in endings), "vrma"]).replace("usdc", "usd")
     options = ("--apply-to", hero, "--format", formats, "--no-contacts", "--no-sheet")
     done = in_blender(SCRIPT, "clip.take.npz", "-o", out, *options)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -139,7 +140,7 @@ def test_a_character_comes_out_with_the_motion(request, in_blender, hero, look, 
     rig = {"rig": "Mixamo", "bones": 15, "frames": 8, "tips_apart": 0.0}
     hands = [{"side": side, "captured": number, **rig} for number, side in enumerate(SIDES, start=1)]
     assert entry["character"] == {"armature": "Hero", "hands": hands}
-    files = ["clip.take.npz", *(f"clip{ending}" for ending in endings)]
+    files = ["clip.take.npz", *(f"clip{ending}" for ending in [*endings, ".vrma"])]
     assert entry["files"] == [f"clip/{name}" for name in files]
     assert sorted(p.name for p in (out / "clip").iterdir()) == sorted([*files, "done.json"])
     assert hero.read_bytes() == before
@@ -150,6 +151,11 @@ def test_a_character_comes_out_with_the_motion(request, in_blender, hero, look, 
     assert blend["armatures"] == 1, "nothing of the captured hands is in it"
     assert blend["texts"] == ["kept.txt"], "all of the character's file is"
     assert len(blend["tracks"]) == 1, "its own action goes on below the new one"
+    played = Played((out / "clip" / "clip.vrma").read_bytes())
+    for number, side in enumerate(SIDES):
+        for row in seen(side):
+            points = named(played.places(row / 30.0), side)[:16]
+            assert worst(_directions(points), captured(clip, number, row)) < 0.1, (".vrma", side, row)
     for ending in endings:
         found = look(out / "clip" / f"clip{ending}")
         if ending != ".abc":  # the skin alone

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 def test_export_leaves_all_as_it_is(blender, photo):
     played = blender.play("exporting.leaves_all_as_it_is", source=str(photo), timeout=600.0).value
-    assert {"fbx", "glb", "bvh", "npz"} <= set(played["written"])
+    assert {"fbx", "glb", "bvh", "npz", "vrma"} <= set(played["written"])
     for fmt, files in played["written"].items():
         assert len(files) == 1, "nothing else is left beside the file"
         assert played["after"][fmt] == played["before"], fmt
@@ -16,4 +16,4 @@ def test_export_leaves_all_as_it_is(blender, photo):
 
 def test_formats_that_this_blender_lacks_are_grey(blender, photo):
     chosen = blender.play("exporting.formats", source=str(photo), timeout=600.0).value
-    assert chosen == ["bvh", "fbx", "glb", "npz"], "Debian's Blender has neither USD nor Alembic"
+    assert chosen == ["bvh", "fbx", "glb", "npz", "vrma"], "Debian's Blender has neither USD nor Alembic"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model.poses import ready_poses
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, KEYPOINT_SOURCE, SIDES, Side
 from handfit_core.take import HandTrack, Take
@@ -72,3 +73,60 @@ def named(places: Mapping[str, Sequence[float] | np.ndarray], side: str) -> np.n
         for joint, part in zip(joints, parts, strict=True):
             order[joint] = f"{side}{finger.title()}{part}"
     return np.array([places[name] for name in [*order, *(f"{side}{f.title()}Tip" for f in FINGERS)]])
+
+
+class Played:
+    """A .vrma, read as glTF's specification says."""
+
+    def __init__(self, data: bytes) -> None:
+        assert data[:4] == b"glTF"
+        assert int.from_bytes(data[8:12], "little") == len(data)
+        size = int.from_bytes(data[12:16], "little")
+        self.json = json.loads(data[20 : 20 + size])
+        self._buffer = data[28 + size :]
+        extension = self.json["extensions"]["VRMC_vrm_animation"]
+        assert extension["specVersion"] == "1.0"
+        self.bones = {name: bone["node"] for name, bone in extension["humanoid"]["humanBones"].items()}
+        self.parents = {c: n for n, node in enumerate(self.json["nodes"]) for c in node.get("children", ())}
+        animation = self.json["animations"][0]
+        self.tracks: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        for channel in animation["channels"]:
+            assert channel["target"]["path"] == "rotation", "only hips may move, and nothing may grow"
+            sampler = animation["samplers"][channel["sampler"]]
+            self.tracks[channel["target"]["node"]] = (
+                self._numbers(sampler["input"]).ravel(),
+                self._numbers(sampler["output"]),
+            )
+
+    def _numbers(self, index: int) -> np.ndarray:
+        accessor = self.json["accessors"][index]
+        view = self.json["bufferViews"][accessor["bufferView"]]
+        columns = {"SCALAR": 1, "VEC4": 4}[accessor["type"]]
+        part = self._buffer[view["byteOffset"] :][: view["byteLength"]]
+        return np.frombuffer(part, "<f4").reshape(accessor["count"], columns).astype(float)
+
+    def place(self, node: int, time: float | None) -> tuple[np.ndarray, np.ndarray]:
+        """Where a node is and how it is turned, in the scene, at one of the times; None: at rest."""
+        place, turn = np.zeros(3), np.eye(3)
+        if node in self.parents:
+            place, turn = self.place(self.parents[node], time)
+        held = self.json["nodes"][node]
+        assert not {"rotation", "scale", "matrix"} & set(held), "a T-pose that needs no conversion"
+        local = np.eye(3)
+        if time is not None and node in self.tracks:
+            times, quats = self.tracks[node]
+            x, y, z, w = quats[np.argmin(np.abs(times - time))]
+            local = quat_to_rotmat(np.array([w, x, y, z]))
+        return place + turn @ np.array(held["translation"]), turn @ local
+
+    def places(self, time: float | None) -> dict[str, np.ndarray]:
+        """By bone, and where fingertips would be: VRM's fingers go on as they lie in the T-pose."""
+        found = {name: self.place(node, time)[0] for name, node in self.bones.items()}
+        for side in SIDES:
+            for finger in FINGERS:
+                last = self.bones.get(f"{side}{finger.title()}Distal")
+                if last is not None:
+                    along = np.array([1.0 if side == "left" else -1.0, 0.0, float(finger == "thumb")])
+                    place, turn = self.place(last, time)
+                    found[f"{side}{finger.title()}Tip"] = place + 0.02 * turn @ along
+        return found

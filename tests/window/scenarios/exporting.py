@@ -10,7 +10,7 @@ import numpy as np
 from scenarios.capturing import capture, hands, part, pixels_of
 from scenarios.panels import opened_by_default
 
-FORMATS = ("fbx", "glb", "usd", "bvh", "abc", "npz")
+FORMATS = ("fbx", "glb", "usd", "bvh", "abc", "vrma", "npz")
 COLUMNS = (0.2, 0.5, 0.8)
 """Where buttons that stand three in a row are, as parts of the sidebar's width"""
 
