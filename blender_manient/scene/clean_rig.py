@@ -61,7 +61,7 @@ def clean_rig(
     turned = np.eye(4)
     if turn is not None:
         turned[:3, :3] = turn
-    sampled = sample(hand.armature, frames).without(control_bones(hand.armature).values())
+    sampled = sample(hand.armature, frames, scene).without(control_bones(hand.armature).values())
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
 

@@ -26,7 +26,7 @@ from .keys import (
     set_pose,
     write_pose_keys,
 )
-from .own_scene import object_mode, own_scene, shown_in_pose
+from .own_scene import object_mode, shown_in_pose, unseen_scene
 from .sampling import Sampled, rotations_of, sample, shown_now
 from .store import CapturedHand, timing_of
 
@@ -121,9 +121,9 @@ def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
 
 def shown_on(rig: Rig, frames: Any) -> tuple[np.ndarray, np.ndarray]:
     """What the bones show on N frames, whatever moves them."""
-    with object_mode(), own_scene("controls") as scene, shown_in_pose([rig.armature]):
+    with object_mode(), unseen_scene("controls") as scene, shown_in_pose([rig.armature]):
         scene.collection.objects.link(rig.armature)
-        return _of_bones(rig, sample(rig.armature, frames))
+        return _of_bones(rig, sample(rig.armature, frames, scene))
 
 
 def _of_bones(rig: PosedBones, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:

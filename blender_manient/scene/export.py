@@ -38,7 +38,7 @@ from ..rigs.controls import control_bones
 from .build import BuiltTake
 from .camera import frame_scene
 from .clean_rig import clean_rig
-from .own_scene import object_mode, own_scene, shown_in_pose
+from .own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
 from .proof import prove_whole
 from .timing import set_timing
 
@@ -81,7 +81,7 @@ class Stage:
         open scene's."""
         metres_per_unit = bpy.context.scene.unit_settings.scale_length
         view_transform = bpy.context.scene.view_settings.view_transform
-        with own_scene("take") as scene:
+        with unseen_scene("take") as scene:
             scene.unit_settings.scale_length = metres_per_unit
             scene.view_settings.view_transform = view_transform
             set_timing(scene, take)

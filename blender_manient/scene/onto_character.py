@@ -48,8 +48,8 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .own_scene import object_mode, own_scene, shown_in_pose
-from .sampling import rotations_of
+from .own_scene import object_mode, shown_in_pose, unseen_scene
+from .sampling import rotations_of, sample
 from .store import CapturedHand
 from .timing import Timing, check_range, frame_rate
 
@@ -403,15 +403,10 @@ def _moving(
 
 def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
-    found = []
-    with object_mode(), own_scene("character") as scene, shown_in_pose([armature]):
+    with object_mode(), unseen_scene("character") as scene, shown_in_pose([armature]):
         scene.collection.objects.link(armature)
-        for frame in frames.tolist():
-            whole = int(np.floor(frame))
-            scene.frame_set(whole, subframe=frame - whole)
-            shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-            found.append([np.array(shown.pose.bones[name].matrix) for name in names])
-    return np.array(found, dtype=np.float64).reshape(-1, len(names), 4, 4)
+        sampled = sample(armature, frames, scene)
+    return sampled.pose[:, [sampled.names.index(name) for name in names]]
 
 
 def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:

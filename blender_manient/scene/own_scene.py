@@ -85,6 +85,20 @@ def _windows_kept(window: bpy.types.Window) -> Iterator[None]:
                 view.view_perspective = perspective
 
 
+@contextlib.contextmanager
+def unseen_scene(name: str) -> Iterator[bpy.types.Scene]:
+    """Make a new, empty scene that no window opens, and remove it afterwards.
+
+    `sampling.sample` evaluates objects in it, of which Blender writes nothing back to them. There is nothing
+    to restore as in `own_scene`, and no editor changes its region, tool or render engine below an operator.
+    """
+    scene = bpy.data.scenes.new(name)
+    try:
+        yield scene
+    finally:
+        bpy.data.scenes.remove(scene)
+
+
 _TRANSFORMS = {
     "location": 3,
     "rotation_quaternion": 4,

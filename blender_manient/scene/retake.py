@@ -20,8 +20,8 @@ from handfit_core.take import HandTrack, Take
 from .confidence import errors_of
 from .corrections import corrections_of
 from .keys import read_pose_keys
-from .own_scene import object_mode, own_scene, shown_in_pose
-from .sampling import rotations_of, sample
+from .own_scene import object_mode, shown_in_pose, unseen_scene
+from .sampling import rotations_of, sample, stepped
 from .store import CapturedHand, rows_at, scene_frames
 
 _CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
@@ -42,23 +42,23 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
     frames = scene_frames(collection, take)
     camera = hands[0].camera
     shown = shown_in_pose([*(hand.armature for hand in hands), camera])
-    with object_mode(), own_scene("take") as open_scene, shown:
+    with object_mode(), unseen_scene("take") as unseen, shown:
         for hand in hands:
-            open_scene.collection.objects.link(hand.armature)
+            unseen.collection.objects.link(hand.armature)
         if camera is not None:
-            open_scene.collection.objects.link(camera)
-        tracks = tuple(_track(hand, frames, metres) for hand in sorted(hands, key=lambda h: h.index))
+            unseen.collection.objects.link(camera)
+        tracks = tuple(_track(hand, frames, metres, unseen) for hand in sorted(hands, key=lambda h: h.index))
     return replace(take, hands=tracks)
 
 
-def _track(hand: CapturedHand, frames: np.ndarray, metres: float) -> HandTrack:
-    """One hand's track; the open scene holds it and the camera. `metres` per unit of the artist's scene."""
+def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.types.Scene) -> HandTrack:
+    """One hand's track; `scene` holds it and the camera. `metres` per unit of the artist's scene."""
     model = kept_model(hand.take.model, hand.side)
     betas = hand.betas
     shaped = model.shaped(betas)
     posed = _posed_rows(hand)
     present = hand.track.present | posed
-    quats, locations = _bones(hand, frames[present], metres)
+    quats, locations = _bones(hand, frames[present], metres, scene)
     orient, pose, transl = hand.rig.from_bones(shaped, quats, locations)
     joints = model.keypoints(betas, orient, pose, transl)
 
@@ -120,11 +120,13 @@ def _posed_rows(hand: CapturedHand) -> np.ndarray:
     return posed
 
 
-def _bones(hand: CapturedHand, frames: np.ndarray, metres: float) -> tuple[np.ndarray, np.ndarray]:
+def _bones(
+    hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.types.Scene
+) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions (N, 16, 4) and wrist locations (N, 3) in metres, as if nothing but the bones' keys moved
     the hand before a camera that stands where capture cameras stand."""
-    sampled = sample(hand.armature, frames)
-    camera = _camera_frames(hand.camera, frames)
+    sampled = sample(hand.armature, frames, scene)
+    camera = _camera_frames(hand.camera, frames, scene)
     rest = hand.rig.rest
     bones = rest.frames
     chosen = [sampled.names.index(name) for name in hand.rig.bones]
@@ -140,16 +142,13 @@ def _bones(hand: CapturedHand, frames: np.ndarray, metres: float) -> tuple[np.nd
     ) @ bones[0]
 
 
-def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray) -> np.ndarray:
+def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray, scene: bpy.types.Scene) -> np.ndarray:
     """(N, 4, 4) where the capture camera has been moved to; without one, nowhere."""
     if camera is None:
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4))
-    scene = bpy.context.scene
     found = []
-    for frame in frames:
-        whole = int(np.floor(frame))
-        scene.frame_set(whole, subframe=float(frame - whole))
-        shown = camera.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    for depsgraph in stepped(scene, frames):
+        shown = camera.evaluated_get(depsgraph)
         place, turn, _ = (shown.matrix_world @ _CAMERA_AT_REST.inverted()).decompose()
         found.append(Matrix.LocRotScale(place, turn, None))
     return np.array(found, dtype=np.float64).reshape(-1, 4, 4)

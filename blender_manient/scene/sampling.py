@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import bpy
@@ -48,41 +48,57 @@ class Sampled:
         )
 
 
-def sample(armature: bpy.types.Object, frames: Iterable[float]) -> Sampled:
-    """Step the open scene, which must contain the armature, through the frames and read all bones.
+def sample(armature: bpy.types.Object, frames: Iterable[float], scene: bpy.types.Scene) -> Sampled:
+    """Step a scene, which must contain the armature, through the frames and read all bones.
 
     Leaves the scene on the last of them. What is hidden or in Rest Position is read as such: see
     `own_scene.shown_in_pose`.
     """
-    scene = bpy.context.scene
-    pose, world = [], []
+    found = [_shown(armature, depsgraph) for depsgraph in stepped(scene, frames)]
+    count = len(armature.data.bones)
+    return replace(
+        _at_rest(armature),
+        pose=np.array([pose for pose, _ in found], dtype=np.float64).reshape(-1, count, 4, 4),
+        world=np.array([world for _, world in found], dtype=np.float64).reshape(-1, 4, 4),
+    )
+
+
+def stepped(scene: bpy.types.Scene, frames: Iterable[float]) -> Iterator[bpy.types.Depsgraph]:
+    """Step a scene through frames, and have it evaluated on each. Blender writes what it finds back to the
+    objects if the scene is the open one, else (`own_scene.unseen_scene`) nothing.
+    """
     for frame in frames:
         whole = int(np.floor(frame))
         scene.frame_set(whole, subframe=float(frame - whole))
-        now = shown_now(armature)
-        pose.append(now.pose[0])
-        world.append(now.world[0])
-    return replace(
-        shown_now(armature),
-        pose=np.array(pose).reshape(-1, len(armature.data.bones), 4, 4),
-        world=np.array(world).reshape(-1, 4, 4),
-    )
+        is_open = scene == bpy.context.scene
+        yield bpy.context.evaluated_depsgraph_get() if is_open else scene.view_layers[0].depsgraph
 
 
 def shown_now(armature: bpy.types.Object) -> Sampled:
     """What the open scene shows at its present frame."""
+    pose, world = _shown(armature, bpy.context.evaluated_depsgraph_get())
+    return replace(_at_rest(armature), pose=pose[None], world=world[None])
+
+
+def _at_rest(armature: bpy.types.Object) -> Sampled:
+    """An armature on no frame."""
     bones = list(armature.data.bones)  # parents before children
     names = tuple(bone.name for bone in bones)
-    parents = tuple(names.index(bone.parent.name) if bone.parent else -1 for bone in bones)
-    shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    # Copied: Blender hands out views of what the next frame overwrites.
     return Sampled(
         names,
-        parents,
+        tuple(names.index(bone.parent.name) if bone.parent else -1 for bone in bones),
         np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4),
-        np.array([shown.pose.bones[name].matrix for name in names], dtype=np.float64).reshape(1, -1, 4, 4),
-        np.array([shown.matrix_world], dtype=np.float64),
+        np.empty((0, len(bones), 4, 4)),
+        np.empty((0, 4, 4)),
     )
+
+
+def _shown(armature: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
+    """(B, 4, 4) bones in the armature's space and (4, 4) that in the world, as they were evaluated."""
+    shown = armature.evaluated_get(depsgraph)
+    # Copied: Blender hands out views of what the next frame overwrites.
+    pose = [shown.pose.bones[bone.name].matrix for bone in armature.data.bones]
+    return np.array(pose, dtype=np.float64).reshape(-1, 4, 4), np.array(shown.matrix_world, dtype=np.float64)
 
 
 def rotations_of(matrices: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.controls import CAPTURED, LIMIT, MARK, ROLES, in_use
 from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
+from blender_manient.scene.controls import shown_on as sampled_on
 from blender_manient.scene.keys import read_pose_keys, write_pose_keys
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
@@ -279,6 +280,45 @@ def test_bake_writes_what_is_shown_into_the_keys(hand, animated):
     np.testing.assert_array_equal(keys.quats[same][:, alone], untouched.quats[:, alone])
     assert keys.rotation_keyed[~same][:, [0, 1]].any() == animated
     assert not any("index." in c.data_path for c in action_curves(hand.animation_data.action))
+
+
+def test_bake_evaluates_in_a_scene_that_no_window_opens(hand):
+    """To exchange the open one would exchange what all editors draw, below an operator that runs in one."""
+    own, window = bpy.context.scene, bpy.context.window_manager.windows[0]
+    control(hand, "index").rotation_euler.x = 0.3
+    unkeyed = bpy.data.objects.new("unkeyed", None)
+    own.collection.objects.link(unkeyed)
+    for frame in (1, 9):
+        unkeyed.location.x = float(frame)
+        unkeyed.keyframe_insert("location", frame=frame)
+    unkeyed.location.x = 5.0
+    stepped, opened = set(), {window.scene}
+
+    def notice(scene, *_):
+        stepped.add(scene.name)
+        opened.add(window.scene)
+
+    bpy.app.handlers.frame_change_pre.append(notice)
+    try:
+        assert bpy.ops.manient.bake_controls() == {"FINISHED"}
+    finally:
+        bpy.app.handlers.frame_change_pre.remove(notice)
+    assert stepped
+    assert own.name not in stepped
+    assert opened == {own}
+    assert (own.frame_current, unkeyed.location.x) == (int(FRAMES[2]), 5.0)
+    assert list(bpy.data.scenes) == [own]
+
+
+def test_what_is_sampled_is_not_written_back(hand):
+    """A pose without keys stays, whatever frames are looked at."""
+    rig = rig_of(hand)
+    bone = hand.pose.bones[rig.bones[1]]
+    before = (0.8, 0.6, 0.0, 0.0)
+    bone.rotation_quaternion = before
+    quats, _ = sampled_on(rig, FRAMES)
+    assert np.abs(np.diff(quats[:, 1], axis=0)).max() > 1e-4
+    np.testing.assert_allclose(bone.rotation_quaternion, before, atol=1e-7)
 
 
 def test_bake_and_limits(hand):
