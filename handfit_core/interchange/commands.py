@@ -84,7 +84,7 @@ def _convert(args: argparse.Namespace) -> int:
     writer = writer_for(args.output, args.to)
     write = writer.write_wrist if args.wrist else writer.write
     if write is None:
-        raise OptionError(f"--wrist: {writer.title} has no forearms that a hand could be turned to")
+        raise OptionError(f"--wrist is no question where {writer.title} is written: leave it away")
     check_writable(args.output)
     take = take_of_input(args)
     with written_whole(args.output) as beside:

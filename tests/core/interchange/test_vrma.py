@@ -148,7 +148,7 @@ def test_convert_writes_it(tmp_path, capsys):
     assert main([*command, str(tmp_path / "out.vrma")]) == 0
     assert Played((tmp_path / "out.vrma").read_bytes()).bones["leftRingDistal"]
     assert main([*command, str(tmp_path / "out.points.json"), "--wrist"]) == 1
-    assert "--wrist: Points" in capsys.readouterr().err
+    assert "--wrist is no question where Points is written" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="session")
