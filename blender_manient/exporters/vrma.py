@@ -77,7 +77,7 @@ def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
     scene = bpy.context.scene
     frames = range(scene.frame_start, scene.frame_end + 1)
     times = np.arange(len(frames)) * scene.render.fps_base / scene.render.fps
-    sampled = sample(hand.armature, frames)
+    sampled = sample(hand.armature, frames, scene)
     return [_moving(bones, hand_map, source, times, sampled.pose) for hand_map, source in sources]
 
 
