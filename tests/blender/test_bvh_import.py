@@ -6,11 +6,17 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import pytest
 
+from blender_manient.scene.build import build_take
+from blender_manient.scene.export import export_take
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.formats.bvh import WRITER
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES
+from handfit_core.interchange.opening import read_recording
+from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from tests.takes import take_of, track_of
 
 from .conftest import world
@@ -58,3 +64,24 @@ def test_blender_reads_the_hands_where_they_are(tmp_path: Path) -> None:
                 np.testing.assert_allclose(b - a, joints[second] - joints[first], atol=2e-5)
                 np.testing.assert_allclose(c - b, joints[third] - joints[second], atol=2e-5)
     assert np.abs(middles).max() < 2e-5, "the hands stand before the camera at the origin"
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_core_reads_what_blender_exports(make_take, tmp_path: Path, side: Side) -> None:
+    """The same angles, in the frames that the take has seen; places, too, and the hand's own shape."""
+    made = make_take(sides=(side,))
+    (path,) = export_take(build_take(made.take), made.take, tmp_path, "x", "bvh")
+    recording = read_recording(path, CaptureOptions())
+    (hand,), track = recording.posed, made.take.hands[0]
+    for row, frame in made.seen:
+        at = frame - int(made.take.frame_numbers[0])
+        for found, true in (
+            (hand.global_orient[at], track.global_orient[row]),
+            (hand.hand_pose[at], track.hand_pose[row]),
+        ):
+            ours, theirs = (rotvec_to_rotmat(np.reshape(x, (-1, 3))) for x in (found, true))
+            np.testing.assert_allclose(ours, theirs, atol=2e-3)
+        assert hand.transl is not None
+        model = load_model(made.take.model, side)
+        joints = model.posed(hand.betas, hand.global_orient[at], hand.hand_pose[at], hand.transl[at]).joints
+        np.testing.assert_allclose(joints, made.joints[side][row], atol=3e-4)
