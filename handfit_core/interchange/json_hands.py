@@ -84,7 +84,7 @@ def hands_in(content: Any, depth: int = 0) -> Iterator[JsonHand]:
     world_key = next((key for key in _IN_WORLD if key in of), None)
     if key is None and world_key is None:
         if is_hand(content):
-            yield from _several([content], [], [_side_of(of)], of, mirrored=None)
+            yield from _several([content], [], [_told(of)], of, mirrored=None)
             return
         for within in _WITHIN:
             if of.get(within):
@@ -100,10 +100,6 @@ def hands_in(content: Any, depth: int = 0) -> Iterator[JsonHand]:
 
 def _told(of: Mapping[str, Any]) -> Any:
     return next((of[key] for key in _SIDES if of.get(key) is not None), None)
-
-
-def _side_of(of: Mapping[str, Any]) -> Any:
-    return _told(of)
 
 
 def _several(

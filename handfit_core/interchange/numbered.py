@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +19,8 @@ _LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
 _NUMBER_KEYS: Final = ("frame", "frameid", "framenumber", "frameindex", "frameidx", "frameno", "imageid")
 _LISTS: Final = ("frames", "results", "data", "predictions", "detections", "annotations", "instanceinfo")
 _LONGEST_NUMBER: Final = 15
+_LOOKED_AT: Final = 200
+"""Files of a folder that are looked at before it is said of what they are"""
 
 
 def plain(key: str) -> str:
@@ -71,6 +73,15 @@ def first_content(document: Document) -> Any:
         return document.json if document.json is not None else document.lines
     files = document.files(".json")
     return Document(files[0]).json if files else None
+
+
+def some_contents(document: Document) -> Iterator[Any]:
+    """A document's JSON, or that of a folder's first files, as those of frames without anybody say little."""
+    if not document.is_folder:
+        yield first_content(document)
+    else:
+        for file in document.files(".json")[:_LOOKED_AT]:
+            yield Document(file).json
 
 
 def frames_of(document: Document) -> JsonFrames:

@@ -107,7 +107,19 @@ def open_input(source: MediaInput, options: CaptureOptions) -> Media:
                 "--picture-size WIDTHxHEIGHT, or the pictures as the input and this file as --keypoints"
             )
         recording = scaled(recording, *options.picture_size)
+    elif recording.seen is not None and recording.size is None:
+        recording = _with_size(recording)
     return RecordedMedia(recording, os.fspath(path), options.frames)
+
+
+def _with_size(recording: Recording) -> Recording:
+    """A recording of keypoints in pixels with a picture's size that holds them."""
+    assert recording.seen is not None
+    reach = np.nanmax(np.append(recording.seen.keypoints.reshape(-1, 2), [[0.0, 0.0]], axis=0), axis=0)
+    times = max(1, int(np.ceil((reach / VIRTUAL_SIZE).max())))
+    size = VIRTUAL_SIZE[0] * times, VIRTUAL_SIZE[1] * times
+    said = f"the pictures' size is not told: {size[0]}x{size[1]} (--picture-size tells it)"
+    return replace(recording, size=size, assumed=(*recording.assumed, said))
 
 
 def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Recording:

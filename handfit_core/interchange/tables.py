@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -127,7 +127,7 @@ def hands_of(table: Table) -> TableHands:
         frames = np.arange(1, len(table.rows) + 1)
     numbers, place = np.unique(frames, return_inverse=True)
     order = np.argsort(place[row_of], kind="stable")
-    hands = ToldHands(**vars(hands) | {"row": place[row_of]}).select(order)
+    hands = replace(hands, row=place[row_of]).select(order)
     return TableHands(numbers, hands, _rate(table, frames), named_sides, counted)
 
 

@@ -16,7 +16,7 @@ from handfit_core.files import shown
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.gather import Gathering, ToldHands, check_some, seen_hands, with_sides
 from handfit_core.interchange.json_hands import hands_in
-from handfit_core.interchange.numbered import first_content, frames_of, size_in
+from handfit_core.interchange.numbered import frames_of, size_in, some_contents
 from handfit_core.interchange.opening import RELATIVE
 from handfit_core.interchange.point_names import is_apple
 from handfit_core.interchange.readers import Reader
@@ -36,7 +36,7 @@ def _recognises(document: Document) -> bool:
             is_apple(cell) for row in table.rows[:50] for cell in row
         )
         return named and is_hand_table(table)
-    return _names_in(first_content(document), [_MOST_LOOKED_AT])
+    return any(_names_in(content, [_MOST_LOOKED_AT]) for content in some_contents(document))
 
 
 def _names_in(content: Any, left: list[int], depth: int = 0) -> bool:

@@ -21,6 +21,7 @@ from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording, known
 from handfit_core.interchange.tables import columns_of, hands_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
+from handfit_core.take import LARGEST
 
 _HAND_FILE: Final = re.compile(r"(?:^|.*_)(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
 _OUTPUT: Final = "output_data"
@@ -96,6 +97,8 @@ def _read(document: Document, asked: Asked) -> Recording:
         hands = list(hands_in_space(table.hands, count, table.hands.points, on_joints=False, sigma=_SIGMA))
     if not any(hand.present.any() for hand in hands):
         raise InputError(f"{path}: FreeMoCap's hands, but none of its frames has a hand")
+    if any(np.nanmax(np.abs(hand.points)) > LARGEST for hand in hands if hand.present.any()):
+        raise InputError(f"{path}: FreeMoCap's hands, but some of its points lie beyond {LARGEST:g}")
     unit, said = _unit(hands, path)
     points = tuple(
         PointsHand(hand.side, hand.points * unit @ _TO_CAMERA.T, on_joints=False, sigma=_SIGMA)

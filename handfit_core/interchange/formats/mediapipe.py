@@ -8,6 +8,7 @@ that the fingers have the last word: they bend towards the palm.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -29,7 +30,7 @@ from handfit_core.interchange.gather import (
     with_sides,
 )
 from handfit_core.interchange.json_hands import JsonHand, hands_in, is_hand
-from handfit_core.interchange.numbered import JsonFrames, first_content, frames_of, keyed, size_in
+from handfit_core.interchange.numbered import JsonFrames, frames_of, keyed, size_in, some_contents
 from handfit_core.interchange.opening import RELATIVE
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording, known
@@ -42,38 +43,27 @@ _FARTHEST: Final = 3.0
 """Beyond it, coordinates are no parts of the picture's size"""
 _WORLD_SIGMA: Final = 0.005
 """Metres that world landmarks are expected to be off"""
-_LOOKED_AT: Final = 300
-"""Frames of which one must have a hand, to be recognised"""
 _TIMES: Final = ("timestamp", "timestampms", "timestampinmilliseconds", "time", "timems")
 
 
 def _recognises(document: Document) -> bool:
     if not document.is_folder and document.table is not None:
         return is_hand_table(document.table)
-    content = first_content(document)
-    if content is None or not isinstance(content, dict | list):
-        return False
-    return _some_hand(content) is not None
+    return any(map(_has_hand, some_contents(document)))
 
 
-def _some_hand(content: Any) -> JsonHand | None:
-    """A hand of one of the first frames; None: there is none."""
-    if is_hand(content):
-        return _first_hand(content)
+def _has_hand(content: Any) -> bool:
+    """Whether JSON is a hand, a frame with one, or has such a frame in it."""
+    if is_hand(content) or _first_hand(content) is not None:
+        return True
+    lists = [content, *content.values()] if isinstance(content, dict) else [content]
+    return any(_first_hand(frame) is not None for each in lists for frame in _each(each))
+
+
+def _each(content: Any) -> Iterable[Any]:
     if isinstance(content, dict):
-        found = _first_hand(content)
-        if found is not None:
-            return found
-        lists = [v for v in content.values() if isinstance(v, list | dict)]
-        frames = [f for each in lists for f in _first_of(each)]
-        frames += _first_of(content)
-    else:
-        frames = content[:_LOOKED_AT]
-    return next((hand for hand in map(_first_hand, frames) if hand is not None), None)
-
-
-def _first_of(content: Any) -> list[Any]:
-    return list(content.values())[:_LOOKED_AT] if isinstance(content, dict) else content[:_LOOKED_AT]
+        return content.values()
+    return content if isinstance(content, list) else ()
 
 
 def _first_hand(content: Any) -> JsonHand | None:

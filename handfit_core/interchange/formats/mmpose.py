@@ -25,7 +25,7 @@ from handfit_core.interchange.gather import (
     with_sides,
     without_hidden,
 )
-from handfit_core.interchange.numbered import JsonFrames, first_content, frames_of
+from handfit_core.interchange.numbered import JsonFrames, frames_of, some_contents
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
@@ -50,16 +50,17 @@ def _instances(content: Any) -> list[Any] | None:
 
 
 def _recognises(document: Document) -> bool:
-    content = first_content(document)
+    return any(map(_is_mmposes, some_contents(document)))
+
+
+def _is_mmposes(content: Any) -> bool:
+    """Whether JSON is one of MMPose's, and not only an empty list, as of a picture without anybody."""
     if isinstance(content, dict):
         return "instance_info" in content or (
             "instances" in content and _instances(content) is not None and "frame_id" in content
         )
     if not isinstance(content, list):
         return False
-    if document.is_folder and not content:
-        # Pictures without anybody have empty lists.
-        return any(_instances(Document(file).json) for file in document.files(".json")[:100])
     if content and isinstance(content[0], dict) and "instances" in content[0]:
         return _instances(content[0]) is not None
     return bool(content) and bool(_instances(content))

@@ -6,6 +6,7 @@ the same with the picture's size, and lists of it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -115,7 +116,7 @@ def _unscaled(hands: ToldHands, points: np.ndarray) -> tuple[ToldHands, bool, tu
     if from_minus:
         halved = hands.points.copy()
         halved[..., :2] = (halved[..., :2] + 1.0) / 2.0
-        hands = ToldHands(**vars(hands) | {"points": halved})
+        hands = replace(hands, points=halved)
     return hands, True, (said,)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -64,7 +65,7 @@ def _read(document: Document, asked: Asked) -> Recording:
             track = np.full((len(numbers), NUM_KEYPOINTS, 3), np.nan)
             track[row[mine], points[mine]] = space[mine]
             found.append(PointsHand(side, track))
-        return _with(made, points=tuple(found))
+        return replace(made, points=tuple(found))
     if not set(_IN_PLANE) <= set(table.columns):
         raise ValueError("no point has all of x_m, y_m and z_m")
     pixels = table.numbers(_IN_PLANE)
@@ -79,11 +80,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         gathered.add(int(row[mine[0]]), plane, told[int(hands[mine[0]])], certain)
     seen = gathered.hands()
     check_some(seen, f"{document.path.name}: a table of points")
-    return _with(made, seen=seen_hands(seen), size=made.size or asked.picture_size)
-
-
-def _with(made: Recording, **fields: object) -> Recording:
-    return Recording(**{**vars(made), **fields})
+    return replace(made, seen=seen_hands(seen), size=made.size or asked.picture_size)
 
 
 def _whole(table: Table, column: str) -> np.ndarray:

@@ -169,6 +169,17 @@ def test_frames_by_their_numbers_lines_and_a_folder(tmp_path: Path) -> None:
         assert worst(recording) < 0.01
 
 
+def test_a_folder_that_begins_without_hands(tmp_path: Path) -> None:
+    folder = tmp_path / "hands"
+    folder.mkdir()
+    for i in range(3):
+        empty = {"landmarks": [], "handedness": []}
+        (folder / f"{i}.json").write_text(json.dumps(empty if i < 2 else tasks(i)))
+    seen = read(folder).seen
+    assert seen is not None
+    assert seen.row.tolist() == [2, 2]
+
+
 def test_one_frame_and_one_hand(tmp_path: Path) -> None:
     path = tmp_path / "photo.json"
     path.write_text(json.dumps(tasks(0)))

@@ -14,6 +14,7 @@ from handfit_core.errors import InputError
 from handfit_core.interchange.opening import RELATIVE, read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES
 from tests.told import FRAMES, HEIGHT, WIDTH, told
 
@@ -101,6 +102,25 @@ def test_a_missing_point_tells_the_scale_of_hands_in_one_corner(tmp_path: Path) 
     expected = TOLD.pixels["left"][0] / 2.0 + SIZE / 2.0
     assert np.isnan(pixels[7]).all()
     assert np.nanmax(np.abs(pixels - expected)) < 0.1
+
+
+def test_a_folder_alone_is_fitted_by_the_size_that_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = folder(tmp_path / "op", [[person(i)] for i in range(FRAMES)])
+    take = capture(path, picture_size=(WIDTH, HEIGHT), fps=25)
+    assert (take.width, take.height, take.source.kind) == (WIDTH, HEIGHT, "data")
+    assert take.frame_numbers.tolist() == list(range(FRAMES))
+    assert sorted(hand.side for hand in take.hands) == list(SIDES)
+    for hand in take.hands:
+        # The hand's size in the picture is about 190 pixels.
+        assert (
+            np.linalg.norm(take.intrinsics.project(hand.joints_3d) - TOLD.pixels[hand.side], axis=-1).mean()
+            < 12
+        )
+    assert not caplog.messages
+    assert capture(path).width == 1920
+    assert any("size is not told: 1920x1080" in message for message in caplog.messages)
 
 
 def test_zeros_are_missing_points_and_hidden_hands_are_left_out(tmp_path: Path) -> None:

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handfit_core.errors import HandfitError
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.readers import READERS, recognised
 from handfit_core.interchange.writers import writer_for
+from handfit_core.options import CaptureOptions
 from tests.core.interchange import (
     test_apple_vision,
     test_freemocap,
@@ -88,3 +91,37 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
                 n for n, reader in readers.items() if n != "mediapipe" and reader.recognises(Document(path))
             ]
             assert others == ([] if kind == "mediapipe" else [kind]), path.name
+
+
+def test_damaged_files_are_refused_in_one_sentence(files: dict[str, list[Path]], tmp_path: Path) -> None:
+    """Bytes cut off, taken out and changed at random places, each time the same ones."""
+    rng = np.random.default_rng(19)
+    said = []
+    for paths in files.values():
+        for path in filter(Path.is_file, paths):
+            content = path.read_bytes()
+            for i in range(12):
+                at = int(rng.integers(len(content)))
+                length = int(rng.integers(1, 40))
+                filling = (
+                    b"",
+                    b"9e999",
+                    b"null",
+                    b"[[",
+                    b'"x"',
+                    b"-1e308",
+                    b"NaN",
+                    b",,,",
+                    b"{}",
+                    rng.bytes(8),
+                )
+                middle = filling[i % len(filling)]
+                damaged = content[:at] if i == 11 else content[:at] + middle + content[at + length :]
+                other = tmp_path / path.name
+                other.write_bytes(damaged)
+                try:
+                    read_recording(other, CaptureOptions())
+                except HandfitError as error:
+                    said.append(str(error))
+    assert len(said) > 50
+    assert not any("\n" in sentence for sentence in said)
