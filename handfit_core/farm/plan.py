@@ -55,6 +55,8 @@ _BYTES_OF_FRAME: Final = 15_000
 _FRAME: Final = 0.02
 _BESIDE: Final = 1.0
 """seconds for a frame and for what is done once, for the order of tasks and for guesses of the time left"""
+_LONGEST: Final = 1e9
+"""seconds that a task is guessed to take at most, thirty years: farms' limits of time follow from it"""
 FINDING: Final = 0.65
 """What finding the hands is of a clip's cost"""
 
@@ -94,7 +96,7 @@ class Task:
         known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
         for name, value in known.items():
             if name == "cost":
-                values.number(name, value, 0.0)
+                values.number(name, value, 0.0, _LONGEST)
                 continue
             texts = value if isinstance(value, tuple) and name in ("source", "needs") else (value,)
             for text in texts:
@@ -392,7 +394,8 @@ def _task(each: Input, common: str, ids: Collection[str], frames: FrameRange) ->
     source = tuple(str(Path(part).absolute()) for part in each.source)
     take = str(each.take.absolute()) if each.take else ""
     cost = _BESIDE + (0.0 if each.take else _FRAME * _frames(files, frames))
-    return Task(number, each.name, each.shown, source, take, each.error, made_of, round(cost, 3))
+    cost = min(round(cost, 3), _LONGEST)
+    return Task(number, each.name, each.shown, source, take, each.error, made_of, cost)
 
 
 def _parts(task: Task, ranges: Sequence[str]) -> Iterable[Task]:

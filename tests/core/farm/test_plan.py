@@ -283,6 +283,7 @@ def broken(plan: Plan, change) -> None:
         (lambda c: c["tasks"][0].update(of="nobody"), "nobody"),
         (lambda c: c["tasks"][0].update(cost="much"), "cost must be a finite number.*much"),
         (lambda c: c["tasks"][0].update(cost=float("nan")), "cost must be a finite number.*nan"),
+        (lambda c: c["tasks"][0].update(cost=1e308), "cost must be a finite number.*1e\\+308"),
         (lambda c: c["tasks"][0].update(source="a.mp4", shown=[1]), "shown of a task"),
         (lambda c: c["tasks"][0].update(source=[1]), "source of a task"),
         (lambda c: c["tasks"][0].update(error="a\0b"), "error of a task"),
