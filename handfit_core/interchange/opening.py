@@ -26,7 +26,7 @@ from handfit_core.media.opening import MediaInput, open_media, pictures_in
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.options import CaptureOptions
 
-DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt .trc .vrma".split(" "))
+DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt".split(" "))
 """Endings of files that are read as recordings, whatever they are"""
 
 _ASKED: Final = tuple(field.name for field in fields(Asked))
