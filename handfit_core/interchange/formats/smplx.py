@@ -43,6 +43,8 @@ def _read(document: Document, asked: Asked) -> Recording:
     pelvis, body, hands = _parts(document)
     told = next((document.value(name) for name in _RATES if name in document.names), None)
     fps = mano.rate(told, asked)
+    if len(pelvis) > 1 and not any(np.any(np.nan_to_num(hand - hand[0])) for hand in hands.values()):
+        assumed.append("the fingers never move: this body was captured without its hands")
     # BEAT2's files are posed with a model that adds the mean; all others' with one that does not.
     beat = str(document.value("model")) == "smplx2020"
     turn = mano.standing(pelvis, assumed)

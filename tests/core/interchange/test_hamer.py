@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError, OptionError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES, Side
+from tests.conftest import ROOT
 from tests.core.interchange.known_hands import (
     FRAMES,
     HANDS,
@@ -244,6 +246,18 @@ def test_a_take_is_made_of_it(tmp_path: Path) -> None:
     assert (take.fps, take.solver, take.width) == (25.0, "hamer", 1280)
     assert take.intrinsics.fx == pytest.approx(FOCAL)
     np.testing.assert_allclose(take.hands[1].transl, HANDS["right"].transl, atol=1e-6)
+
+
+def test_beside_its_pictures(tmp_path: Path) -> None:
+    """The pictures tell the size, and the take's camera is the network's: hands lie over them so."""
+    pictures = ROOT / "samples" / "rendered_hand"
+    dump = in_files(tmp_path / "dump", KINDS[-1])
+    take = capture(pictures, keypoints=dump)
+    assert take.source.kind == "sequence"
+    focal = 5000.0 / 256.0 * max(take.width, take.height)
+    assert take.intrinsics == Intrinsics(focal, focal, take.width / 2.0, take.height / 2.0)
+    assert [int(hand.present.sum()) for hand in take.hands] == [FRAMES, FRAMES]
+    assert capture(pictures, keypoints=dump, lens=(1.0, 0.5, 0.5)).intrinsics.fx == take.width
 
 
 def bad(**changes: Any) -> dict[str, Any]:

@@ -128,6 +128,22 @@ def test_the_order_of_little_and_ring(tmp_path: Path) -> None:
     assert moved[16] < 1e-6
 
 
+def test_fingers_that_never_move_are_told(tmp_path: Path) -> None:
+    """As in the many files of AMASS whose markers were on the body alone."""
+    poses = np.zeros((FRAMES, 156))
+    poses[:, 66:] = np.tile(HANDS["left"].hand_pose[0], 2)
+    assert says(read(amass(tmp_path / "a.npz", 52, Y_UP, poses=poses)), "the fingers never move")
+    assert not says(read(amass(tmp_path / "b.npz", 52, Y_UP)), "never move")
+
+
+def test_hands_without_a_place_are_apart(tmp_path: Path) -> None:
+    """The left hand is on the camera's right, as of a person who faces it; the wrists are 15 cm apart."""
+    left, right = capture(amass(tmp_path / "a.npz", 55, Y_UP)).hands
+    apart = left.joints_3d[:, 0] - right.joints_3d[:, 0]
+    np.testing.assert_allclose(apart[:, 0], 0.158, atol=1e-6)
+    assert np.ptp(apart, axis=0).max() < 1e-9
+
+
 def test_beat2_counts_from_the_mean(tmp_path: Path) -> None:
     model = own_mano(tmp_path / "mano")
     relative = np.concatenate(
