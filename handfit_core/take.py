@@ -136,7 +136,8 @@ class HandTrack:
     other_side: np.ndarray | None = None
     """(T,) bool: frames in which the detector named the other side; None: in none"""
     overlapped: np.ndarray | None = None
-    """(T, 21) bool: keypoints that lie where another hand is, and are believed less; None: none do"""
+    """(T, 21) bool: keypoints that lie where another hand is, or that another program did not find (they
+    are guessed) or doubts, and are believed less; None: none do"""
     placed: np.ndarray | None = None
     """(T, 21, 2) pixels: where a person has put points; NaN: not a person's; None: none is"""
     touches: np.ndarray | None = None

@@ -60,7 +60,8 @@ class HandDetection:
     """(21, 3) standard deviation in pixels (x, y, z) of the looks that `keypoints` averages; None after
     a single look"""
     overlapped: np.ndarray | None = None
-    """(21,) bool: points that lie where another hand is, and may be that one's; None: none do"""
+    """(21,) bool: points to be believed less. They lie where another hand is, and may be that one's; or
+    another program did not find them, so that they are guessed, or doubts them. None: none are"""
     shown: bool = False
     """Whether a person has said that it is there"""
     given_side: Side | None = None
@@ -69,6 +70,9 @@ class HandDetection:
     """How sure it is that this is a hand, of whatever side, 0..1; None: the detector does not tell"""
     right_side: float | None = None
     """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
+    distance: float | None = None
+    """Metres along the line of sight to the middle of its points, where these are known in space and
+    `corrected` has their depth about that; None: a picture does not tell"""
     corrected: tuple[Side, np.ndarray] | None = None
     """What the landmark network said of this detection, taken for a hand of that side, when it was asked for
     the side: a row of `Landmarked.table`. Solvers that want the detector's own word take `keypoints`"""

@@ -169,6 +169,8 @@ def _beside(track: _OpenTrack, tracks: Sequence[_OpenTrack], frame: int) -> Hand
         return None
     others = [t.detections[frame] for t in tracks if t is not track and frame in t.detections]
     covered = np.any([overlapped(hand, other) for other in others], axis=0)
+    if hand.overlapped is not None:
+        covered = covered | hand.overlapped
     return replace(hand, overlapped=covered) if np.any(covered) else hand
 
 

@@ -41,6 +41,11 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
     add("--camera", choices=CAMERA_CHOICES, default="assumed", help=text)
     add("--every", type=int, default=1, metavar="N", help="every n-th still and every n-th clip only")
     add("--stills", action="store_true", help="take each picture of a clip for a still of its own")
+    text = (
+        "give solvers keypoints without depth, as other programs do, with that much noise (0.01: 1 %% of the "
+    )
+    text += "hand's size) and that part of the points missing"
+    add("--flat", nargs=2, type=float, metavar=("NOISE", "MISSING"), help=text)
     add("--reference", metavar="NAME", help="compare the others with this solver (default: the last one)")
     add("--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well")
     add_options(command, ("model", "detector", "threshold", "plain_detection", "landmark_model"))
@@ -55,6 +60,7 @@ def _evaluate(args: argparse.Namespace) -> int:
             f"run `python -m pip install {' '.join(REPORTS_NEED)}`"
         )
     from handfit_core.evaluate.datasets import open_dataset
+    from handfit_core.evaluate.flat import Flat
     from handfit_core.evaluate.report import write_report
     from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
@@ -69,6 +75,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         clips=not args.stills,
         jobs=args.jobs,
         reference=args.reference,
+        flat=None if args.flat is None else Flat(*args.flat),
         model=args.model,
         detector=CaptureOptions.of_arguments(args),
     )

@@ -87,6 +87,8 @@ class Fits:
                 sha.update(np.ascontiguousarray(detection.keypoints).tobytes())
                 sha.update(np.ascontiguousarray(detection.world).tobytes())
                 sha.update(f"{detection.score!r}|{detection.side}".encode())
+                if detection.overlapped is not None:
+                    sha.update(detection.overlapped.tobytes())
         return self._folder / task.method / f"{sha.hexdigest()[:32]}.npz"
 
 

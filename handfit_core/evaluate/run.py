@@ -15,6 +15,7 @@ from pathlib import Path
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import Fits, FitTask
+from handfit_core.evaluate.flat import Flat, flattened
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
 from handfit_core.evaluate.methods import TrackResult, method_names, method_title
 from handfit_core.evaluate.rows import Row, Rows, TrackInView, rows_of
@@ -49,6 +50,8 @@ class EvaluationOptions:
     max_hands: int = 2
     reference: str | None = None
     """Every other method is compared with this one; the last of `methods` by default"""
+    flat: Flat | None = None
+    """Solvers are given keypoints without depth, spoilt like that; None: what the detector found"""
     model: str | None = None
     detector: CaptureOptions = CaptureOptions()  # noqa: RUF009 (frozen)
 
@@ -121,6 +124,13 @@ def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
     for what, value in (("every", options.every), ("jobs", options.jobs), ("max_hands", options.max_hands)):
         if value < 1:
             raise OptionError(f"{what} must be at least 1, not {value}")
+    if options.flat is not None and not (
+        0.0 <= options.flat.noise <= 1.0 and 0.0 <= options.flat.missing < 1.0
+    ):
+        raise OptionError(
+            "flat keypoints want noise from 0 to 1 and a missing part of at least 0 and below 1, not "
+            f"{options.flat.noise:g} and {options.flat.missing:g}"
+        )
     if options.camera not in CAMERA_CHOICES:
         raise OptionError(f"camera must be one of {', '.join(CAMERA_CHOICES)}; got {options.camera!r}")
     reference = options.reference or names[-1]
@@ -145,10 +155,15 @@ def _detected_rows(
     max_hands: int | None,
     progress: ReportProgress,
 ) -> Rows:
-    total, done = sum(len(unit.entries) for unit in units), count(1)
+    total, done, seeds = sum(len(unit.entries) for unit in units), count(1), count()
 
     def detect(unit: Unit) -> UnitDetections:
-        return detector.detect(unit, lambda: progress("detect", next(done), total))
+        seen = detector.detect(unit, lambda: progress("detect", next(done), total))
+        flat = options.flat
+        if flat is None:
+            return seen
+        frames = (tuple(flattened(hands, flat, seed=next(seeds))) for hands in seen.frames)
+        return replace(seen, frames=tuple(frames))
 
     return rows_of(units, detect, protocol=options.protocol, max_hands=max_hands, camera=options.camera)
 
@@ -204,7 +219,12 @@ def _notes(options: EvaluationOptions) -> list[str]:
         "assumed": "Solvers are told nothing about the camera: one with a 53 degree view is assumed.",
         "labelled": "Solvers are told the data set's own camera.",
     }[options.camera]
+    flat = options.flat and (
+        f"Solvers are given keypoints without depth, with noise of {options.flat.noise:.1%} of the hand's "
+        f"size, and {options.flat.missing:.0%} of the points missing."
+    )
     return [
+        *([flat] if flat else []),
         camera,
         "Every labelled hand counts: one that was not detected is wrong at every threshold of PCK and AUC. "
         "Mean errors are over detected hands only; read them beside the detection rate.",

@@ -124,7 +124,9 @@ class FastFitter:
 
     def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
         """What is seen of those detections through that camera."""
-        return observation_of(landmarked(detections, self.model.side), intrinsics)
+        far = np.array([d.distance for d in detections], dtype=np.float64)
+        seen = landmarked(detections, self.model.side)
+        return observation_of(seen, intrinsics, far if np.isfinite(far).any() else None)
 
     def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
@@ -331,7 +333,7 @@ def over_time(
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
             observed = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
             problem = fitter.problem(observed, held=here, solid=True)
-            if observed.kept is None and len(stretch) > 2:
+            if observed.kept is None and observed.depth_zero is None and len(stretch) > 2:
                 certain = known & False if here is None else here.joints[:, 0]
                 far = wrist_distances(guess, known, certain, fps, smoothing)
                 guess = replace(guess, wrist=guess.wrist * far[:, None], depth_zero=guess.depth_zero * far)

@@ -63,6 +63,8 @@ class Observation(Landmarked):
     """(B, 2) pixels"""
     centre: np.ndarray
     """(B, 2) pixels"""
+    depth_zero: np.ndarray | None = None
+    """(B,) metres along the line of sight where depth is zero, NaN where that is not known; None: nowhere"""
     kept: Kept | None = None
     """Poses that the hands are to stay near; None: there are none"""
     meeting: Meeting | None = None
@@ -71,14 +73,22 @@ class Observation(Landmarked):
     """(B, 21) which other keypoint each one touches for certain, 0 being the palm; NaN, or None: none"""
 
 
-def observation_of(seen: Landmarked, intrinsics: Intrinsics) -> Observation:
-    """Landmarks as seen through a camera."""
-    rays = intrinsics.rays(seen.pixels.mean(axis=1))
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+def lines_of_sight(pixels: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """(B, 3) unit vectors towards the means of points (B, 21, 2) in pixels."""
+    rays = intrinsics.rays(pixels.mean(axis=1))
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
+def observation_of(
+    seen: Landmarked, intrinsics: Intrinsics, depth_zero: np.ndarray | None = None
+) -> Observation:
+    """Landmarks as seen through a camera, of which depth is zero at `depth_zero` (B,) metres."""
+    rays = lines_of_sight(seen.pixels, intrinsics)
     focal, centre = (intrinsics.fx, intrinsics.fy), (intrinsics.cx, intrinsics.cy)
     return Observation(
         **vars(seen),
         ray=rays,
         focal=np.broadcast_to(focal, (len(rays), 2)),
         centre=np.broadcast_to(centre, (len(rays), 2)),
+        depth_zero=depth_zero,
     )

@@ -38,6 +38,8 @@ def relaxed_start(chain: Chain, seen: Observation, angles: np.ndarray, betas: np
     scale = (spread * target).sum(axis=(1, 2)) / np.square(spread).sum(axis=(1, 2))
     focal = seen.focal.mean(axis=1)
     distance = focal / np.maximum(scale, _LEAST_SCALE * focal)
+    if seen.depth_zero is not None:
+        distance = np.where(np.isnan(seen.depth_zero), distance, seen.depth_zero)
     towards = np.ones((batch, 3))
     towards[:, :2] = (seen.pixels.mean(axis=1) - seen.centre) / seen.focal
     centre = towards * (distance / np.linalg.norm(towards, axis=1))[:, None]

@@ -1,52 +1,145 @@
-"""From keypoints in the plane to what the solver takes: depth, and what is expected of each point's error."""
+"""From keypoints in the plane, some of which may be missing, to detections with depth.
+
+A small network, trained by scripts/train_lift.py on projections of the open hand in the poses of painted
+pictures, tells how deep each point is, and where the missing ones are (docs/method.md).
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from handfit_core.detect.correction.canonical import Canonical, canonical_arrays
+from handfit_core.detect.correction.network import Layers
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.interchange.recording import SeenHands, known
-from handfit_core.skeleton import Side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
-_PLANE_SIGMA: Final = 0.03
-"""of the hand's size in the picture: what a point is off that its program is sure of"""
-_LEAST_CONFIDENCE: Final = 0.05
-_MISSING_SIGMA: Final = 100.0
-"""times the hand's size"""
-_SIZE: Final = 0.1
-"""metres: what the spread of a hand's keypoints is about"""
+FILE: Final = Path(__file__).parent / "data" / "lift_network.npz"
+FEATURES: Final = 4 * NUM_KEYPOINTS
+DOUBTED: Final = 0.5
+"""of the median confidence of a hand's points: those with less are believed less. Programs' scales differ"""
+_ERRING: Final = 0.05
+"""of the hand's size: what is expected of seen points' errors where missing ones are guessed from them"""
+_ROUNDS: Final = 4
+"""Frames that are laid through seen and guessed points; each changes what is guessed"""
+BONE: Final = 0.0416
+"""metres: mean length of the 20 bones of the open hand of average shape"""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """How hands lie in the canonical frame: what single missing points are first guessed from."""
+
+    mean: np.ndarray
+    """(42,) x and y of the points"""
+    covariance: np.ndarray
+    """(42, 42)"""
+
+    def filled(self, points: np.ndarray, sure: np.ndarray) -> np.ndarray:
+        """Points (N, 21, 2), with those that are not `sure` (N, 21) where they are likeliest, were hands
+        normally distributed: m + C_mk C_kk^-1 (k - m)."""
+        there = np.repeat(sure, 2, axis=1).astype(np.float64)
+        among = self.covariance * there[:, :, None] * there[:, None]
+        # A missing point's own row says that nothing pulls at it.
+        among += np.eye(there.shape[1]) * (1.0 + _ERRING**2 - there[:, None])
+        pull = np.linalg.solve(among, ((points.reshape(there.shape) - self.mean) * there)[..., None])
+        guess = self.mean + (self.covariance @ pull)[..., 0]
+        return np.where(sure[..., None], points, guess.reshape(points.shape))
+
+
+def canonical_plane(
+    plane: Plane, keypoints: np.ndarray, confidence: np.ndarray, left: np.ndarray
+) -> Canonical:
+    """Keypoints (N, 21, 2) in pixels, NaN where missing, of which every hand has some, with their confidence
+    (N, 21) and `left` (N,) bool: as of right hands, upright, centred, of unit size, without depth.
+
+    Features are the points, those that are missing as `plane` guesses them, whether each was there, and its
+    confidence.
+    """
+    sure = known(keypoints)
+    count = np.maximum(sure.sum(axis=1, keepdims=True), 1)
+    seen = np.where(sure[..., None], keypoints, 0.0)
+    middle = seen.sum(axis=1) / count
+    points = np.where(sure[..., None], seen, middle[:, None])
+    some = np.flatnonzero(~sure.all(axis=1))
+    for _ in range(_ROUNDS if len(some) else 0):
+        frame = _frame(points[some], left[some])
+        guess = plane.filled(frame.from_picture(_with_zero(points[some]))[..., :2], sure[some])
+        guess = frame.to_picture(_with_zero(guess))[..., :2]
+        points[some] = np.where(sure[some, :, None], points[some], guess)
+    frame = _frame(points, left)
+    fused = frame.from_picture(_with_zero(points))
+    told = np.where(sure, confidence, 0.0)
+    return replace(
+        frame,
+        features=np.concatenate([fused[..., :2].reshape(len(sure), -1), sure, told], axis=1),
+        fused=fused,
+    )
+
+
+def _with_zero(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
+
+
+def _frame(points: np.ndarray, left: np.ndarray) -> Canonical:
+    """The canonical frame of complete points (N, 21, 2)."""
+    confident = np.ones(len(points))
+    return canonical_arrays(_with_zero(points), _with_zero(points), left, confident)
+
+
+class Lifter:
+    """What was learned."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self.plane = Plane(*(arrays[name].astype(np.float64) for name in ("plane_mean", "plane_covariance")))
+        self._layers = Layers(arrays)
+
+    def __call__(self, keypoints: np.ndarray, confidence: np.ndarray, left: np.ndarray) -> np.ndarray:
+        """Keypoints as `canonical_plane` takes them -> (N, 21, 3) pixels where they rather are, and depth in
+        pixels."""
+        seen = canonical_plane(self.plane, keypoints, confidence, left)
+        said = self._layers(seen.features).reshape(-1, NUM_KEYPOINTS, 3)
+        return seen.to_picture(seen.fused + said)
+
+
+@lru_cache(maxsize=1)
+def lifter() -> Lifter:
+    """What ships with the package."""
+    with np.load(FILE, allow_pickle=False) as arrays:
+        return Lifter(dict(arrays))
 
 
 def lifted(hands: SeenHands) -> list[HandDetection]:
-    """N hands, each as a detection with what is known and expected of its points.
+    """N hands, each as a detection: what was seen, with depth and world landmarks. Those are kept where they
+    are known; else the lifter tells the depth, and the world is that of a hand of average size.
 
-    Every hand has some points that are seen.
+    Every hand has some points that are seen. Those that are missing lie where the lifter guesses them, and
+    are `overlapped`, so that they are believed less, as are seen ones of which the program is far less sure
+    than of the hand's others. Expected errors are the landmark network's, as those of
+    any detection: it is asked when hands are fitted, and again when a take's are.
     """
     sure = known(hands.keypoints)
-    middle = np.nanmean(hands.keypoints, axis=1)
-    pixels = np.where(sure[..., None], hands.keypoints, middle[:, None])
-    away = np.where(sure[..., None], hands.keypoints - middle[:, None], 0.0)
-    size = np.maximum(np.sqrt(np.square(away).sum(axis=(1, 2)) / sure.sum(axis=1)), 1e-6)
-    sigma = _PLANE_SIGMA / np.sqrt(np.clip(hands.confidence, _LEAST_CONFIDENCE, 1.0))
-    sigma = np.where(sure, sigma, _MISSING_SIGMA) * size[:, None]
+    guess = lifter()(hands.keypoints, hands.confidence, hands.left)
+    pixels = np.where(sure[..., None], hands.keypoints, guess[..., :2])
+    points = np.concatenate([pixels, guess[..., 2:] - guess[:, :1, 2:]], axis=2)
+    world = points - points.mean(axis=1, keepdims=True)
+    bones = np.linalg.norm(world[:, 1:] - world[:, KEYPOINT_PARENTS[1:]], axis=2).mean(axis=1)
+    world *= BONE / np.maximum(bones, 1e-9)[:, None, None]
+    if hands.depth is not None:
+        points[..., 2] = np.where(np.isfinite(hands.depth), hands.depth, points[..., 2])
+    if hands.world is not None:
+        world = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, world)
+    usual = np.nanmedian(np.where(sure, hands.confidence, np.nan), axis=1, keepdims=True)
+    doubted = ~sure | (hands.confidence < DOUBTED * usual)
     found = []
     for i in range(len(hands)):
         side: Side = "left" if hands.left[i] else "right"
-        depth = np.zeros(pixels.shape[1]) if hands.depth is None else hands.depth[i]
-        points = np.column_stack([pixels[i], depth])
-        world = (points - points.mean(axis=0)) * _SIZE / size[i] if hands.world is None else hands.world[i]
-        detection = HandDetection(side, float(hands.score[i]), points, world, given_side=side)
-        if hands.world is None or not sure[i].all():
-            table = np.column_stack(
-                [pixels[i], sigma[i], sigma[i], depth, np.full_like(depth, 10.0 * size[i])]
-            )
-            detection = replace(
-                detection,
-                corrected=(side, table),
-                overlapped=None if sure[i].all() else ~sure[i],
-            )
-        found.append(detection)
+        less = doubted[i] if doubted[i].any() else None
+        score = float(hands.score[i])
+        found.append(HandDetection(side, score, points[i], world[i], overlapped=less, given_side=side))
     return found

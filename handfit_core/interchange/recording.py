@@ -61,8 +61,8 @@ class PointsHand:
     annotators click, as MediaPipe's do"""
     landmarks: Landmarks | None = None
     """Where on our hand a skeleton's points lie that are not its joints; None: as `on_joints` says"""
-    sigma: float = 0.002
-    """Metres that points are expected to be off"""
+    sigma: float | None = None
+    """Metres that points are expected to be off; None: as far as the lengths of bones change"""
 
     @property
     def present(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.detect.detector import Detected
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.fit.observation import lines_of_sight
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.data import HandModel
@@ -23,7 +24,7 @@ from handfit_core.interchange.recording import (
     Recording,
     known,
 )
-from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import TrackFit
 
 _APART: Final = 0.35
@@ -31,6 +32,12 @@ _APART: Final = 0.35
 the other hand from its origin, are 0.15 m apart"""
 _UNKNOWN_SIGMA: Final = 1e4
 """pixels: what is known of a point that is missing"""
+_USUAL_SIGMA: Final = 0.002
+"""metres that points are expected to be off where too few frames tell"""
+_SIGMAS: Final = (0.0005, 0.02)
+"""metres: the least and the most that they are told to be"""
+_ENOUGH: Final = 10
+"""frames"""
 _NEAREST: Final = 0.25
 """Metres from a virtual camera to the nearest hand"""
 
@@ -56,11 +63,25 @@ def tracks_of(recording: Recording, intrinsics: Intrinsics) -> list[DetectedTrac
 
 def _track_of(hand: PointsHand, points: np.ndarray, intrinsics: Intrinsics, fps: float) -> DetectedTrack:
     found = hand.present
+    sigma = _sigma_of(points[found]) if hand.sigma is None else hand.sigma
     rows: list[HandDetection | None] = [None] * len(found)
     for row in np.flatnonzero(found):
-        rows[row] = _seen_point_by_point(hand.side, points[row], hand.sigma, intrinsics)
+        rows[row] = _seen_point_by_point(hand.side, points[row], sigma, intrinsics)
     landmarks = hand.landmarks or (NO_OFFSETS if hand.on_joints else None)
     return DetectedTrack(hand.side, tuple(rows), fps, landmarks=landmarks)
+
+
+def _sigma_of(points: np.ndarray) -> float:
+    """Metres that points (T, 21, 3) err by, told by how much the lengths of a hand's bones change, which they
+    truly do not."""
+    lengths = np.linalg.norm(points[:, 1:] - points[:, KEYPOINT_PARENTS[1:]], axis=-1)
+    lengths = lengths[:, np.isfinite(lengths).any(axis=0)]
+    change = np.abs(lengths - np.nanmedian(lengths, axis=0))
+    change = change[np.isfinite(change)]
+    if len(points) < _ENOUGH or not len(change):
+        return _USUAL_SIGMA
+    # Of a normal distribution's deviations half are less than 0.6745; two ends of a bone err.
+    return float(np.clip(np.median(change) / 0.6745 / np.sqrt(2.0), *_SIGMAS))
 
 
 def _seen_point_by_point(
@@ -71,15 +92,12 @@ def _seen_point_by_point(
     middle = points[sure].mean(axis=0)
     filled = np.where(sure[:, None], points, middle)
     pixels = intrinsics.project(filled)
-    scale = 0.5 * (intrinsics.fx + intrinsics.fy) / middle[2]
+    along = filled @ lines_of_sight(pixels[None], intrinsics)[0]
+    distance = float(along.mean())
+    scale = 0.5 * (intrinsics.fx + intrinsics.fy) / distance
     depth = scale * (filled[:, 2] - filled[0, 2])
-    table = np.empty((len(points), 6))
-    table[:, :2] = pixels
-    table[:, 2:4] = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)[:, None]
-    ray = middle / np.linalg.norm(middle)
-    along = scale * ((filled - middle) @ ray)
-    table[:, 4] = along - along.mean()
-    table[:, 5] = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)
+    expected = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)
+    table = np.column_stack([pixels, expected, expected, scale * (along - distance), expected])
     return HandDetection(
         side,
         float(sure.mean()),
@@ -87,6 +105,7 @@ def _seen_point_by_point(
         filled - filled.mean(axis=0),
         overlapped=None if sure.all() else ~sure,
         given_side=side,
+        distance=distance,
         corrected=(side, table),
     )
 

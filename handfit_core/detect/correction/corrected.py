@@ -27,7 +27,7 @@ in photos: its odds for the detector's word count this many times"""
 
 OVERLAPPED: Final = 4.0
 """Points that lie where another hand is are expected to err so many times as much: the detector looks for one
-hand at a time, and takes fingers of the other for that one's"""
+hand at a time, and takes fingers of the other for that one's. So are points that are guessed"""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ TRUST: Final = Trust()
 
 def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = TRUST) -> Landmarked:
     """Corrected detections, all taken for hands of that side. Those that carry what the network said of that
-    side are not shown to it again. Points where another hand lies are expected to err more."""
+    side are not shown to it again. Points that are `overlapped` are expected to err more."""
     said = [d.corrected for d in detections]
     table, unknown = np.empty((len(said), NUM_KEYPOINTS, 6)), []
     for i, judged in enumerate(said):

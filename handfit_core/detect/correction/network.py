@@ -37,8 +37,8 @@ class Correction:
     """(N,) probability that the assumed side is the true one"""
 
 
-class LandmarkNetwork:
-    """Weights and the forward pass."""
+class Layers:
+    """Three layers' weights and the forward pass."""
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:
         self._mean = arrays["mean"].astype(np.float32)
@@ -48,13 +48,24 @@ class LandmarkNetwork:
             for i in range(3)
         ]
 
-    def __call__(self, seen: Canonical) -> Correction:
-        """Correct canonical detections."""
-        values = np.clip((seen.features.astype(np.float32) - self._mean) * self._scale, -MOST, MOST)
+    def __call__(self, features: np.ndarray) -> np.ndarray:
+        """(N, inputs) -> (N, outputs)"""
+        values = np.clip((features.astype(np.float32) - self._mean) * self._scale, -MOST, MOST)
         for weight, bias in self._layers[:-1]:
             values = _gelu(values @ weight + bias)
         weight, bias = self._layers[-1]
-        values = (values @ weight + bias).astype(np.float64)
+        return np.asarray(values @ weight + bias, dtype=np.float64)
+
+
+class LandmarkNetwork:
+    """What the layers say of detections."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self._layers = Layers(arrays)
+
+    def __call__(self, seen: Canonical) -> Correction:
+        """Correct canonical detections."""
+        values = self._layers(seen.features)
         per_point = values[:, :-1].reshape(-1, NUM_KEYPOINTS, 6)
         return Correction(
             points=seen.fused + per_point[..., :3],
@@ -77,4 +88,4 @@ def _gelu(x: np.ndarray) -> np.ndarray:
     )
 
 
-__all__ = ["FILE", "Correction", "LandmarkNetwork", "landmark_network"]
+__all__ = ["FILE", "Correction", "LandmarkNetwork", "Layers", "landmark_network"]

@@ -15,15 +15,18 @@ NEAREST = 0.02
 def depth(posed: Posed, seen: Observation) -> Rows:
     """One row for each point: r = f / d (ray . x - d) - depth, with d where depth is zero.
 
-    Depth that is seen has no zero of its own: d is solved for. It is the hand's distance too, which turns
-    metres into pixels.
+    Depth that is seen has no zero of its own: d is solved for, but where `seen.depth_zero` knows it. It is
+    the hand's distance too, which turns metres into pixels.
     """
-    zero = posed.state.depth_zero[:, None]
+    zero, free = posed.state.depth_zero[:, None], 1.0
+    if seen.depth_zero is not None:
+        free = np.isnan(seen.depth_zero)[:, None]
+        zero = np.where(free, zero, seen.depth_zero[:, None])
     distance = np.maximum(zero, NEAREST)
     scale = seen.focal.mean(axis=1)[:, None] / distance / seen.depth_sigma  # (B, 21)
     along = (posed.points @ seen.ray[..., None])[..., 0]
     columns = np.empty((*scale.shape, 1, 5))
     columns[..., 0, :3] = scale[..., None] * seen.ray[:, None]
-    columns[..., 0, 3] = -scale * np.where(zero > NEAREST, along / distance, 1.0)
+    columns[..., 0, 3] = -scale * np.where(zero > NEAREST, along / distance, 1.0) * free
     columns[..., 0, 4] = (along - zero) * scale - seen.depth / seen.depth_sigma
     return Rows(POINTS, columns, np.zeros(scale.shape, dtype=bool))

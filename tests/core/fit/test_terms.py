@@ -162,6 +162,19 @@ def test_depth_has_no_zero_and_no_metres_of_its_own() -> None:
     close(depth(posed, along).residual[..., 0], expected)
 
 
+def test_depth_that_is_known_in_metres_is_not_solved_for() -> None:
+    """Where it is not, NaN says so, and all is as without."""
+    posed, seen = hands()
+    known = replace(seen, depth_zero=np.array([0.6, np.nan, 0.7]))
+    rows, plain = depth(posed, known), depth(posed, seen)
+    close(rows.residual[1], plain.residual[1])
+    close(rows.jacobian[1], plain.jacobian[1])
+    elsewhere = replace(posed, state=replace(posed.state, depth_zero=known.depth_zero))
+    close(rows.residual[[0, 2]], depth(elsewhere, seen).residual[[0, 2]])
+    assert np.all(rows.jacobian[[0, 2], ..., 3] == 0.0)
+    close(rows.jacobian[[0, 2], ..., :3], depth(elsewhere, seen).jacobian[[0, 2], ..., :3])
+
+
 def test_limits_are_the_distance_from_the_nearer_end_in_sigmas() -> None:
     limits = Limits("right")
     inside = np.broadcast_to((limits.lower + limits.upper) / 2, (2, 5, 9)).copy()
