@@ -96,7 +96,11 @@ def frames_of(document: Document) -> JsonFrames:
                 raise InputError(f"{shown(file)}: this file of the sequence is no JSON, or a damaged one")
             contents.append(content)
         numbers = np.array([number for number, _ in files])
-        return _in_order(document, numbers, contents, {}, ())
+        unnamed = len(files) > 1 and not all(_LAST_NUMBER.search(file.stem) for _, file in files)
+        assumed = (
+            ("some files' names have no number: frames are counted from 1, by the names",) if unnamed else ()
+        )
+        return _in_order(document, numbers, contents, {}, assumed)
     content = first_content(document)
     header = keyed(content)
     if isinstance(content, Mapping):

@@ -157,6 +157,19 @@ def test_names_of_pictures_keep_their_numbers(tmp_path: Path) -> None:
     assert alone.frame_numbers.tolist() == [2]
 
 
+def test_files_without_numbers_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "op"
+    path.mkdir()
+    for name in ("b", "a"):
+        (path / f"{name}.json").write_text(json.dumps({"people": [person(int(name == "b"))]}))
+    recording = read(path)
+    assert recording.frame_numbers.tolist() == [1, 2]
+    assert recording.seen is not None
+    left = recording.seen.keypoints[recording.seen.left]
+    assert np.abs(left - TOLD.pixels["left"][:2]).max() < 0.01
+    assert any("have no number" in phrase for phrase in recording.assumed)
+
+
 def test_controlnets_list_with_the_size_of_its_canvas(tmp_path: Path) -> None:
     frames = [{"people": [person(i)], "canvas_width": WIDTH, "canvas_height": HEIGHT} for i in range(FRAMES)]
     path = tmp_path / "poses.json"
