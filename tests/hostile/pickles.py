@@ -176,6 +176,6 @@ def cases() -> Iterator[Case]:
         yield _case(f"runs-{name}", lambda data=data: data, refused=True)
     for name, made in _BOMBS.items():
         yield _case(f"bomb-{name}", made, refused=True, known=name in KNOWN)
-    for key in imitation_arrays("right").keys() - {"J", "hands_coeffs"}:
+    for key in sorted(imitation_arrays("right").keys() - {"J", "hands_coeffs"}):
         for lie in _LIES:
             yield _case(f"{key}-{lie}", partial(_lying, key, lie))
