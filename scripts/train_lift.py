@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with np.load(kept, allow_pickle=False) as arrays:
             angles = arrays["angles"]
         print(f"{len(angles)} poses", flush=True)
-        weights: dict[str, Any] = train(angles, NETWORK_SEED, args.epochs, lambda line: print(line, flush=True))
+        weights: dict[str, Any] = train(angles, NETWORK_SEED, args.epochs, partial(print, flush=True))
         path = lift.FILE if args.install else args.folder / lift.FILE.name
         with written_whole(path) as beside, open(beside, "wb") as stream:
             np.savez_compressed(stream, **weights)
