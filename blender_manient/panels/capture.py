@@ -39,6 +39,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             column.prop(settings, "matching")
             text = _becomes(context.scene, info)
             sentence(layout, context, text, "SCENE_DATA")
+        with_pictures = info.files is None or info.files.kind != "data"
         buttons = layout.column(align=True)
         buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
         row = buttons.row(align=True)
@@ -49,14 +50,15 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
         else:
             row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
-            buttons.operator("manient.find_hands", icon="VIEWZOOM")
+            if with_pictures:
+                buttons.operator("manient.find_hands", icon="VIEWZOOM")
         if info.files is not None and info.files.kind != "photo" and choosing is None:
             # Only what is not said above.
             if text and not text.startswith(own := _becomes(context.scene, info, only_frame=True)):
                 sentence(buttons, context, own, "SCENE_DATA")
             frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
             frame.only_frame = True
-        if choosing is None:
+        if choosing is None and with_pictures:
             row = layout.row(align=True)
             row.operator("manient.add_hand", icon="ADD")
             row.prop(settings, "added_side", expand=True)
@@ -97,7 +99,8 @@ def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only_frame
     """What becomes of the scene when the source, or only the current frame of it, is captured."""
     settings = scene.manient
     footage = source_info.footage(settings, info, only=scene.frame_current if only_frame else None)
-    ready = settings.render_setup and settings.camera != "ACTIVE" and not only_frame
+    pictures = info.files is not None and info.files.kind != "data"
+    ready = settings.render_setup and settings.camera != "ACTIVE" and pictures and not only_frame
     return said(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
 
 

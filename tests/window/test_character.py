@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 
+from handfit_core.interchange.writers import writer_for
+from handfit_core.take import Take
+
 FRAMES = 100
 
 
@@ -23,6 +26,21 @@ def test_motion_on_a_rigify_character(blender, make_long_take, tmp_path):
     applied, opened = seen["pose"]
     assert applied == opened
     assert min(applied[1:]) > 0.1
+
+
+def test_a_bodys_hands_go_onto_a_rigify_character_and_out_to_avatars(blender, make_long_take, tmp_path):
+    source, vrma = tmp_path / "walk.smplx.npz", tmp_path / "walk.vrma"
+    writer_for(source).write(Take.load(make_long_take(FRAMES)), source)
+    seen = blender.play("character.of_another_program", source=source, vrma=vrma, timeout=400).value
+    assert [(hand["side"], hand["frames"], hand["detected"]) for hand in seen["captured"]] == [
+        ("left", FRAMES, FRAMES),
+        ("right", FRAMES, FRAMES),
+    ]
+    assert seen["keys"] == 4 * FRAMES * 30
+    assert min(seen["turns"][1:]) > 0.05
+    content = vrma.read_bytes()
+    assert content[:4] == b"glTF"
+    assert b"VRMC_vrm_animation" in content
 
 
 def test_what_keeps_a_character_from_motion_is_said(blender, make_long_take, tmp_path):

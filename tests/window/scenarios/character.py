@@ -8,7 +8,7 @@ import addon_utils
 import bpy
 
 from scenarios import refine
-from scenarios.capturing import capture, hands, keys_of, part
+from scenarios.capturing import capture, hands, keys_of, part, summary
 from scenarios.panels import opened_by_default
 from scenarios.words import texts
 
@@ -53,6 +53,28 @@ def applied(stage, take, blend):
         seen["keys"].append(_keys())
         seen["kept"].append(_kept())
     return seen
+
+
+def of_another_program(stage, source, vrma):
+    """Another program's hands as the source of a capture; put onto a Rigify character, and what that does
+    exported for avatars, both by mouse."""
+    with opened_by_default("MANIENT_PT_character"):
+        job = yield from capture(stage, source)
+        captured = summary()
+        yield from rigify_character(stage)
+        yield from stage.open_sidebar()
+        yield 0.5
+        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.until(lambda: _keys() > 0, 60.0, "keys on the character")
+        yield 0.5
+        bpy.context.scene.frame_set(30)
+        yield from stage.leave_popups()
+        yield from stage.screenshot("interchange-applied")
+        bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+        yield from press(stage, "bpy.ops.manient.export_character(")
+        yield from stage.choose_file(vrma, "interchange-export")
+        yield 1.0
+    return {"captured": captured, "keys": _keys(), "warnings": list(job.warnings), "turns": _turns()}
 
 
 def refused(stage, take, preset):
