@@ -16,7 +16,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -426,17 +426,11 @@ def check_files(named: Iterable[Sequence[str]]) -> None:
     """Raise OptionError where one of `Plan.files` holds something else than when the plan was made. Of one
     that is not there, who needs it says so."""
     for path, held in named:
-        size, changed = _size_and_time(Path(path))
-        if size >= 0 and _held_by(path, size, changed) != held:
+        if _size_and_time(Path(path))[0] >= 0 and fingerprint([Path(path)], _READ_NAMED) != held:
             raise OptionError(
                 f"{shown(path)}: holds something else than when the batch was planned; bring back what it "
                 "held, or start the batch again, which then does everything anew"
             )
-
-
-@lru_cache(maxsize=64)
-def _held_by(path: str, _size: int, _changed: int) -> str:
-    return fingerprint([Path(path)], _READ_NAMED)
 
 
 def fingerprint(files: Sequence[Path], read_whole: int = _READ_WHOLE) -> str:
