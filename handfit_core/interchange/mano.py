@@ -41,6 +41,9 @@ Z_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 
+MOST_HANDS: Final = 100
+"""in a frame, and persons whom a file tells apart"""
+
 Counted = Literal["flat", "mean"]
 """What poses count from: the flat hand, or the mean pose of MANO"""
 
@@ -258,17 +261,21 @@ class _Followed:
     side: Side
     person: int | None
     hands: dict[int, FoundHand] = field(default_factory=dict)
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) where the hand of the last frame was seen"""
 
-    @property
-    def place(self) -> np.ndarray:
-        """(3,) where it was last: its direction, and the logarithm of its depth, which is known least."""
-        transl = self.hands[max(self.hands)].transl
-        return np.zeros(3) if transl is None else _seen_at(transl)
+    def add(self, hand: FoundHand) -> None:
+        """The hand of the next frame."""
+        self.hands[hand.frame] = hand
+        self.place = _seen_at(hand)
 
 
-def _seen_at(transl: np.ndarray) -> np.ndarray:
-    depth = max(abs(float(transl[2])), 1e-6)
-    return np.array([transl[0] / depth, transl[1] / depth, np.log(depth)])
+def _seen_at(hand: FoundHand) -> np.ndarray:
+    """(3,) its direction, and the logarithm of its depth, which is known least; zeros if it is nowhere."""
+    if hand.transl is None:
+        return np.zeros(3)
+    depth = max(abs(float(hand.transl[2])), 1e-6)
+    return np.array([hand.transl[0] / depth, hand.transl[1] / depth, np.log(depth)])
 
 
 def followed(
@@ -277,16 +284,26 @@ def followed(
     """Hands of single frames as hands over all of them, those of one person, where one is asked for.
 
     A hand is the one that was closest to it last, among those of its side; there are as many of a side as
-    were seen in one frame. Persons are counted as they appear. Raises Unfit for a person that there is not.
+    were seen in one frame. Persons are counted as they appear. Raises Unfit for a person that there is not,
+    and for more than MOST_HANDS hands in a frame or persons.
     """
     tracks: list[_Followed] = []
     by_frame: dict[int, list[FoundHand]] = {}
     for hand in found:
         by_frame.setdefault(hand.frame, []).append(hand)
     for frame in sorted(by_frame):
+        if len(by_frame[frame]) > MOST_HANDS:
+            raise Unfit(
+                f"there are {len(by_frame[frame])} hands in frame {frame}, and at most {MOST_HANDS} are "
+                "read: the frames' numbers may not be told as expected"
+            )
         for side in SIDES:
             hands = [hand for hand in by_frame[frame] if hand.side == side]
             _assign(hands, [track for track in tracks if track.side == side], tracks, side)
+        if len(tracks) > len(SIDES) * MOST_HANDS:
+            raise Unfit(
+                f"it has more than {MOST_HANDS} persons, and at most so many are read; cut it into parts"
+            )
     if asked.person is not None:
         of_side = {side: [track for track in tracks if track.side == side] for side in SIDES}
         persons = sorted({track.person for track in tracks if track.person is not None})
@@ -311,28 +328,23 @@ def _assign(hands: list[FoundHand], known_ones: list[_Followed], tracks: list[_F
                 tracks.append(same := _Followed(side, hand.person))
             else:
                 free.remove(same)
-            same.hands[hand.frame] = hand
+            same.add(hand)
             hands.remove(hand)
-    away = [
-        (
-            float(
-                np.linalg.norm(track.place - _seen_at(np.zeros(3) if hand.transl is None else hand.transl))
-            ),
-            i,
-            j,
-        )
-        for i, hand in enumerate(hands)
-        for j, track in enumerate(free)
-        if track.person is None
-    ]
+    free = [track for track in free if track.person is None]
+    seen = np.array([_seen_at(hand) for hand in hands]).reshape(-1, 1, 3)
+    places = np.array([track.place for track in free]).reshape(1, -1, 3)
+    away = np.linalg.norm(seen - places, axis=-1)
     taken: dict[int, _Followed] = {}
-    for _, i, j in sorted(away):
-        if i not in taken and free[j] not in taken.values():
+    left = set(range(len(free)))
+    for nearest in np.argsort(away, axis=None, kind="stable").tolist():
+        i, j = divmod(nearest, len(free))
+        if i not in taken and j in left:
             taken[i] = free[j]
+            left.remove(j)
     for i, hand in enumerate(hands):
         if i not in taken:
             tracks.append(taken.setdefault(i, _Followed(side, None)))
-        taken[i].hands[hand.frame] = hand
+        taken[i].add(hand)
 
 
 def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str]) -> PosedHand:

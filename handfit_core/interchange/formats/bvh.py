@@ -22,6 +22,7 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.every_frame import EveryFrame
 from handfit_core.interchange.humanoid import BODY, bone_names, t_pose
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
@@ -46,6 +47,8 @@ _MOST_TURNS: Final = 1 << 23
 """bones times frames"""
 _LONGEST_NAME: Final = 256
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
+MOTION: Final = re.compile(r"^[ \t]*MOTION[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
+"""Within its line: blank lines before it are not gone through again for each of them"""
 _END: Final = " end"
 _HEAD: Final = re.compile("head|neck", re.IGNORECASE)
 _FULL_TURN: Final = 2.0 * np.pi
@@ -120,7 +123,7 @@ def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
         text = document.bytes.decode("latin-1")
     if len(text) > _MOST_BYTES:
         raise _Wrong(f"has {len(text)} characters, and at most {_MOST_BYTES} are read; cut it into parts")
-    motion = re.search(r"^\s*MOTION\s*$", text, re.MULTILINE | re.IGNORECASE)
+    motion = MOTION.search(text)
     if not motion:
         raise _Wrong("has no MOTION, so that it is only a part of one")
     head, tail = text[: motion.start()], text[motion.end() :]
@@ -154,6 +157,7 @@ def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
 def _hierarchy(words: Iterator[str]) -> _Skeleton:
     """What stands before MOTION. Raises _Wrong."""
     skeleton, open_bones, name = _Skeleton(), [], []
+    taken: dict[str, int] = {}
     try:
         if next(words).upper() != "HIERARCHY":
             raise _Wrong("does not begin with HIERARCHY")
@@ -169,8 +173,7 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
                         called = skeleton.names[parent] + _END if parent >= 0 else _END
                     if len(skeleton.names) >= _MOST_BONES or not 0 < len(called) <= _LONGEST_NAME + len(_END):
                         raise _Wrong(f"has more than {_MOST_BONES} bones, or one without a name of its own")
-                    while called in skeleton.names:
-                        called += "'"
+                    called = _unlike(called, taken)
                     open_bones.append(len(skeleton.names))
                     skeleton.names.append(called)
                     skeleton.parents.append(parent)
@@ -199,6 +202,16 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
     if open_bones or not skeleton.names or not (np.abs(np.array(skeleton.offsets)) <= LARGEST).all():
         raise _Wrong("has a HIERARCHY that is damaged or cut off")
     return skeleton
+
+
+def _unlike(called: str, taken: dict[str, int]) -> str:
+    """That name, with a number where another bone has it; it is added to those that are `taken`."""
+    name = called
+    while name in taken:
+        taken[called] += 1
+        name = f"{called}'{taken[called]}"
+    taken[name] = 1
+    return name
 
 
 def _posed(skeleton: _Skeleton, numbers: np.ndarray, seconds: float) -> tuple[AnimatedBones, float, float]:
@@ -285,8 +298,7 @@ def _body_name(name: str) -> str:
 
 
 def _write(take: Take, path: Path) -> None:
-    """One body, its hands where the take has them: their positions are their own, as the arms are not known.
-    Frames without a hand hold its last pose, or the first one."""
+    """One body, its hands where the take has them, with positions of their own, as its arms are not known."""
     tracks = [track for track in take.hands if track.present.any()]
     if not tracks:
         raise OptionError("there is no hand in this take")
@@ -295,8 +307,8 @@ def _write(take: Take, path: Path) -> None:
             f"the take has {len(tracks)} hands, and a BVH body has one of each side: capture again with "
             "--hands or --person"
         )
-    numbers = np.arange(take.frame_numbers[0], take.frame_numbers[-1] + 1)
-    rows = np.searchsorted(take.frame_numbers, numbers, side="right") - 1
+    frames = EveryFrame.of(take)
+    count = len(frames.numbers)
     places = {
         _body_name(name): (_body_name(parent), _CENTIMETRES * np.array(place))
         for name, (parent, place) in BODY.items()
@@ -305,18 +317,16 @@ def _write(take: Take, path: Path) -> None:
     wrists: dict[str, np.ndarray] = {}
     ends: dict[str, np.ndarray] = {"Head": np.array([0.0, 10.0, 0.0])}
     up = UP_AXES["y"].T
-    for track in tracks:
-        shaped = load_model(take.model, track.side).shaped(track.betas)
-        target, heads = t_pose(SourceHand.of(shaped, track.side))
-        names, index = _hand_names(track.side), [*map(target.bones.index, bone_names(track.side)[1:])]
-        there = np.flatnonzero(track.present)
-        held = there[np.maximum(np.searchsorted(there, rows, side="right") - 1, 0)]
-        turns = np.broadcast_to(np.eye(3), (len(held), NUM_JOINTS, 3, 3)).copy()
-        turns[:, 1:] = rotvec_to_rotmat(track.hand_pose[held].reshape(-1, NUM_JOINTS - 1, 3))
+    for side, hand in frames.hands.items():
+        shaped = load_model(take.model, side).shaped(hand.betas)
+        target, heads = t_pose(SourceHand.of(shaped, side))
+        names, index = _hand_names(side), [*map(target.bones.index, bone_names(side)[1:])]
+        turns = np.broadcast_to(np.eye(3), (count, NUM_JOINTS, 3, 3)).copy()
+        turns[:, 1:] = rotvec_to_rotmat(hand.hand_pose.reshape(-1, NUM_JOINTS - 1, 3))
         local = target.local(REST_FROM_MODEL @ turns @ REST_FROM_MODEL.T)
-        orient = rotvec_to_rotmat(track.global_orient[held])
+        orient = rotvec_to_rotmat(hand.global_orient)
         turned[names[0]] = up @ orient @ REST_FROM_MODEL.T @ target.aligned.T
-        wrists[names[0]] = (track.transl[held] + shaped.joints[0]) @ up.T * _CENTIMETRES
+        wrists[names[0]] = (hand.transl + shaped.joints[0]) @ up.T * _CENTIMETRES
         for joint, bone in enumerate(index, start=1):
             turned[names[joint]] = local[:, bone]
             places[names[joint]] = names[PARENTS[joint]], _CENTIMETRES * heads[joint]
@@ -338,8 +348,8 @@ def _write(take: Take, path: Path) -> None:
         lines.append(f"{before}\tCHANNELS {channels} Zrotation Xrotation Yrotation")
         if moved:
             there = wrists[name] - ground - places[parent][1] if parent else place + ground
-            columns.append(np.broadcast_to(there, (len(numbers), 3)))
-        columns.append(_degrees(turned[name]) if name in turned else np.zeros((len(numbers), 3)))
+            columns.append(np.broadcast_to(there, (count, 3)))
+        columns.append(_degrees(turned[name]) if name in turned else np.zeros((count, 3)))
         children = [other for other, (of, _) in places.items() if of == name]
         for child in children:
             add(child, depth + 1)
@@ -349,7 +359,7 @@ def _write(take: Take, path: Path) -> None:
         lines.append(before + "}")
 
     add("Hips", 0)
-    lines += ["MOTION", f"Frames: {len(numbers)}", f"Frame Time: {1.0 / take.fps:.9g}"]
+    lines += ["MOTION", f"Frames: {count}", f"Frame Time: {1.0 / frames.fps:.9g}"]
     lines += map(_words, np.concatenate(columns, axis=1))
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 

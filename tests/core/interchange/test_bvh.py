@@ -12,7 +12,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
-from handfit_core.interchange.formats.bvh import WRITER
+from handfit_core.interchange.formats.bvh import MOTION, WRITER
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.options import CaptureOptions
@@ -256,3 +256,45 @@ def test_two_hands_of_a_side_are_refused(tmp_path: Path) -> None:
     twice = take_of([one.hands[0], one.hands[0]], CAMERA, 1280, 720, frame_numbers=one.frame_numbers)
     with pytest.raises(HandfitError, match="one of each side"):
         WRITER.write(twice, tmp_path / "x.bvh")
+
+
+def test_blank_lines_are_gone_through_once(tmp_path: Path) -> None:
+    """What is looked for stays within one line: else each of a million of blank lines begins anew."""
+    for text in ("\n\n MOTION\t\nFrames", "}\r\n\r\nMotion\r\n\r\nFrames"):
+        found = MOTION.search(text)
+        assert found is not None
+        assert "\n" not in found[0]
+    assert len(read(tmp_path, simple(tmp_path).replace("MOTION", "\n\n  MOTION \n\n")).posed) == 2
+
+
+def test_bones_of_one_name_keep_short_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each gets a number, not a sign more than the one before it."""
+    count = 1000
+    bone = "JOINT a\n{\nOFFSET 0 0 0\n}\n"
+    root = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n"
+    named: list[tuple[str, ...]] = []
+    monkeypatch.setattr(
+        "handfit_core.interchange.formats.bvh.hand_of_bones",
+        lambda animated, *_: named.append(animated.bones.names),
+    )
+    taken = "JOINT a'3\n{\nOFFSET 0 0 0\n}\n"
+    with pytest.raises(InputError, match="a hand with two fingers"):
+        read(tmp_path, f"{root}{taken}{count * bone}}}\nMOTION\nFrames: 1\nFrame Time: 0.04\n0\n")
+    names = named[0]
+    assert len(set(names)) == len(names) == count + 2
+    assert max(map(len, names)) <= len("a'1003")
+
+
+def test_frames_that_are_far_apart_are_not_filled(tmp_path: Path) -> None:
+    """As names of pictures may have them; and every second frame is a file of half the rate."""
+    true = take()
+    for numbers, count, seconds in (
+        (np.array([1, 2, 3, 4, 20_000]), 5, 1 / 30),
+        (2 * np.arange(FRAMES), FRAMES, 2 / 30),
+        (np.array([1, 2, 3, 4, 8]), 8, 1 / 30),
+    ):
+        one = take_of(true.hands, CAMERA, 1280, 720, fps=30.0, frame_numbers=numbers)
+        WRITER.write(one, tmp_path / "far.bvh")
+        text = (tmp_path / "far.bvh").read_text()
+        assert f"\nFrames: {count}\nFrame Time: {seconds:.9g}\n" in text
+        assert len(text.partition("Frame Time")[2].splitlines()) == count + 1

@@ -1,0 +1,60 @@
+"""Hands of single frames as hands over all of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.doors.values import Unfit
+from handfit_core.interchange.mano import MOST_HANDS, POSE, FoundHand, followed
+from handfit_core.interchange.recording import Asked
+from handfit_core.skeleton import SIDES
+
+
+class Counted(int):
+    """A frame's number that counts how often it is compared."""
+
+    compared = 0
+
+    def __lt__(self, other: Any) -> bool:
+        Counted.compared += 1
+        return int(self) < int(other)
+
+    def __gt__(self, other: Any) -> bool:
+        Counted.compared += 1
+        return int(self) > int(other)
+
+
+def hand(frame: int, x: float = 0.0, person: int | None = None) -> FoundHand:
+    return FoundHand(frame, "right", np.zeros(3), np.zeros(POSE), np.array([x, 0.0, 0.5]), person=person)
+
+
+@pytest.mark.parametrize("count", [50, 400])
+def test_a_frame_costs_the_same_in_long_clips(count: int) -> None:
+    Counted.compared = 0
+    hands = [hand(Counted(frame)) for frame in range(count)]
+    (one,) = followed(hands, np.arange(count), Asked(), [])
+    assert one.present.all()
+    assert Counted.compared <= 10 * count
+
+
+def test_each_goes_to_the_nearest_that_is_free() -> None:
+    """In whatever order hands come; one that is new begins a new track."""
+    places = [(0.3, 0.0), (0.01, 0.31), (0.32, 0.02, 0.9)]
+    found = [hand(frame, x) for frame, row in enumerate(places) for x in row]
+    first, second, third = followed(found, np.arange(3), Asked(), [])
+    for track, xs in ((first, [0.3, 0.31, 0.32]), (second, [0.0, 0.01, 0.02]), (third, [0.9])):
+        assert track.transl is not None
+        np.testing.assert_allclose(track.transl[track.present, 0], xs)
+
+
+def test_hands_and_persons_are_bounded() -> None:
+    crowd = [hand(1, x) for x in range(MOST_HANDS)]
+    assert len(followed(crowd, np.array([1]), Asked(), [])) == MOST_HANDS
+    with pytest.raises(Unfit, match="101 hands in frame 1, and at most 100"):
+        followed([*crowd, hand(1)], np.array([1]), Asked(), [])
+    strangers = [hand(frame, person=frame) for frame in range(len(SIDES) * MOST_HANDS + 1)]
+    with pytest.raises(Unfit, match="more than 100 persons"):
+        followed(strangers, np.arange(len(strangers)), Asked(), [])
