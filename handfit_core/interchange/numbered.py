@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,13 +14,33 @@ from handfit_core.doors.values import LARGEST_WHOLE
 from handfit_core.errors import InputError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document
+from handfit_core.skeleton import Side
 
 _LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
 _NUMBER_KEYS: Final = ("frame", "frameid", "framenumber", "frameindex", "frameidx", "frameno", "imageid")
 _LISTS: Final = ("frames", "results", "data", "predictions", "detections", "annotations", "instanceinfo")
 _LONGEST_NUMBER: Final = 15
+MOST_FRAMES: Final = 100_000
+"""of a file whose frames may be next to empty, and take a kilobyte each; of full ones a JSON holds fewer"""
 _LOOKED_AT: Final = 200
 """Files of a folder that are looked at before it is said of what they are"""
+
+
+def check_count(document: Document, frames: Sized) -> None:
+    """Raises InputError for more than MOST_FRAMES frames."""
+    if len(frames) > MOST_FRAMES:
+        raise InputError(
+            f"{shown(document.path)}: it has {len(frames)} frames, and at most {MOST_FRAMES} are read; cut "
+            "it into parts"
+        )
+
+
+def told_twice(twice: Mapping[Side, int]) -> list[str]:
+    """Phrases for the frames in which a hand of a side came after another one of it, and was left out."""
+    return [
+        f"{count} {'frame has' if count == 1 else 'frames have'} several {side} hands: the first was taken"
+        for side, count in twice.items()
+    ]
 
 
 def plain(key: str) -> str:

@@ -9,6 +9,7 @@ frames whose joints are named or in the standards' order.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
@@ -23,6 +24,7 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL, bone_frames
 from handfit_core.hand_model.data import HandModel
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.numbered import check_count, told_twice
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
@@ -50,7 +52,6 @@ _POSITION: Final = ("position", "pos", "p", "translation")
 _ORIENTATION: Final = ("orientation", "rotation", "quaternion", "rot", "q")
 _NESTED: Final = ("pose", "transform")
 _TIMES: Final = ("timestamp", "time", "t", "predictedDisplayTime")
-_MOST_FRAMES: Final = 1_000_000
 _ALONG: Final = 0.8
 """How well -Z must point to the next joint, as a cosine, by which orders of quaternions are told apart"""
 
@@ -106,16 +107,18 @@ class _Tracked:
 
 def _read(document: Document, asked: Asked) -> Recording:
     frames = _frames(document.json)
-    if len(frames) > _MOST_FRAMES:
-        raise InputError(
-            f"{shown(document.path)}: it has {len(frames)} frames, and at most {_MOST_FRAMES} are read"
-        )
+    check_count(document, frames)
     tracked: dict[Side, _Tracked] = {
         side: _Tracked(np.full((len(frames), 25, 3), np.nan), np.full((len(frames), 25, 4), np.nan))
         for side in SIDES
     }
+    twice: Counter[Side] = Counter()
     for row, frame in enumerate(frames):
+        seen: Counter[Side] = Counter()
         for side, joints in _hands(frame):
+            seen[side] += 1
+            if seen[side] > 1:
+                continue
             for at, name in enumerate(JOINTS):
                 try:
                     told = _joint(joints.get(name))
@@ -126,7 +129,8 @@ def _read(document: Document, asked: Asked) -> Recording:
                     ) from error
                 if told is not None:
                     tracked[side].places[row, at], tracked[side].quats[row, at] = told
-    assumed: list[str] = []
+        twice.update(side for side, count in seen.items() if count > 1)
+    assumed = told_twice(twice)
     posed = []
     for side, hand in tracked.items():
         if known(hand.quats).any():

@@ -6,6 +6,7 @@ knuckle where its second bone begins, and the thumb's is the joint at its root.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -15,11 +16,12 @@ from handfit_core.doors.values import Unfit, number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.numbered import check_count, told_twice
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.media.source import DEFAULT_FPS
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.take import LARGEST
 
 _MILLIMETRES: Final = 0.001
@@ -59,18 +61,25 @@ def _of_hand(frame: dict[str, Any], hand: dict[str, Any]) -> Iterator[dict[str, 
 
 def _read(document: Document, asked: Asked) -> Recording:
     frames = _frames(document)
+    check_count(document, frames)
     points = {side: np.full((len(frames), NUM_KEYPOINTS, 3), np.nan) for side in SIDES}
+    twice: Counter[Side] = Counter()
     for row, frame in enumerate(frames):
+        seen: Counter[Side] = Counter()
         for hand in _hands(frame):
             try:
-                side = str(hand.get("type", hand.get("handedness", ""))).lower().removeprefix("elehandtype_")
-                if side not in SIDES:
+                told = str(hand.get("type", hand.get("handedness", ""))).lower().removeprefix("elehandtype_")
+                if told not in SIDES:
                     raise Unfit(f"its type is {shortly(hand.get('type'))}, expected left or right")
-                points[SIDES[SIDES.index(side)]][row] = _points(hand)
+                side = SIDES[SIDES.index(told)]
+                seen[side] += 1
+                if seen[side] == 1:
+                    points[side][row] = _points(hand)
             except Unfit as error:
                 raise InputError(
                     f"{shown(document.path)}: a hand of frame {row + 1} does not fit Leap's: {error}"
                 ) from error
+        twice.update(side for side, count in seen.items() if count > 1)
     found = []
     for side in SIDES:
         hand = PointsHand(side, points[side] @ UP_AXES["y"].T * _MILLIMETRES, sigma=_SIGMA)
@@ -85,7 +94,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         found.append(hand)
     if not found:
         raise InputError(f"{shown(document.path)}: no frame has a hand with its fingers' joints")
-    assumed: list[str] = []
+    assumed = told_twice(twice)
     fps = asked.fps or _rate(frames, assumed)
     assumed.append("the device lies on a table and looks up: y is up")
     return Recording(

@@ -13,6 +13,7 @@ from handfit_core.errors import InputError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import forward_kinematics
+from handfit_core.interchange.numbered import MOST_FRAMES
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.options import CaptureOptions
@@ -211,3 +212,22 @@ def turned_by_a_quarter() -> Any:
 def test_bad_files_are_named_in_a_sentence(tmp_path: Path, content: Any, words: str | None) -> None:
     with pytest.raises(InputError, match=words or "lacks joints"):
         read(tmp_path, content())
+
+
+def test_frames_without_hands_are_bounded(tmp_path: Path) -> None:
+    content = [*frames("flat"), *({} for _ in range(MOST_FRAMES))]
+    with pytest.raises(InputError, match=f"100004 frames, and at most {MOST_FRAMES} are read; cut it"):
+        read(tmp_path, content)
+
+
+def test_a_second_hand_of_a_side_is_left_out_and_said(tmp_path: Path) -> None:
+    """Not a joint of it gets into the first one's."""
+    content = frames("listed")
+    told = read(tmp_path, content)
+    assert not any("several" in phrase for phrase in told.assumed)
+    for frame in content["frames"][:2]:
+        frame["hands"].append({"handedness": "right", "joints": frame["hands"][0]["joints"]})
+    recording = read(tmp_path, content)
+    assert "2 frames have several right hands: the first was taken" in recording.assumed
+    for hand, alone in zip(recording.posed, told.posed, strict=True):
+        np.testing.assert_array_equal(hand.hand_pose, alone.hand_pose)

@@ -12,6 +12,7 @@ import pytest
 
 from handfit_core.errors import InputError
 from handfit_core.hand_model import load_model
+from handfit_core.interchange.numbered import MOST_FRAMES
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.options import CaptureOptions
@@ -130,3 +131,20 @@ def in_metres(frame: dict[str, Any]) -> None:
 def test_bad_files_are_named_in_a_sentence(tmp_path: Path, change: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
         read(tmp_path, edited(change))
+
+
+def test_frames_without_hands_are_bounded(tmp_path: Path) -> None:
+    """Each takes a kilobyte, and three bytes of the file."""
+    with pytest.raises(InputError, match=f"100003 frames, and at most {MOST_FRAMES} are read; cut it"):
+        read(tmp_path, [*websocket(), *({} for _ in range(MOST_FRAMES))])
+
+
+@pytest.mark.parametrize("made", [websocket, leapc])
+def test_a_second_hand_of_a_side_is_left_out_and_said(tmp_path: Path, made: Any) -> None:
+    frames = made()
+    assert not any("several" in phrase for phrase in read(tmp_path, frames).assumed)
+    frames[1]["hands"] += [{**frames[1]["hands"][1], "type": "left"}] * 2
+    recording = read(tmp_path, frames)
+    assert "1 frame has several left hands: the first was taken" in recording.assumed
+    for hand in recording.points:
+        np.testing.assert_allclose(hand.points, keypoints(hand.side), atol=1e-6)
