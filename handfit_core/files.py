@@ -116,6 +116,14 @@ def is_file(path: str | os.PathLike[str]) -> bool:
         return False
 
 
+def is_folder(path: str | os.PathLike[str]) -> bool:
+    """Whether there is such a folder; also False for names that no folder can have."""
+    try:
+        return Path(path).is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def why(error: OSError | ValueError) -> str:
     """What the system says is wrong with a path."""
     if isinstance(error, OSError):

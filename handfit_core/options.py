@@ -437,6 +437,11 @@ class CaptureOptions:
             object.__setattr__(self, name, option.read(getattr(self, name)))
         if self.lens is not None and self.intrinsics is not None:
             raise OptionError("give the camera either as intrinsics or as a lens, not both")
+        if self.keypoints is not None and self.regions:
+            raise OptionError(
+                "give either regions, in which a hand is looked for, or keypoints that another program has "
+                "found, not both"
+            )
 
     @classmethod
     def of_message(cls, options: object) -> CaptureOptions:

@@ -25,8 +25,15 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
-from handfit_core.interchange.recording import PosedHand, Recording
-from handfit_core.interchange.taking import detected_in, fit_of, posed_hands, seen_of, tracks_of
+from handfit_core.interchange.recording import LEAST_POINTS, PosedHand, Recording
+from handfit_core.interchange.taking import (
+    before_camera,
+    detected_in,
+    fit_of,
+    only_present,
+    seen_of,
+    tracks_of,
+)
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import STRETCH, FrameRange
 from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
@@ -156,7 +163,7 @@ def capture_with(
         if recording.intrinsics and options.intrinsics is None and options.lens is None:
             intrinsics = recording.intrinsics  # the hands lie where that camera has them
         numbers = [int(number) for number in recording.frame_numbers]
-        posed = _chosen(options, posed_hands(recording))
+        posed = _chosen(options, recording.posed)
         if posed and not options.refit:
             return _posed_take(media, options, intrinsics, recording, posed)
         tracks = [*_chosen(options, tracks_of(recording, intrinsics))]
@@ -247,21 +254,37 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
 
 
 def _recording(media: Media, options: CaptureOptions) -> Recording | None:
-    """What another program has found in the input, where the input is that or `keypoints` names it."""
+    """What another program has found in the input, where the input is that or `keypoints` names it: hands
+    that are in the wanted frames, before the camera. Raises NoHandFoundError where none is."""
+    name, kept = media.source.name, isinstance(media, RecordedMedia)
     if options.keypoints is not None:
-        if isinstance(media, RecordedMedia):
+        if kept:
             raise OptionError(
-                f"{media.source.name}: this input holds no pictures, so that no other keypoints belong "
-                "to it; give the pictures as the input, or leave --keypoints out"
+                f"{name}: this input holds no pictures, so that no other keypoints belong to it; give the "
+                "pictures as the input, or leave --keypoints out"
             )
         told = replace(options, picture_size=options.picture_size or (media.width, media.height))
         recording = beside(media, read_recording(options.keypoints, told))
     elif isinstance(media, RecordedMedia):
+        if options.regions:
+            raise OptionError(
+                f"{name}: this input holds no pictures, in whose regions a hand could be found; leave "
+                "--region out"
+            )
         recording = media.in_range()
     else:
         return None
+    numbers = recording.frame_numbers
+    recording = only_present(recording)
+    if not (recording.points or recording.posed or (recording.seen is not None and len(recording.seen))):
+        raise NoHandFoundError(
+            f"{name}: no hand, of which {LEAST_POINTS} points or more are known, is in frames {numbers[0]} "
+            f"to {numbers[-1]}; choose other frames (--frames), or leave the choice out"
+        )
+    cameras = options.intrinsics, options.lens, recording.intrinsics
+    recording = before_camera(recording, placed=not kept or any(camera is not None for camera in cameras))
     for phrase in recording.assumed:
-        log.warning("%s: %s", media.source.name, phrase)
+        log.warning("%s: %s", name, phrase)
     return recording
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.landmark_model import VARIABLE
 from handfit_core.errors import OptionError
-from handfit_core.files import is_file
+from handfit_core.files import is_file, is_folder
 from handfit_core.hand_model.files import files_of_model
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import SOLVERS, get_solver
@@ -27,8 +27,8 @@ _MAKING = (
     *("reference", "into", "no_contacts"),
 )
 """Arguments that decide what is made, beside those of the capture"""
-_FILES = ("model", "landmark_model", "apply_to", "bones")
-"""Arguments that name files"""
+_FILES = ("model", "landmark_model", "apply_to", "bones", "keypoints")
+"""Arguments that name files, or folders of them"""
 _HERE = ("processes",)
 """Options of a capture that change nothing in its result: each machine has its own"""
 
@@ -109,15 +109,18 @@ def options_of(args: argparse.Namespace, order: Order) -> dict[str, Any]:
 
 
 def files_named(options: Mapping[str, Any]) -> list[str]:
-    """The files that a plan's options name, those of a hand model's both sides, and what stands for one that
-    they do not name."""
+    """The files that a plan's options name, those of a hand model's both sides, folders with keypoints, and
+    what stands for one that they do not name."""
     named = [(name, str(path)) for each in options.values() for name in _FILES if (path := each.get(name))]
     named.append(("landmark_model", os.environ.get(VARIABLE) or ""))
-    found = []
+    found: list[Path] = []
     for name, text in named:
         path = _file_of(text).expanduser()
-        found += files_of_model(path) if name == "model" else [path]
-    return [str(path.absolute()) for path in found if is_file(path)]
+        if name == "model":
+            found += filter(is_file, files_of_model(path))
+        elif is_file(path) or (name == "keypoints" and is_folder(path)):
+            found.append(path)
+    return [str(path.absolute()) for path in found]
 
 
 def _full(text: str) -> str:

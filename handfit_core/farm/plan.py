@@ -12,11 +12,13 @@ import datetime
 import errno
 import hashlib
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -25,7 +27,7 @@ from handfit_core.doors.values import shortly
 from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.folder import TaskFolder
 from handfit_core.farm.inputs import Input
-from handfit_core.files import read_file, samples, shown, why, written_whole
+from handfit_core.files import is_file, is_folder, read_file, samples, shown, why, written_whole
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
 from handfit_core.media.size_limit import claimed_frames
@@ -50,6 +52,8 @@ names, sizes and times are, since reading a thousand clips costs hours"""
 _READ_NAMED: Final = 64 << 20
 """The same of each file that the options name, such as a hand model: of these there are few, and machines may
 have copies of their own, whose times differ"""
+_MOST_FILES: Final = 100_000
+"""of a folder and its folders that are looked at"""
 _BYTES_OF_FRAME: Final = 15_000
 """of a video whose header does not tell its frames"""
 _FRAME: Final = 0.02
@@ -118,7 +122,8 @@ class Plan:
     overwrite: bool = False
     """Whether results replace those of other tasks that have their name"""
     files: tuple[tuple[str, str], ...] = ()
-    """Those that the options name, and what each held when the plan was made, as `check_files` compares it"""
+    """Those that the options name, folders too, and what each held when the plan was made, as `check_files`
+    compares it"""
     command: tuple[str, ...] = ()
     """What does tasks of this plan on the machine that made it, but for the name of the command"""
     made_by: str = __version__
@@ -323,14 +328,14 @@ def make_plan(
     parts_of: Callable[[Input], Sequence[str]] = lambda _: (),
     frames: FrameRange | None = None,
 ) -> Plan:
-    """A task for each input. `files`: those that the options name; what they hold counts too.
+    """A task for each input. `files`: those that the options name, and folders; what they hold counts too.
     `parts_of` gives the ranges of frames in which the hands of an input are found by tasks of their own, if
     any. `frames`: those that the options want of a clip.
 
     An input's own name is its results' name, unless that is taken: by another input, or by results of other
     tasks, which `overwrite` replaces. Then it gets -2, -3, ..., upper and lower case being equal.
     """
-    held = [fingerprint([Path(file)], _READ_NAMED) for file in files]
+    held = [fingerprint(_files_at(file), _READ_NAMED) for file in files]
     common = json.dumps([__version__, options, held], sort_keys=True)
     there = {path.name.lower(): path.name for path in output.iterdir()} if output.is_dir() else {}
     taken = set() if flat else {FOLDER, "report.json", "overview.html"}
@@ -417,16 +422,23 @@ def files_of(source: Sequence[str]) -> list[Path]:
     (first, *_) = source or ("",)
     if len(source) == 1 and is_pattern(first) and not Path(first).exists():
         return matching(Path(first))[0]
-    if len(source) == 1 and Path(first).is_dir():  # another program's, with a file a frame
-        return sorted(path for path in Path(first).iterdir() if path.is_file())
-    return [Path(part) for part in source]
+    return _files_at(first) if len(source) == 1 else [Path(part) for part in source]
+
+
+def _files_at(path: str) -> list[Path]:
+    """A file, or what lies in another program's folder and its folders, in the same order on any disk; links
+    to folders are not followed."""
+    if not is_folder(path):
+        return [Path(path)]
+    below = (Path(where, name) for where, _, names in os.walk(path) for name in names)
+    return sorted(islice(filter(is_file, below), _MOST_FILES))
 
 
 def check_files(named: Iterable[Sequence[str]]) -> None:
     """Raise OptionError where one of `Plan.files` holds something else than when the plan was made. Of one
     that is not there, who needs it says so."""
     for path, held in named:
-        if _size_and_time(Path(path))[0] >= 0 and fingerprint([Path(path)], _READ_NAMED) != held:
+        if _size_and_time(Path(path))[0] >= 0 and fingerprint(_files_at(path), _READ_NAMED) != held:
             raise OptionError(
                 f"{shown(path)}: holds something else than when the batch was planned; bring back what it "
                 "held, or start the batch again, which then does everything anew"

@@ -48,17 +48,16 @@ def detected_in(recording: Recording) -> Detected:
     assert recording.seen is not None
     hands = recording.seen.select(known(recording.seen.keypoints).sum(axis=1) >= LEAST_POINTS)
     frames: list[list[HandDetection]] = [[] for _ in recording.frame_numbers]
-    for part in slices(len(hands)):
+    for part in slices(len(hands)) if len(hands) else ():
         for row, detection in zip(hands.row[part], lifted(hands.select(part)), strict=True):
             frames[row].append(detection)
     return Detected([int(number) for number in recording.frame_numbers], [tuple(frame) for frame in frames])
 
 
 def tracks_of(recording: Recording, intrinsics: Intrinsics) -> list[DetectedTrack]:
-    """Each hand of points in space, as if it had been seen by that camera."""
-    middles = [np.nanmean(hand.points[hand.present], axis=1) for hand in recording.points]
-    offset = _before_camera(recording, middles)
-    return [_track_of(hand, hand.points + offset, intrinsics, recording.fps) for hand in recording.points]
+    """Each hand of points in space, as if it had been seen by that camera; it must lie before it
+    (`before_camera`)."""
+    return [_track_of(hand, hand.points, intrinsics, recording.fps) for hand in recording.points]
 
 
 def _track_of(hand: PointsHand, points: np.ndarray, intrinsics: Intrinsics, fps: float) -> DetectedTrack:
@@ -110,26 +109,48 @@ def _seen_point_by_point(
     )
 
 
-def posed_hands(recording: Recording) -> list[PosedHand]:
-    """The hands that are posed, all with a place before the camera."""
-    places = []
-    for hand in recording.posed:
-        place = [_APART / 2.0 if hand.side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE]
-        places.append(np.where(hand.present[:, None], place if hand.transl is None else hand.transl, np.nan))
-    offset = _before_camera(recording, [place[known(place)] for place in places])
-    return [replace(hand, transl=place + offset) for hand, place in zip(recording.posed, places, strict=True)]
+def only_present(recording: Recording) -> Recording:
+    """The recording without hands that are in none of its frames."""
+    seen = recording.seen
+    if seen is not None:
+        seen = seen.select(known(seen.keypoints).sum(axis=1) >= LEAST_POINTS)
+    points, posed = (
+        tuple(h for h in hands if h.present.any()) for hands in (recording.points, recording.posed)
+    )
+    return replace(recording, seen=seen, points=points, posed=posed)
 
 
-def _before_camera(recording: Recording, places: list[np.ndarray]) -> np.ndarray:
-    """(3,) metres that bring hands into a virtual camera's view; nothing where their camera is known.
+def before_camera(recording: Recording, *, placed: bool) -> Recording:
+    """The recording with its hands before a camera. Those without a place get one. Others stay where they are
+    if they are `placed`, that is, lie beside pictures or as a camera that is known has them, and not behind
+    it; else they are brought into a virtual camera's view, all by the same way, which `assumed` tells."""
+    posed = [replace(hand, transl=_place_of(hand)) for hand in recording.posed]
+    places = [hand.transl[hand.present] for hand in posed if hand.transl is not None]
+    places += [np.nanmean(hand.points[hand.present], axis=1) for hand in recording.points]
+    offset = _before_camera(np.concatenate(places), placed) if places else np.zeros(3)
+    if not offset.any():
+        return replace(recording, posed=tuple(posed))
+    way = ", ".join(f"{metres:.2f}" for metres in offset)
+    why = "behind the camera" if placed else "outside the view of a virtual camera"
+    return replace(
+        recording,
+        posed=tuple(replace(h, transl=h.transl + offset) for h in posed if h.transl is not None),
+        points=tuple(replace(hand, points=hand.points + offset) for hand in recording.points),
+        assumed=(*recording.assumed, f"its hands lie {why}: all are moved before it, by {way} m"),
+    )
 
-    places: (N, 3) metres of each hand, in the camera's axes.
-    """
-    found = [place for place in places if len(place)]
-    if recording.intrinsics is not None or not found:
-        return np.zeros(3)
-    low, high = (f(np.concatenate(found), axis=0) for f in (np.min, np.max))
-    if low[2] >= _NEAREST and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]:
+
+def _place_of(hand: PosedHand) -> np.ndarray:
+    """(T, 3) metres, before a virtual camera where nobody knows; NaN in frames without the hand."""
+    usual = [_APART / 2.0 if hand.side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE]
+    return np.where(hand.present[:, None], usual if hand.transl is None else hand.transl, np.nan)
+
+
+def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
+    """(3,) metres that bring hands at places (N, 3) into a camera's view; zeros for those that stay."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    in_view = low[2] >= _NEAREST and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
+    if in_view or (placed and np.median(places[:, 2]) > 0.0):
         return np.zeros(3)
     middle, reach = (low + high) / 2.0, (high - low).max() / 2.0
     return np.array([0.0, 0.0, VIRTUAL_DISTANCE + 2.0 * reach]) - middle

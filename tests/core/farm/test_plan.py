@@ -12,8 +12,8 @@ from handfit_core.errors import InputError, OptionError
 from handfit_core.farm.collect import Report
 from handfit_core.farm.commands import given_plans
 from handfit_core.farm.folder import TaskFolder, Watch, files_in
-from handfit_core.farm.inputs import expand
-from handfit_core.farm.plan import Plan, Task, check_files, make_plan, places_of, plans_in
+from handfit_core.farm.inputs import Input, expand
+from handfit_core.farm.plan import Plan, Task, check_files, files_of, make_plan, places_of, plans_in
 
 
 @pytest.fixture
@@ -255,6 +255,30 @@ def test_what_files_of_the_options_hold_counts(photos, tmp_path, size):
     check_files(back.files)  # who needs it says that it is gone
     moved = back.mapped([(str(tmp_path), str(tmp_path / "there"))])
     assert [path for path, _ in moved.files] == [str(tmp_path / "there" / "MANO_RIGHT.pkl")]
+
+
+def test_what_lies_in_folders_of_a_folder_counts(photos, tmp_path):
+    """Of another program's folder, be it the input or named by the options."""
+    nested = tmp_path / "hawor" / "cam_space" / "0" / "0_9.json"
+    nested.parent.mkdir(parents=True)
+    nested.write_text("1")
+    folder = tmp_path / "hawor"
+    assert files_of([str(folder)]) == [nested]
+
+    def ids() -> tuple[str, str]:
+        as_input = Input("hawor", "hawor", (str(folder),))
+        plan = make_plan([as_input], tmp_path / "out", {})
+        return plan.tasks[0].id, planned(photos, tmp_path / "out", files=[str(folder)]).tasks[0].id
+
+    first, named = ids(), planned(photos, tmp_path / "out", files=[str(folder)])
+    check_files(named.files)
+    assert ids() == first
+    nested.write_text("2")
+    assert not set(ids()) & set(first)
+    with pytest.raises(OptionError, match="hawor: holds something else"):
+        check_files(named.files)
+    nested.write_text("1")
+    check_files(named.files)
 
 
 def test_an_input_that_was_renamed_stands_in_the_report_once(photos, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,10 @@ from handfit_core.errors import InputError
 from handfit_core.interchange.opening import is_recording
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES
+from tests.conftest import ROOT
 from tests.core.interchange.known_hands import FRAMES, HANDS, assert_same_hand, hand_of, own_mano, read, says
+
+SEQUENCE = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 
 
 def clip(folder: Path, **changes: Any) -> Path:
@@ -51,6 +55,31 @@ def test_the_camera_space(tmp_path: Path, given: str) -> None:
     np.testing.assert_allclose(np.asarray(left.transl)[left.present], HANDS["left"].transl[left.present])
     assert says(recording, "count from 1")
     assert len(capture(path).hands) == 2
+
+
+def test_hands_lie_where_their_pictures_have_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Far to the side, where a virtual camera would not see them."""
+    aside = np.tile([0.3, 0.0, 0.5], (FRAMES, 1))
+    hands = {side: replace(hand, transl=aside) for side, hand in HANDS.items()}
+    monkeypatch.setattr("tests.core.interchange.test_hawor.HANDS", hands)
+    folder = clip(tmp_path / "video")
+    camera = [900.0, 900.0, 960.0, 540.0]
+    for take in (capture(SEQUENCE, keypoints=folder), capture(folder, intrinsics=camera)):
+        placed = read(folder).posed[0].transl
+        assert placed is not None
+        np.testing.assert_allclose(take.hands[0].transl[: FRAMES - 4], placed[: FRAMES - 4], atol=1e-9)
+    assert "moved" not in caplog.text
+    alone = capture(folder)
+    assert np.nanmin(alone.hands[0].transl[:, 2]) > 0.7
+    assert "outside the view of a virtual camera: all are moved before it, by -0.30, " in caplog.text
+
+
+def test_a_hand_that_is_not_in_the_wanted_frames_is_no_hand_of_the_take(tmp_path: Path) -> None:
+    """The left one is not in the fourth."""
+    take = capture(clip(tmp_path / "video"), frames="4")
+    assert [hand.side for hand in take.hands] == ["right"]
 
 
 def test_its_betas_fit_the_users_mano(tmp_path: Path) -> None:

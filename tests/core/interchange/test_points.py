@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handfit_core.__main__ import main
-from handfit_core.errors import InputError, OptionError
+from handfit_core.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.farm.inputs import expand
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.writers import writer_for
@@ -132,6 +132,28 @@ def test_a_file_of_no_known_format_is_described(tmp_path: Path, content: str) ->
     path.write_text(content)
     with pytest.raises(InputError, match=r"no hands or keypoints of a program that is known \(.*Points"):
         read_recording(path, CaptureOptions())
+
+
+@pytest.mark.parametrize("kind", ["keypoints_2d", "keypoints_3d"])
+def test_frames_without_the_hand_are_told_from_a_mistake(truth: Take, written: Path, kind: str) -> None:
+    """Alone, and beside pictures; and a hand that is in no wanted frame is none of the take."""
+    hand = json.loads(written.read_text(encoding="utf-8"))["hands"][0]
+    rows = [row if i < 5 else None for i, row in enumerate(hand[kind])]
+    changed(written, hands=[{"side": hand["side"], kind: rows}])
+    first, last = int(truth.frame_numbers[5]), int(truth.frame_numbers[9])
+    for source, more in ((written, {}), (str(SAMPLE / "hand.%04d.jpg"), {"keypoints": written})):
+        with pytest.raises(NoHandFoundError, match=f"is in frames {first} to {last}; choose other frames"):
+            capture(source, frames=f"{first}-{last}", **more)
+    other = "left" if hand["side"] == "right" else "right"
+    changed(written, hands=[{"side": hand["side"], kind: rows}, {"side": other, kind: hand[kind]}])
+    assert [h.side for h in capture(written, frames=f"{first}-{last}").hands] == [other]
+
+
+def test_regions_are_no_question_of_keypoints(written: Path) -> None:
+    with pytest.raises(OptionError, match=r"either regions.* or keypoints"):
+        CaptureOptions(keypoints=str(written), regions=((0, 0, 9, 9),))
+    with pytest.raises(OptionError, match="holds no pictures, in whose regions"):
+        capture(written, regions=["0,0,9,9"])
 
 
 def test_the_command_line_converts_and_tells(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.interchange.recording import PointsHand, Recording
-from handfit_core.interchange.taking import tracks_of
+from handfit_core.interchange.recording import PointsHand, PosedHand, Recording, SeenHands
+from handfit_core.interchange.taking import before_camera, detected_in, tracks_of
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers import TrackFit, get_solver
 from tests.core.fit.detections import model_of, poses
@@ -125,3 +126,40 @@ def test_a_point_that_is_never_there_is_no_matter() -> None:
     (fit,) = fitted([PointsHand("right", points)])
     others = np.arange(21) != 8
     assert off("right", fit, truth)[:, others].max() < 0.002
+
+
+def at(place: list[float], **more: Any) -> Recording:
+    """Two frames of a flat hand whose wrist is there."""
+    transl = np.tile(place, (2, 1))
+    hand = PosedHand("right", np.zeros((2, 3)), np.zeros((2, 45)), transl)
+    points = PointsHand("right", transl[:, None] + 0.01 * np.arange(21)[:, None])
+    return Recording("a", ("a",), 30.0, np.arange(1, 3), posed=(hand,), points=(points,), **more)
+
+
+def test_hands_whose_camera_is_known_stay_where_they_are() -> None:
+    """Far to the side, where a virtual camera would not see them."""
+    recording = before_camera(at([0.3, 0.0, 0.5]), placed=True)
+    np.testing.assert_array_equal(recording.posed[0].transl, [[0.3, 0.0, 0.5]] * 2)
+    np.testing.assert_array_equal(recording.points[0].points[:, 0], [[0.3, 0.0, 0.5]] * 2)
+    assert not recording.assumed
+
+
+@pytest.mark.parametrize(
+    ("place", "placed", "said"),
+    [([3.0, 1.0, 0.5], False, "outside the view"), ([0.0, 0.0, -2.0], True, "behind the camera")],
+)
+def test_hands_that_no_camera_sees_are_moved_together_and_that_is_said(
+    place: list[float], placed: bool, said: str
+) -> None:
+    recording = before_camera(at(place), placed=placed)
+    moved = np.asarray(recording.posed[0].transl)
+    assert (moved[:, 2] > 0.25).all()
+    np.testing.assert_allclose(recording.points[0].points[:, 0], moved)
+    assert said in recording.assumed[0]
+
+
+def test_no_hands_in_pictures_are_no_detections() -> None:
+    one = SeenHands(*(np.ones((1, *s)) for s in ((), (), (), (21, 2), (21,)))).select(slice(0))
+    found = detected_in(Recording("a", ("a",), 30.0, np.arange(3), seen=one))
+    assert found.numbers == [0, 1, 2]
+    assert found.frames == [(), (), ()]
