@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sized
+from collections.abc import Collection, Iterator, Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -79,12 +79,14 @@ def frame_files(document: Document) -> list[tuple[int, Path]]:
         ]
     around = {(file.stem[: match.start()], file.stem[match.end() :]) for match, file in numbered}
     if len(around) > 1:
-        first, second = sorted(around)[:2]
-        raise InputError(
-            f"{shown(document.path)}: its files belong to several clips ({first[0]}..{first[1]} and "
-            f"{second[0]}..{second[1]}, for example); give each its own folder"
-        )
+        raise InputError(f"{shown(document.path)}: {several_clips(around)}; give each its own folder")
     return sorted((int(match[0]), file) for match, file in numbered)
+
+
+def several_clips(around: Collection[tuple[str, ...]]) -> str:
+    """What is wrong with names that differ in more than their numbers, by what stands around these."""
+    first, second = ("..".join(each) for each in sorted(around)[:2])
+    return f"its frames belong to several clips ({first} and {second}, for example)"
 
 
 def first_content(document: Document) -> Any:

@@ -8,16 +8,18 @@ write no parameters, so that names vary: those of the network's output are known
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.doors.values import Unfit
+from handfit_core.files import shown
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.numbered import several_clips
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 
@@ -27,18 +29,23 @@ _RIGHT: Final = ("right", "is_right")
 _PLACE: Final = ("pred_cam_t_full", "cam_t_full", "cam_t")
 """Not pred_cam_t, which is HaMeR's for the crop alone"""
 _FRAME: Final = ("frame", "frames", "frame_id", "frame_ids", "frame_idx")
-_FOCAL: Final = ("scaled_focal_length", "focal_length")
+_FOCAL: Final = "scaled_focal_length"
+"""Not focal_length, which is HaMeR's and WiLoR's for the crop alone, 5000 pixels whatever the picture is"""
 _FOCAL_OF_SIZE: Final = 5000.0 / 256.0
 """HaMeR's and WiLoR's focal length, in longer sides of the picture"""
-_PERSON: Final = re.compile(r"(\d+)(?:_(\d+))?$")
+_NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
+_MOST_DIGITS: Final = 2
+"""of a hand's number in a file's name; longer ones are frames'"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
     """The hands of one dictionary."""
 
-    frame: int | None
     values: dict[str, Any]
+    frame: int | None = None
+    name: str | None = None
+    """That of its file or its key, where it has the frame's number"""
 
 
 def _flat(document_or_dict: Any) -> dict[str, Any]:
@@ -96,27 +103,51 @@ def _parts(document: Document) -> Iterator[_Part]:
     """The dictionaries with hands in a file, or in the files of a folder."""
     if document.is_folder:
         for path in document.files(*_SUFFIXES):
-            match = _PERSON.search(path.stem)
             for part in _parts(Document(path)):
-                yield _Part(part.frame if match is None else int(match[1]), part.values)
+                yield replace(part, name=path.stem) if _NUMBERS.search(path.stem) else part
         return
     names = document.names
     if names and not _numbered(names):
-        yield _Part(None, _flat(document))
+        yield _Part(_flat(document))
         return
     held = document.json if document.json is not None else document.objects
     if isinstance(held, dict):
         for name, value in held.items():
-            match = re.search(r"(\d+)\D*$", str(name))
+            key = str(name) if _NUMBERS.search(str(name)) else None
             for values in value if isinstance(value, list) else [value]:
                 if isinstance(values, dict):
-                    yield _Part(int(match[1]) if match else None, _flat(values))
+                    yield _Part(_flat(values), name=key)
     elif isinstance(held, list):
         for row, value in enumerate(held):
             for values in value if isinstance(value, list) else [value]:
                 if isinstance(values, dict):
                     of_row = row + 1 if isinstance(value, list) else None
-                    yield _Part(of_row, _flat(values))
+                    yield _Part(_flat(values), of_row)
+
+
+def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
+    """The frames that files or keys are of, by their last numbers, or by those before them where the last
+    ones count the hands of a picture. Raises Unfit for names of several clips."""
+    found = {name: [*_NUMBERS.finditer(name)] for name in names}
+    if not found:
+        return {}
+    around = {(name[: each[-1].start()], name[each[-1].end() :]) for name, each in found.items()}
+    if len(around) == 1:
+        if any(len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values()):
+            mano.tell(assumed, f"the last numbers in the names are the frames', as in {shown(min(names))}")
+        return {name: int(each[-1][0]) for name, each in found.items()}
+    if all(len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values()):
+        beside = {
+            (name[: each[-2].start()], name[each[-2].end() : each[-1].start()], name[each[-1].end() :])
+            for name, each in found.items()
+        }
+        if len(beside) == 1:
+            mano.tell(assumed, f"the last numbers in the names are the hands', as in {shown(min(names))}")
+            return {name: int(each[-2][0]) for name, each in found.items()}
+    raise Unfit(
+        f"{several_clips(around)}; give each its own folder, with names as frame_0001, or frame_0001_0 with "
+        "a hand's number"
+    )
 
 
 def _of(values: dict[str, Any], names: tuple[str, ...]) -> Any:
@@ -136,18 +167,25 @@ def _read(document: Document, asked: Asked, name: str, mirrored: bool) -> Record
     """`mirrored`: whether left hands are given as the right ones of a mirrored crop."""
     assumed: list[str] = []
     found: list[mano.FoundHand] = []
+    named: dict[str, list[mano.FoundHand]] = {}
     focals: list[float] = []
     size = asked.picture_size
     for part in _parts(document):
         if not _is_hand(part.values):
             continue
-        found += _hands_of(part, asked, mirrored, assumed)
-        focal, told = _of(part.values, _FOCAL), part.values.get("img_size")
+        hands = _hands_of(part, asked, mirrored, assumed)
+        if part.name is None or _of(part.values, _FRAME) is not None:
+            found += hands
+        else:
+            named.setdefault(part.name, []).extend(hands)
+        focal, told = part.values.get(_FOCAL), part.values.get("img_size")
         if focal is not None:
             focals += mano.numbers("the focal length", focal, 1)[:, 0].tolist()
         if told is not None and size is None:
             width, height = mano.numbers("img_size", told, 2)[0]
             size = int(width), int(height)
+    numbers = _by_names(named, assumed)
+    found += [replace(hand, frame=numbers[name]) for name, hands in named.items() for hand in hands]
     if not found:
         raise Unfit("there is no hand in it")
     frames = np.array(sorted({hand.frame for hand in found}))
@@ -228,7 +266,7 @@ def _hands_of(part: _Part, asked: Asked, mirrored: bool, assumed: list[str]) -> 
 
 
 def _frames(part: _Part, count: int, right: np.ndarray, assumed: list[str]) -> list[int]:
-    """Each hand's frame."""
+    """Each hand's frame; any where the part's name has it."""
     told = _of(part.values, _FRAME)
     if told is not None:
         rows = mano.numbers("frame", told, 1)[:, 0]
@@ -237,8 +275,8 @@ def _frames(part: _Part, count: int, right: np.ndarray, assumed: list[str]) -> l
         if len(rows) != count or not np.all(rows == np.round(rows)):
             raise Unfit(f"frame must be {count} whole numbers, one for each hand")
         return [int(row) for row in rows]
-    if part.frame is not None:
-        return [part.frame] * count
+    if part.frame is not None or part.name is not None:
+        return [part.frame or 0] * count
     if count > 1 and len(set(right)) == 1:
         mano.tell(assumed, "its rows were taken as one hand's frames, as it does not tell whose they are")
         return list(range(1, count + 1))

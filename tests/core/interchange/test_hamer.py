@@ -232,6 +232,75 @@ def test_two_persons_are_followed(tmp_path: Path) -> None:
         read(folder, person=3)
 
 
+NAMED: list[tuple[str, list[int], str]] = [
+    ("take2_{frame:04}", [1, 2, 3], ""),
+    ("frame_{frame:04}_hand_{hand}", [1, 2, 3], "the hands', as in frame_0001_hand_0"),
+    ("2024-05-17_{frame}", [1, 2, 3], "the frames', as in 2024-05-17_1"),
+    ("img_{frame:03}_{hand}_mano2", [], "several clips"),
+    ("img_{frame:03}_mano2", [1, 2, 3], "the hands'"),
+    (
+        "take{hand}_{frame:04}",
+        [],
+        r"several clips \(take0_\.\. and take1_\.\., for example\).*frame_0001_0 with",
+    ),
+]
+
+
+@pytest.mark.parametrize("kind", ["folder", "keys"])
+@pytest.mark.parametrize(("name", "frames", "said"), NAMED, ids=[each[0] for each in NAMED])
+def test_frames_by_their_names(tmp_path: Path, kind: str, name: str, frames: list[int], said: str) -> None:
+    """The last number is the frame's, or the hand's where the names differ in the one before it, too."""
+    content: dict[str, Any] = {}
+    for frame in range(3):
+        values = network(frame)
+        for row in range(2):
+            one: dict[str, Any] = {
+                k: v[row : row + 1] for k, v in values.items() if isinstance(v, np.ndarray)
+            }
+            one["pred_mano_params"] = {k: v[row : row + 1] for k, v in values["pred_mano_params"].items()}
+            content.setdefault(name.format(frame=frame + 1, hand=row), []).append(one)
+    if kind == "keys":
+        path = tmp_path / "hands.json"
+        path.write_text(json.dumps(listed(content)), encoding="utf-8")
+    else:
+        path = tmp_path / "folder"
+        path.mkdir()
+        for called, hands in content.items():
+            (path / f"{called}.json").write_text(json.dumps(listed(hands)), encoding="utf-8")
+    if not frames:
+        with pytest.raises(InputError, match=said):
+            read(path)
+        return
+    recording = read(path)
+    assert recording.frame_numbers.tolist() == frames
+    assert [hand.present.tolist() for hand in recording.posed] == [[True] * 3] * 2
+    assert any("the last numbers" in phrase for phrase in recording.assumed) == bool(said)
+    assert said in " ".join(recording.assumed)
+
+
+def test_points_beside_hands_are_passed_over(tmp_path: Path) -> None:
+    """HaMeR's demo keeps such arrays beside its pictures."""
+    folder = in_files(tmp_path / "dump", "npz of objects a hand")
+    np.save(folder / "000001_0_3dkeypoints.npy", np.zeros((1, 21, 3)))
+    assert read(folder).frame_numbers.tolist() == list(range(1, FRAMES + 1))
+
+
+def test_the_focal_length_of_a_crop_is_not_the_pictures(tmp_path: Path) -> None:
+    """HaMeR's and WiLoR's own output has 5000 pixels for the crop of 256, whatever the picture is."""
+    frames = {f"{n:04}": {**network(n), "focal_length": np.full((2, 2), 5000.0)} for n in range(FRAMES)}
+    path = tmp_path / "hamer.json"
+    path.write_text(json.dumps(listed(frames)), encoding="utf-8")
+    camera = read(path, picture_size=(1280, 720)).intrinsics
+    assert camera is not None
+    assert camera.fx == pytest.approx(FOCAL)
+    for values in frames.values():
+        values["scaled_focal_length"] = 900.0
+    path.write_text(json.dumps(listed(frames)), encoding="utf-8")
+    camera = read(path, picture_size=(1280, 720)).intrinsics
+    assert camera is not None
+    assert camera.fx == 900.0
+
+
 def test_betas_fit_the_users_mano(tmp_path: Path) -> None:
     model = own_mano(tmp_path / "mano")
     recording = read(in_files(tmp_path / "dump", "JSON by picture"), model=str(model))
