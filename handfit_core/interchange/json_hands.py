@@ -35,6 +35,7 @@ _SIDES: Final = (
     "hand",
     "chirality",
 )
+_CHIRALITY: Final = {-1: SIDES[0], 1: SIDES[1]}
 _SCORES: Final = ("score", "confidence", "handednessscore")
 _WITHIN: Final = ("result", "results", "hands", "observations", "detections")
 _MOST_HANDS: Final = 1000
@@ -91,15 +92,21 @@ def hands_in(content: Any, depth: int = 0) -> Iterator[JsonHand]:
                 yield from hands_in(of[within], depth + 1)
                 return
         return
-    told = _told(of)
     points, world = (_as_hands(of.get(k)) if k else [] for k in (key, world_key))
-    labels = told if isinstance(told, list) else [told]
     mirrored = True if key == _LEGACY else False if {"handlandmarks", "handednesses"} & set(of) else None
-    yield from _several(points, world, labels, of, mirrored=mirrored)
+    yield from _several(points, world, _told(of), of, mirrored=mirrored)
 
 
-def _told(of: Mapping[str, Any]) -> Any:
-    return next((of[key] for key in _SIDES if of.get(key) is not None), None)
+def _told(of: Mapping[str, Any]) -> list[Any]:
+    """What is told of each hand's side. Only Apple's chirality tells it by a number: others count hands."""
+    for key in _SIDES:
+        told = of.get(key)
+        labels = told if isinstance(told, list) else [told]
+        if key == "chirality":
+            labels = [_CHIRALITY.get(label, label) if type(label) is int else label for label in labels]
+        if any(label is not None and not isinstance(label, int | float) for label in labels):
+            return labels
+    return []
 
 
 def _several(
@@ -117,13 +124,11 @@ def _several(
 
 
 def _label(entry: Any) -> tuple[Side | None, float | None]:
-    """The side and how sure it is, of a text, of Apple's -1 and 1, or of MediaPipe's categories."""
+    """The side and how sure it is, of a text or of MediaPipe's categories."""
     while isinstance(entry, list):
         entry = entry[0] if entry else None
     if isinstance(entry, str):
         return side_named(entry), None
-    if isinstance(entry, int) and not isinstance(entry, bool):
-        return SIDES[0] if entry == -1 else SIDES[1] if entry == 1 else None, None
     of = keyed(entry)
     if "classification" in of:
         return _label(of["classification"])

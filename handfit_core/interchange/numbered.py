@@ -66,21 +66,31 @@ class JsonFrames:
     assumed: tuple[str, ...] = ()
 
 
-def frame_files(document: Document) -> list[tuple[int, Path]]:
-    """The JSON files of a folder with the frames' numbers, which are the last numbers in their names; counted
-    from 1 where they have none. Raises InputError for files of several sequences."""
+def frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str, ...]]:
+    """The JSON files of a folder with the frames' numbers, which are the last numbers in their names, and
+    what was assumed. Where most have one, the others are left out; where most have none, all are counted from
+    1. Raises InputError for files of several sequences."""
     files = document.files(".json")
-    found = [(_LAST_NUMBER.search(file.stem), file) for file in files]
-    numbered = [(match, file) for match, file in found if match and len(match[0]) <= _LONGEST_NUMBER]
-    if len(numbered) < len(files) or len(files) == 1:
-        return [
-            (int(match[0]) if match and len(files) == 1 else i, file)
-            for i, (match, file) in enumerate(found, 1)
-        ]
+    numbered = [(match, file) for file in files if (match := _number_of(file))]
+    assumed: tuple[str, ...] = ()
+    if others := [file for file in files if not _number_of(file)]:
+        which = f"{shown(others[0].name)} has no number in its name"
+        if len(others) > 1:
+            which = f"{shown(others[0].name)} and {len(others) - 1} more have no number in their names"
+        if len(others) >= len(numbered):
+            said = f"{which}: frames are counted from 1, by the names"
+            return list(enumerate(files, 1)), (said,) if len(files) > 1 else ()
+        assumed = (f"{which}: left out",)
     around = {(file.stem[: match.start()], file.stem[match.end() :]) for match, file in numbered}
     if len(around) > 1:
         raise InputError(f"{shown(document.path)}: {several_clips(around)}; give each its own folder")
-    return sorted((int(match[0]), file) for match, file in numbered)
+    return sorted((int(match[0]), file) for match, file in numbered), assumed
+
+
+def _number_of(file: Path) -> re.Match[str] | None:
+    """The last number in its name."""
+    match = _LAST_NUMBER.search(file.stem)
+    return match if match and len(match[0]) <= _LONGEST_NUMBER else None
 
 
 def several_clips(around: Collection[tuple[str, ...]]) -> str:
@@ -90,11 +100,12 @@ def several_clips(around: Collection[tuple[str, ...]]) -> str:
 
 
 def first_content(document: Document) -> Any:
-    """What a document's JSON is, or that of a folder's first JSON file; None without one."""
+    """What a document's JSON is, or that of a folder's first JSON file, of those with a number if there are
+    any; None without one."""
     if not document.is_folder:
         return document.json if document.json is not None else document.lines
     files = document.files(".json")
-    return Document(files[0]).json if files else None
+    return Document(min(files, key=lambda file: not _number_of(file))).json if files else None
 
 
 def some_contents(document: Document) -> Iterator[Any]:
@@ -110,7 +121,7 @@ def frames_of(document: Document) -> JsonFrames:
     """The frames of a folder of JSON files, of a list, of an object with a list or with frames by their
     numbers, or of a single frame. Raises InputError."""
     if document.is_folder:
-        files = frame_files(document)
+        files, assumed = frame_files(document)
         contents = []
         for _, file in files:
             content = Document(file).json
@@ -118,10 +129,6 @@ def frames_of(document: Document) -> JsonFrames:
                 raise InputError(f"{shown(file)}: this file of the sequence is no JSON, or a damaged one")
             contents.append(content)
         numbers = np.array([number for number, _ in files])
-        unnamed = len(files) > 1 and not all(_LAST_NUMBER.search(file.stem) for _, file in files)
-        assumed = (
-            ("some files' names have no number: frames are counted from 1, by the names",) if unnamed else ()
-        )
         return _in_order(document, numbers, contents, {}, assumed)
     content = first_content(document)
     header = keyed(content)

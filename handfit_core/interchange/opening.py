@@ -131,6 +131,7 @@ def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Rec
     try:
         with READERS.blamed(name):
             recording = reader.read(document, Asked(**{name: getattr(options, name) for name in _ASKED}))
+            recording = replace(recording, size=recording.size or options.picture_size)
             recording = _with_rate(recording, options.fps)
             recording.check()
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
@@ -152,19 +153,12 @@ def _with_rate(recording: Recording, fps: float | None) -> Recording:
 def beside(media: Media, recording: Recording) -> Recording:
     """A recording of those pictures, whose rows and pixels are theirs: a frame that it lacks has no hands.
 
-    Its frames are told by their numbers. Where these count from 0, as other programs do, and the pictures'
-    from 1, each is the next one's; where they are counted, as many as there are pictures, and none has a
-    picture's number, they are in the pictures' order. Raises InputError where none is of these pictures, and
-    for keypoints most of which lie outside them.
+    Which frame is which picture's is decided by all of the source's pictures, of which a part may be wanted
+    (`_as_numbered`), and said in `assumed`. Raises InputError where none is of these pictures, and for
+    keypoints most of which lie outside them.
     """
     numbers = np.asarray(media.numbers(0, media.expected_frames or None))
-    theirs = np.asarray(recording.frame_numbers)
-    if len(numbers) == 1 == len(theirs):
-        theirs = numbers
-    elif theirs[0] == 0 and (numbers[0] == 1 or media.source.kind == "video"):
-        theirs = theirs + 1
-    elif theirs[0] in (0, 1) and len(theirs) == len(numbers) and not np.isin(theirs, numbers).any():
-        theirs = numbers
+    theirs, taken = _as_numbered(media.all_numbers(), np.asarray(recording.frame_numbers))
     if not np.isin(theirs, numbers).any():
         raise InputError(
             f"{shown(recording.files[0])}: its frames are {theirs[0]} to {theirs[-1]}, and the pictures' are "
@@ -174,11 +168,33 @@ def beside(media: Media, recording: Recording) -> Recording:
     common, here, there = np.intersect1d(numbers, theirs, return_indices=True)
     assert len(common)
     rows[here] = there
-    assumed = tuple(phrase for phrase in recording.assumed if phrase != NO_RATE)
+    assumed = (*(phrase for phrase in recording.assumed if phrase != NO_RATE), *taken)
     recording = replace(at_rows(recording, rows, numbers), fps=media.fps, assumed=assumed)
     recording = scaled(recording, media.width, media.height)
     _check_inside(recording)
     return recording
+
+
+def _as_numbered(pictures: Sequence[int], frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The pictures' numbers of a recording's frames (T,), and what was assumed for it.
+
+    Frames without gaps from 0 or 1, as many as there are pictures, are in the pictures' order, whatever the
+    pictures' numbers are. Others that count from 0, which no picture does, are counted along the pictures.
+    All others have the pictures' numbers.
+    """
+    if len(pictures) == 1 == len(frames):
+        return np.array(pictures), ()
+    first, last = int(frames[0]), int(frames[-1])
+    taken, why = frames, "by their numbers"
+    if first in (0, 1) and len(frames) == len(pictures) == last - first + 1:
+        taken, why = np.array(pictures), "as there are as many of both"
+    elif first == 0 != pictures[0] and last < len(pictures):
+        taken, why = np.array([pictures[i] for i in frames.tolist()]), "as it counts from 0"
+    elif first == 0 and pictures[0] == 1:
+        taken, why = frames + 1, "as it counts from 0"
+    elif pictures[0] == 1 <= first and last < pictures[-1]:
+        why += "; if it counts from 0, give it a frame 0 without hands"
+    return taken, (f"its frame {first} is taken for the pictures' frame {taken[0]}, {why}",)
 
 
 _MARGIN: Final = 0.25

@@ -47,6 +47,7 @@ _POINTS: Final = (
 _SCORES: Final = ("score", "handednessscore", "handscore")
 _SURE: Final = ("confidence", "visibility", "likelihood", "conf", "presence", "score")
 _AXES: Final = "xyz"
+_NUMBER: Final = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 LEAST_NAMED: Final = 6
 """Points that a table's columns must name before it counts as one of hands"""
 
@@ -137,16 +138,17 @@ def _column(table: Table, names: tuple[str, ...]) -> str | None:
 
 
 def _frames(table: Table) -> np.ndarray | None:
-    """(R,) the frame of each row; of a text, its last number."""
+    """(R,) the frame of each row; of a text such as a file's name, its last number. Raises ValueError."""
     name = _column(table, _FRAMES)
     if name is None:
         return None
     numbers = []
     for text in table.texts(name):
-        found = re.findall(r"-?\d+", text.removesuffix(".0")[:300])
-        if not found or len(found[-1]) > 15:
+        found = [text] if _NUMBER.fullmatch(text) else re.findall(r"\d+", text[:300])
+        value = float(found[-1][:300]) if found else np.nan
+        if not (value == np.round(value) and abs(value) < 2**53):
             raise ValueError(f"the column {name} holds {text[:40]!r}, which is no frame's number")
-        numbers.append(int(found[-1].lstrip("-")))
+        numbers.append(int(value))
     return np.array(numbers)
 
 

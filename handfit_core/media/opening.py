@@ -173,7 +173,13 @@ def _open_pictures(files: list[Path], wanted: Wanted, what: str, numbers: list[i
             f"{what}: no picture lies in frames {wanted.frames}; its frames are "
             f"{ordered[0][0]}-{ordered[-1][0]}"
         )
-    return Pictures([f for _, f in chosen], [n for n, _ in chosen], wanted, kind="sequence")
+    return Pictures(
+        [f for _, f in chosen],
+        [n for n, _ in chosen],
+        wanted,
+        kind="sequence",
+        all_numbers=[n for n, _ in ordered],
+    )
 
 
 def _photo(path: Path, wanted: Wanted) -> Media:

@@ -96,8 +96,18 @@ def _rows_rgb8(pixels: np.ndarray) -> np.ndarray:
 class Pictures(Media):
     """A photo or an image sequence."""
 
-    def __init__(self, files: list[Path], numbers: list[int], wanted: Wanted, *, kind: SourceKind) -> None:
+    def __init__(
+        self,
+        files: list[Path],
+        numbers: list[int],
+        wanted: Wanted,
+        *,
+        kind: SourceKind,
+        all_numbers: list[int] | None = None,
+    ) -> None:
+        """`all_numbers`: also those of pictures that are not wanted; None: all are."""
         self._files, self._numbers = files, numbers
+        self._all_numbers = all_numbers or numbers
         self._max_megapixels = common_limit(files, wanted.max_megapixels)
         frames = wanted.frames
         self._first_number = frames.first if frames.first is not None else numbers[0]
@@ -122,6 +132,10 @@ class Pictures(Media):
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
         """As `Media.numbers`."""
         return self._numbers[first:][:count]
+
+    def all_numbers(self) -> Sequence[int]:
+        """As `Media.all_numbers`."""
+        return self._all_numbers
 
     def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
         """As `Media.frames`. Raises InputError for a picture of another size."""

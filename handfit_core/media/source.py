@@ -97,6 +97,10 @@ class Media:
         """Their numbers, as far as they are known without reading: a video may have fewer."""
         raise NotImplementedError
 
+    def all_numbers(self) -> Sequence[int]:
+        """The numbers of all its frames, whatever part of them is wanted, as far as they are known."""
+        return self.numbers(0, self.expected_frames or None)
+
     def close(self) -> None:
         """Let go of the file. What is read afterwards opens it again."""
 

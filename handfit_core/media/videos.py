@@ -91,6 +91,10 @@ class Video(Media):
         """As `Media.numbers`."""
         return self._range.within(1, sys.maxsize)[first:][:count]
 
+    def all_numbers(self) -> range:
+        """As `Media.all_numbers`."""
+        return range(1, self._count + 1 if self._count else sys.maxsize)
+
     def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
         """As `Media.frames`; a video that breaks off there is told in a warning.
 

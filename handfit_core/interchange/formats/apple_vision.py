@@ -17,7 +17,7 @@ from handfit_core.interchange.document import Document
 from handfit_core.interchange.gather import Gathering, ToldHands, check_some, seen_hands, with_sides
 from handfit_core.interchange.json_hands import hands_in
 from handfit_core.interchange.numbered import frames_of, size_in, some_contents
-from handfit_core.interchange.opening import RELATIVE
+from handfit_core.interchange.opening import RELATIVE, scaled
 from handfit_core.interchange.point_names import is_apple
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
@@ -79,28 +79,28 @@ def _read(document: Document, asked: Asked) -> Recording:
         hands = gathered.hands()
     check_some(hands, f"{path}: Apple Vision's points")
     hands, sides = with_sides(hands, asked.hands, None)
-    hands, size, said = _upright(hands, size, asked)
-    return Recording(
+    hands, relative, said = _upright(hands)
+    made = Recording(
         "apple-vision",
         (str(document.path.absolute()),),
         asked.fps or fps,
         numbers,
         seen_hands(hands),
-        size=size,
+        size=RELATIVE if relative else size,
         assumed=(*assumed, *said, *sides),
     )
+    return made if size is None else scaled(made, *size)
 
 
-def _upright(
-    hands: ToldHands, size: tuple[int, int] | None, asked: Asked
-) -> tuple[ToldHands, tuple[int, int] | None, tuple[str, ...]]:
-    """The hands counted from the upper left corner, in pixels of a size or in parts of it."""
+def _upright(hands: ToldHands) -> tuple[ToldHands, bool, tuple[str, ...]]:
+    """The hands counted from the upper left corner, whether they are in parts of the picture's size, and what
+    was assumed."""
     if np.nanmax(np.abs(hands.in_plane)) > _FARTHEST:
         said = "its points are pixels, which are taken to count from the upper left corner"
-        return hands, size or asked.picture_size, (said,)
+        return hands, False, (said,)
     points = hands.points.copy()
     points[..., 1] = 1.0 - points[..., 1]
-    return replace(hands, points=points), RELATIVE, ()
+    return replace(hands, points=points), True, ()
 
 
 READER = Reader(

@@ -182,7 +182,7 @@ def _recording(
             points = hands.points.copy()
             points[..., 2] = deep * width[0] if width is not None else np.nan
             hands = replace(hands, points=points)
-        seen, size = seen_hands(hands), size or asked.picture_size
+        seen = seen_hands(hands)
     else:
         seen = seen_hands(hands) if size is None else seen_hands(hands, size)
         size = size or RELATIVE

@@ -114,7 +114,6 @@ def _read(document: Document, asked: Asked) -> Recording:
         asked.rate,
         frames.numbers,
         seen_hands(hands),
-        size=asked.picture_size,
         assumed=(*frames.assumed, *hidden, *sides),
     )
 

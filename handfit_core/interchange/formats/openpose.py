@@ -24,9 +24,9 @@ from handfit_core.interchange.gather import (
     without_hidden,
 )
 from handfit_core.interchange.numbered import first_content, frames_of, keyed, size_in
-from handfit_core.interchange.opening import RELATIVE
+from handfit_core.interchange.opening import RELATIVE, scaled
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.recording import Asked, Recording, known
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 LEAST_MEAN: Final = 0.2
@@ -77,15 +77,17 @@ def _read(document: Document, asked: Asked) -> Recording:
     hands, hidden = without_hidden(gathered.hands(), LEAST_MEAN)
     check_some(hands, f"{path}: OpenPose's people")
     hands, relative, assumed = _unscaled(hands, np.concatenate(everything))
-    return Recording(
+    canvas = size_in(keyed(frames.contents[0]), "canvas")
+    made = Recording(
         "openpose",
         (str(document.path.absolute()),),
         asked.rate,
         frames.numbers,
         seen_hands(hands),
-        size=RELATIVE if relative else size_in(keyed(frames.contents[0]), "canvas") or asked.picture_size,
+        size=RELATIVE if relative else canvas,
         assumed=(*frames.assumed, *assumed, *hidden),
     )
+    return made if canvas is None else scaled(made, *canvas)
 
 
 def _triples(numbers: Any) -> np.ndarray:
@@ -102,7 +104,7 @@ def _unscaled(hands: ToldHands, points: np.ndarray) -> tuple[ToldHands, bool, tu
     `points` (N, 3): all that is told of anybody. With --keypoint_scale 4, from -1 to 1, a missing point lies
     at (-1, -1) with a confidence of 0, and with the others at (0, 0).
     """
-    trusted = points[points[:, 2] > 0.0, :2]
+    trusted = points[(points[:, 2] > 0.0) & known(points[:, :2]), :2]
     if np.abs(trusted).max() > _FARTHEST:
         return hands, False, ()
     missing = points[points[:, 2] == 0.0, :2]

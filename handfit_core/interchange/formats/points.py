@@ -16,8 +16,7 @@ from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording, SeenHands, known
 from handfit_core.interchange.writers import Writer
-from handfit_core.media.source import DEFAULT_FPS
-from handfit_core.skeleton import KEYPOINT_NAMES, NUM_KEYPOINTS, Side
+from handfit_core.skeleton import KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.take import LARGEST, Take
 
 FORMAT_NAME: Final = "handfit-points"
@@ -36,6 +35,8 @@ def _read(document: Document, _asked: Asked) -> Recording:
         )
     numbers = np.array([whole("frames", n) for n in header["frames"]])
     hands: list[tuple[Side, dict[str, Any]]] = [(hand["side"], hand) for hand in header["hands"]]
+    if any(side not in SIDES for side, _ in hands):
+        raise ValueError("a hand's side is neither left nor right")
     size, camera = None, None
     if "width" in header:
         size = whole("width", header["width"], 1, 1 << 24), whole("height", header["height"], 1, 1 << 24)
@@ -46,7 +47,7 @@ def _read(document: Document, _asked: Asked) -> Recording:
     in_space = bool(hands) and all("keypoints_3d" in hand for _, hand in hands)
     seen = None if in_space else _seen(hands, count)
     points = [PointsHand(side, _points(hand["keypoints_3d"], count, 3)) for side, hand in hands if in_space]
-    fps = number("fps", header.get("fps", DEFAULT_FPS), 1e-3, 1e6)
+    fps = number("fps", header["fps"], 1e-3, 1e6) if "fps" in header else 0.0
     files = (str(document.path.absolute()),)
     return Recording("points", files, fps, numbers, seen, tuple(points), size=size, intrinsics=camera)
 

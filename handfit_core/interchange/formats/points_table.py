@@ -80,7 +80,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         gathered.add(int(row[mine[0]]), plane, told[int(hands[mine[0]])], certain)
     seen = gathered.hands()
     check_some(seen, f"{document.path.name}: a table of points")
-    return replace(made, seen=seen_hands(seen), size=made.size or asked.picture_size)
+    return replace(made, seen=seen_hands(seen))
 
 
 def _whole(table: Table, column: str) -> np.ndarray:

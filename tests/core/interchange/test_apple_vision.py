@@ -71,6 +71,15 @@ def test_dictionaries_of_points(tmp_path: Path, names: list[str], chirality: dic
     assert np.allclose(recording.seen.confidence, 0.8)
 
 
+def test_parts_of_a_size_that_is_told_become_pixels(tmp_path: Path) -> None:
+    points = {n: [x, y, 0.6] for n, (x, y) in zip(CODES, normalised("left", 0).tolist(), strict=True)}
+    content = {"width": WIDTH, "height": HEIGHT, "frames": [{"frame": 1, "chirality": "left", **points}]}
+    recording = read(saved(tmp_path / "hands.json", content))
+    assert recording.seen is not None
+    assert recording.size == (WIDTH, HEIGHT)
+    assert np.abs(recording.seen.keypoints[0] - TOLD.pixels["left"][0]).max() < 1e-6
+
+
 def test_lists_end_with_the_confidence_and_missing_points_have_none(tmp_path: Path) -> None:
     points = {n: [x, y, 0.6] for n, (x, y) in zip(CODES, normalised("left", 0).tolist(), strict=True)}
     points["VNHLKITIP"] = [0.0, 1.0, 0.0]

@@ -242,6 +242,23 @@ def test_without_depth_the_layout_tells(
     assert any("multi_handedness" in phrase for phrase in recording.assumed) == swapped
 
 
+@pytest.mark.parametrize("key", ["hand", "type", "label", "handedness"])
+def test_hands_that_are_counted_are_no_sides(tmp_path: Path, key: str) -> None:
+    """A side that is asked for is that of hands of unknown side; chirality tells it by -1 and 1."""
+    hands = [{key: i, "landmarks": landmarks("right", 0).tolist()} for i in (-1, 0, 1)]
+    path = tmp_path / "hands.json"
+    path.write_text(json.dumps([{"hands": hands}]))
+    recording = read(path, hands="left")
+    assert recording.seen is not None
+    assert recording.seen.left.tolist() == [True] * 3
+    for hand, side in zip(hands, (-1, 1, 1), strict=True):
+        hand["chirality"] = side
+    path.write_text(json.dumps([{"hands": hands}]))
+    recording = read(path, reader="apple-vision")
+    assert recording.seen is not None
+    assert recording.seen.left.tolist() == [True, False, False]
+
+
 def test_world_landmarks_alone_are_hands_in_space(tmp_path: Path) -> None:
     frames = [
         {"handedness": list(SIDES), "world_landmarks": [TOLD.world[s][i].tolist() for s in SIDES]}
@@ -277,6 +294,21 @@ def test_a_row_for_each_hand(tmp_path: Path, first: int) -> None:
     recording = read(table(tmp_path / "a.csv", ["frame", "handedness", *wide(first)], rows))
     assert recording.frame_numbers.tolist() == list(range(FRAMES))
     assert worst(recording) < 0.01
+
+
+@pytest.mark.parametrize("written", ["{:.6f}", "{:.18e}", "{}.0", "frame_2.1_{:05d}.png", "{:04d}"])
+def test_frames_numbers_as_they_are_written(tmp_path: Path, written: str) -> None:
+    rows = [[written.format(i + 9), side, *landmarks(side, i).ravel()] for i, side in each()]
+    recording = read(table(tmp_path / "a.csv", ["frame", "hand", *wide(0)], rows))
+    assert recording.frame_numbers.tolist() == list(range(9, 9 + FRAMES))
+    assert worst(recording) < 0.01
+
+
+@pytest.mark.parametrize("cell", ["1.5", "1e-3", "1e400", "1e17", "first", ""])
+def test_frames_that_are_no_whole_numbers(tmp_path: Path, cell: str) -> None:
+    rows = [[cell, "left", *landmarks("left", 0).ravel()]]
+    with pytest.raises(InputError, match="no frame's number"):
+        read(table(tmp_path / "a.csv", ["frame", "hand", *wide(0)], rows))
 
 
 def test_columns_by_names_with_and_without_a_side(tmp_path: Path) -> None:

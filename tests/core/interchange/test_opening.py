@@ -11,6 +11,11 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError, NoHandFoundError
+from handfit_core.interchange.opening import beside, read_recording
+from handfit_core.interchange.recording import Recording
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.take import Take
 from tests.conftest import ROOT
@@ -60,11 +65,63 @@ def test_a_sequence_whose_numbers_the_keypoints_have(tmp_path: Path) -> None:
     assert apart(take, range(2, 6)) < 1e-6
 
 
+def numbered(path: Path, first: int, count: int = COUNT) -> Path:
+    """The sample's first pictures, numbered from `first`."""
+    path.mkdir()
+    for i in range(count):
+        shutil.copy(SAMPLE / f"hand.{i + 1:04d}.jpg", path / f"shot.{i + first:04d}.jpg")
+    return path
+
+
+def laid_beside(pictures: Path, keypoints: Path, frames: str | None = None) -> Recording:
+    media = open_media(pictures, FrameRange.parse(frames) if frames else None)
+    return beside(media, read_recording(keypoints, CaptureOptions()))
+
+
+def samples(recording: Recording) -> dict[int, int]:
+    """Which of the sample's frames, counted from 0, each picture with a hand has the keypoints of."""
+    assert recording.seen is not None
+    numbers = recording.frame_numbers[recording.seen.row].tolist()
+    rows = [int(np.abs(PIXELS - hand).max(axis=(1, 2)).argmin()) for hand in recording.seen.keypoints]
+    return dict(zip(numbers, rows, strict=True))
+
+
+@pytest.mark.parametrize(("pictures", "keypoints"), [(1, 0), (1, 1), (0, 1), (3, 0), (3, 1), (1001, 0)])
+def test_a_part_of_a_sequence_has_its_own_frames_keypoints(
+    tmp_path: Path, pictures: int, keypoints: int
+) -> None:
+    shot, path = numbered(tmp_path / "shot", pictures), openpose(tmp_path / "op", range(COUNT), keypoints)
+    assert samples(laid_beside(shot, path)) == {pictures + i: i for i in range(COUNT)}
+    part = laid_beside(shot, path, f"{pictures + 2}-{pictures + 3}")
+    assert samples(part) == {pictures + 2: 2, pictures + 3: 3}
+    said = f"its frame {keypoints} is taken for the pictures' frame {pictures}, as there are as many of both"
+    assert said in part.assumed
+
+
+def test_keypoints_of_some_of_a_sequence(tmp_path: Path) -> None:
+    shot = numbered(tmp_path / "shot", 3)
+    recording = laid_beside(shot, openpose(tmp_path / "from_0", range(3)))
+    assert samples(recording) == {3: 0, 4: 1, 5: 2}
+    assert "its frame 0 is taken for the pictures' frame 3, as it counts from 0" in recording.assumed
+    recording = laid_beside(shot, openpose(tmp_path / "by_number", range(2), first=4))
+    assert samples(recording) == {4: 0, 5: 1}
+    assert "its frame 4 is taken for the pictures' frame 4, by their numbers" in recording.assumed
+    with pytest.raises(InputError, match="its frames are 4 to 4, and the pictures' are 5 to 5"):
+        laid_beside(shot, openpose(tmp_path / "one", range(1), first=4), "5")
+
+
+def test_keypoints_that_may_count_from_0_are_doubted(tmp_path: Path) -> None:
+    """The first frames have no hand, and the file tells nothing of them."""
+    shot, path = numbered(tmp_path / "shot", 1), openpose(tmp_path / "op", range(2, 4), first=2)
+    recording = laid_beside(shot, path)
+    assert samples(recording) == {2: 2, 3: 3}
+    assert any("if it counts from 0, give it a frame 0 without" in phrase for phrase in recording.assumed)
+    (path / "clip_000000000000_keypoints.json").write_text(json.dumps({"people": []}))
+    assert samples(laid_beside(shot, path)) == {3: 2, 4: 3}
+
+
 def test_a_sequence_from_1001_and_keypoints_that_are_counted(tmp_path: Path) -> None:
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
-    for i in range(COUNT):
-        shutil.copy(SAMPLE / f"hand.{i + 1:04d}.jpg", pictures / f"shot.{i + 1001}.jpg")
+    pictures = numbered(tmp_path / "pictures", 1001)
     take = capture(pictures, keypoints=openpose(tmp_path / "op", range(COUNT)))
     assert take.frame_numbers.tolist() == list(range(1001, 1001 + COUNT))
     assert apart(take, range(COUNT)) < 1e-6

@@ -167,7 +167,41 @@ def test_files_without_numbers_are_counted(tmp_path: Path) -> None:
     assert recording.seen is not None
     left = recording.seen.keypoints[recording.seen.left]
     assert np.abs(left - TOLD.pixels["left"][:2]).max() < 0.01
-    assert any("have no number" in phrase for phrase in recording.assumed)
+    assert any("a.json and 1 more have no number" in phrase for phrase in recording.assumed)
+
+
+def test_files_that_are_no_frames_are_left_out_by_name(tmp_path: Path) -> None:
+    """A camera's parameters lie in OpenPose's folders, too."""
+    path = folder(tmp_path / "op", [[person(i)] for i in range(FRAMES)])
+    for content in ({"people": []}, {"intrinsics": [1.0]}):
+        (path / "camera.json").write_text(json.dumps(content))
+        recording = read(path)
+        assert recording.frame_numbers.tolist() == list(range(FRAMES))
+        assert worst(recording) < 0.01
+        assert "camera.json has no number in its name: left out" in recording.assumed
+
+
+def test_a_point_that_is_no_number_leaves_the_others_their_scale(tmp_path: Path) -> None:
+    for scale, size in ((SIZE, RELATIVE), (1.0, None)):
+        hand = np.column_stack([TOLD.pixels["left"][0] / scale, np.full(21, 0.7)])
+        hand[8, 0] = np.nan
+        people = [{"hand_left_keypoints_2d": hand.ravel().tolist()}]
+        recording = read(folder(tmp_path / "op", [people]))
+        assert recording.size == size
+        assert recording.seen is not None
+        assert np.flatnonzero(np.isnan(recording.seen.keypoints[0, :, 0])).tolist() == [8]
+
+
+def test_parts_of_a_canvas_become_its_pixels(tmp_path: Path) -> None:
+    points = [[TOLD.pixels[side][0] / SIZE, np.full((21, 1), 0.7)] for side in SIDES]
+    hands = {
+        f"hand_{s}_keypoints_2d": np.hstack(p).ravel().tolist() for s, p in zip(SIDES, points, strict=True)
+    }
+    path = tmp_path / "poses.json"
+    path.write_text(json.dumps([{"people": [hands], "canvas_width": WIDTH, "canvas_height": HEIGHT}]))
+    recording = read(path)
+    assert recording.size == (WIDTH, HEIGHT)
+    assert worst(recording, rows=range(1)) < 1e-6
 
 
 def test_controlnets_list_with_the_size_of_its_canvas(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from handfit_core.__main__ import main
 from handfit_core.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.farm.inputs import expand
-from handfit_core.interchange.opening import is_recording, read_recording
+from handfit_core.interchange.opening import RecordedMedia, is_recording, open_input, read_recording
 from handfit_core.interchange.writers import writer_for
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
@@ -58,6 +58,41 @@ def test_points_in_pictures_are_read_back(truth: Take, written: Path) -> None:
     assert read.seen is not None
     assert np.abs(read.seen.keypoints - truth.hands[0].keypoints_2d).max() < 1e-3
     assert read.seen.left.tolist() == [truth.hands[0].side == "left"] * len(truth.frame_numbers)
+
+
+@pytest.mark.parametrize("side", ["Left", "L", "", None])
+def test_a_side_is_left_or_right_in_pictures_too(written: Path, side: str | None) -> None:
+    hands = json.loads(in_pictures(written).read_text(encoding="utf-8"))["hands"]
+    with pytest.raises(InputError, match="neither left nor right"):
+        read_recording(changed(written, hands=[hand | {"side": side} for hand in hands]), CaptureOptions())
+
+
+def test_a_size_and_a_rate_that_the_file_does_not_tell(truth: Take, written: Path) -> None:
+    content = json.loads(in_pictures(written).read_text(encoding="utf-8"))
+    kept = {key: value for key, value in content.items() if key not in ("width", "height", "intrinsics")}
+    written.write_text(json.dumps({key: value for key, value in kept.items() if key != "fps"}))
+    told = open_input(written, CaptureOptions(picture_size=(640, 480), fps=50.0))
+    assert isinstance(told, RecordedMedia)
+    assert (told.width, told.height, told.fps) == (640, 480, 50.0)
+    assert told.recording.assumed == ()
+    alone = open_input(written, CaptureOptions())
+    assert isinstance(alone, RecordedMedia)
+    assert (alone.width, alone.fps) == (1920, 24.0)
+    assert [any(said in phrase for phrase in alone.recording.assumed) for said in ("size", "--fps")] == [
+        True,
+        True,
+    ]
+
+
+def test_points_of_a_copy_whose_size_is_told(truth: Take, written: Path) -> None:
+    content = json.loads(in_pictures(written).read_text(encoding="utf-8"))
+    hands = [h | {"keypoints_2d": (np.array(h["keypoints_2d"]) / 2.0).tolist()} for h in content["hands"]]
+    kept = {key: value for key, value in content.items() if key not in ("width", "height", "intrinsics")}
+    written.write_text(json.dumps(kept | {"hands": hands}))
+    size = truth.width // 2, truth.height // 2
+    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=written, frames="3-4", picture_size=size)
+    rows = np.isin(truth.frame_numbers, take.frame_numbers)
+    assert np.abs(take.hands[0].keypoints_2d - truth.hands[0].keypoints_2d[rows]).max() < 0.01
 
 
 def test_points_become_hands_again(truth: Take, written: Path) -> None:
