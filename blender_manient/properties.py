@@ -112,7 +112,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Image Sequence",
         description="The numbered pictures beside this one are the frames of one clip",
         default=False,
-        update=told("source"),
+        update=told("as_sequence"),
     )
     keypoints: StringProperty(  # type: ignore
         name="Keypoints",

@@ -189,6 +189,13 @@ def source_changed(settings) -> None:
             bpy.app.timers.register(_await_answer, first_interval=_LOOK_AGAIN)
 
 
+def source_chosen(settings) -> None:
+    """Another source, to which the former one's keypoints do not belong; undo brings both back by itself."""
+    if settings.keypoints and (_known is None or _known.path != settings.source):
+        settings.keypoints = ""
+    source_changed(settings)
+
+
 def thumbnail(info: SourceInfo) -> int:
     """An icon of the source, 0 where there is none."""
     global _previews
@@ -258,7 +265,7 @@ def _on_undo(*_args) -> None:
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
-FOLLOWS = {"source": source_changed}
+FOLLOWS = {"source": source_chosen, "as_sequence": source_changed}
 
 
 def unregister() -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import bpy
 import numpy as np
@@ -17,13 +17,16 @@ from handfit_core.interchange.formats.vrma import vrm_animation
 from handfit_core.interchange.humanoid import HumanoidHand
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.retarget.transfer import SourceHand, target_hand
+from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 
 from ..rigs import rig_of
 from ..rigs.character import bones_of
 from ..rigs.rig import Rig
 from .exporter import Exporter, HandObjects, Preset, whole_glb
+
+if TYPE_CHECKING:
+    from ..scene.sampling import Sampled
 
 _STILL = 1e-3
 """radians by which a hand that is not turned to its forearm may be off"""
@@ -74,11 +77,35 @@ def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
             except HandModelError:  # it has no such hand
                 continue
             sources.append((hand_map, _open_hand(side)))
+    if not sources:
+        return []
     scene = bpy.context.scene
     frames = range(scene.frame_start, scene.frame_end + 1)
     times = np.arange(len(frames)) * scene.render.fps_base / scene.render.fps
-    sampled = sample(hand.armature, frames, scene)
-    return [_moving(bones, hand_map, source, times, sampled.pose) for hand_map, source in sources]
+    mapped = [_Mapped.of(bones, hand_map, source) for hand_map, source in sources]
+    sampled = sample(hand.armature, frames, scene, {name for each in mapped for name in each.names})
+    return [_moving(bones, each, times, sampled) for each in mapped]
+
+
+@dataclass(frozen=True, eq=False)
+class _Mapped:
+    """One of an armature's hands."""
+
+    hand_map: HandMap
+    source: SourceHand
+    target: TargetHand
+    wrist: tuple[str, str] | None
+    """As `_wrist_and_forearm`"""
+
+    @classmethod
+    def of(cls, bones: Bones, hand_map: HandMap, source: SourceHand) -> _Mapped:
+        target = target_hand(bones, replace(hand_map, fold=0.0), source)
+        return cls(hand_map, source, target, _wrist_and_forearm(bones, hand_map, _ASIDE * target.scale))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The bones that tell what it does."""
+        return self.hand_map.bones[0], *self.target.bones, *(self.wrist or ())
 
 
 def _open_hand(side: Side) -> SourceHand:
@@ -95,25 +122,22 @@ def _flat(rig: Rig, bones: Bones) -> SourceHand:
     return SourceHand(rig.side, bones.heads[at], bones.tails[last])
 
 
-def _moving(
-    bones: Bones, hand_map: HandMap, source: SourceHand, times: np.ndarray, pose: np.ndarray
-) -> HumanoidHand:
-    """One hand of `pose` (N, B, 4, 4), where an armature's bones are at those times."""
+def _moving(bones: Bones, mapped: _Mapped, times: np.ndarray, sampled: Sampled) -> HumanoidHand:
+    """One hand, as it is shown at those times."""
     from ..scene.sampling import rotations_of
 
-    target = target_hand(bones, replace(hand_map, fold=0.0), source)
+    hand_map, source, target = mapped.hand_map, mapped.source, mapped.target
 
     def posed(name: str) -> np.ndarray:
         """(N, 3, 3) how a bone is turned from its rest, in the armature's space."""
-        bone = bones.index[name]
-        return rotations_of(pose[:, bone]) @ bones.frames[bone].T
+        shown = sampled.pose[:, sampled.names.index(name)]
+        return rotations_of(shown) @ bones.frames[bones.index[name]].T
 
     back = np.swapaxes(posed(hand_map.bones[0]), -1, -2)
     standing = np.stack([back @ posed(name) for name in target.bones], axis=1) @ target.rest
     turns = target.turns(target.channels(standing))
-    wrist = _wrist_and_forearm(bones, hand_map, _ASIDE * target.scale)
-    if wrist is not None:
-        hand, forearm = map(posed, wrist)
+    if mapped.wrist is not None:
+        hand, forearm = map(posed, mapped.wrist)
         turns[:, 0] = target.aligned.T @ np.swapaxes(forearm, -1, -2) @ hand @ target.aligned
     turned = np.linalg.norm(rotmat_to_rotvec(turns[:, 0]), axis=-1).max() > _STILL
     joints = [joint for finger in hand_map.fingers for joint in FINGER_JOINTS[finger]]

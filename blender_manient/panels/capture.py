@@ -39,7 +39,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             column.prop(settings, "matching")
             text = _becomes(context.scene, info)
             sentence(layout, context, text, "SCENE_DATA")
-        with_pictures = info.files is None or info.files.kind != "data"
+        searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
         buttons = layout.column(align=True)
         buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
         row = buttons.row(align=True)
@@ -50,7 +50,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
         else:
             row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
-            if with_pictures:
+            if searched:
                 buttons.operator("manient.find_hands", icon="VIEWZOOM")
         if info.files is not None and info.files.kind != "photo" and choosing is None:
             # Only what is not said above.
@@ -58,7 +58,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 sentence(buttons, context, own, "SCENE_DATA")
             frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
             frame.only_frame = True
-        if choosing is None and with_pictures:
+        if choosing is None and searched:
             row = layout.row(align=True)
             row.operator("manient.add_hand", icon="ADD")
             row.prop(settings, "added_side", expand=True)

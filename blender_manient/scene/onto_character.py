@@ -405,7 +405,7 @@ def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str])
     """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
     with object_mode(), unseen_scene("character") as scene, shown_in_pose([armature]):
         scene.collection.objects.link(armature)
-        sampled = sample(armature, frames, scene)
+        sampled = sample(armature, frames, scene, names)
     return sampled.pose[:, [sampled.names.index(name) for name in names]]
 
 

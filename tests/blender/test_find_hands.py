@@ -166,6 +166,24 @@ def test_the_panel_offers_it_and_it_waits_for_captures(settings):
     jobs.cancel_all()
 
 
+def test_hands_of_another_program_are_not_looked_for(settings, tmp_path):
+    """Its keypoints belong to one source, and go with it."""
+    settings.source = str(SAMPLE / "hand.0001.jpg")
+    settings.keypoints = str(tmp_path / "openpose")
+    said = drawn(MANIENT_PT_capture).said
+    assert said.endswith("Capture")
+    assert "manient.find_hands" not in said
+    assert "manient.add_hand" not in said
+    with pytest.raises(OptionError, match=r"either regions.* or keypoints"):
+        new_job(bpy.context, only_frame=False, regions=(Region(1.0, 2.0, 30.0, 40.0),))
+    settings.as_sequence = True
+    settings.source = str(SAMPLE / "hand.0001.jpg")
+    assert settings.keypoints
+    settings.source = str(SAMPLE / "hand.0002.jpg")
+    assert not settings.keypoints
+    assert "manient.add_hand" in drawn(MANIENT_PT_capture).said
+
+
 @needs_capture
 def test_what_was_found_and_turned_is_built(settings, tmp_path):
     settings.source = str(shutil.copy(SAMPLE / "hand.0007.jpg", tmp_path / "hand.jpg"))

@@ -13,6 +13,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.onto_character import Onto, applying, putting, reading_motion
+from blender_manient.scene.sampling import sample
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandfitError
 from handfit_core.geometry.rotations import rotmat_to_rotvec
@@ -259,6 +260,20 @@ def test_the_hand_turns_and_moves_as_captured_from_the_marked_frame(make_take, w
         if wrist == "PLACED":
             gone = [np.linalg.norm(m[1][:3, 3] - m[0][:3, 3]) for m in (ours, theirs)]
             assert gone[1] == pytest.approx(larger * gone[0], rel=2e-3)
+
+
+def test_only_the_bones_that_are_asked_for_are_read():
+    """A character may have seven hundred, and reading one costs what evaluating many does."""
+    specs = [BoneSpec(f"b{i}", f"b{i - 1}" if i else "", (0, 0, i), (0, 0, i + 1)) for i in range(5)]
+    armature = build_armature(specs)
+    armature.pose.bones["b1"].location = (0.5, 0.0, 0.0)
+    whole = sample(armature, [1.0, 2.0], bpy.context.scene)
+    assert whole.parents == (-1, 0, 1, 2, 3)
+    some = sample(armature, [1.0, 2.0], bpy.context.scene, ["b3", "b2", "b0"])
+    assert (some.names, some.parents) == (("b0", "b2", "b3"), (-1, -1, 1))
+    assert some.pose.shape == (2, 3, 4, 4)
+    np.testing.assert_array_equal(some.pose, whole.pose[:, [0, 2, 3]])
+    np.testing.assert_array_equal(some.rest, whole.rest[[0, 2, 3]])
 
 
 def test_a_marked_frame_outside_is_refused(make_take):
