@@ -11,7 +11,7 @@ import json
 import os
 import zipfile
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal
 
@@ -20,9 +20,10 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
-from handfit_core.errors import OptionError, TakeError
+from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
 from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side, can_touch, other_side
 from handfit_core.slices import result_of
@@ -364,6 +365,37 @@ class Take:
         except (NotNpz, ValueError, OptionError, TakeError) as error:
             reason = f"it {error}" if isinstance(error, NotNpz) else error
             raise TakeError(f"{where}: the take file is damaged ({reason}); capture it again") from error
+
+
+def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | None) -> Take:
+    """The take's hands of a side ('left' or 'right'; else of both) in frames of those numbers, as many as are
+    wanted, the surest first: those that were seen in most frames, and there with most certainty. Raises
+    OptionError where it has no such frame, NoHandFoundError where no hand is left of those that it has."""
+    numbers = np.asarray(take.frame_numbers)
+    rows = np.flatnonzero([frames is None or int(number) in frames for number in numbers])
+    if not len(rows):
+        raise OptionError(f"none of the take's frames lies in {frames}; it has {numbers[0]} to {numbers[-1]}")
+    kept = [_at_rows(hand, rows) for hand in take.hands if hands not in SIDES or hand.side == hands]
+    kept = [hand for hand in kept if hand.present.any()]
+    if take.hands and not kept:
+        raise NoHandFoundError(
+            f"the take has no {f'{hands} ' if hands in SIDES else ''}hand in these frames; it has a "
+            f"{', a '.join(hand.side for hand in take.hands)} one in frames {numbers[0]} to {numbers[-1]}"
+        )
+    surest = sorted(kept, key=lambda hand: -float(np.nansum(hand.score)))[:max_hands]
+    source = take.source
+    if source.kind == "sequence" and len(source.files) == len(numbers):
+        source = replace(source, files=tuple(source.files[row] for row in rows))
+    kept = [hand for hand in kept if any(hand is each for each in surest)]
+    return replace(take, source=source, frame_numbers=numbers[rows], hands=tuple(kept))
+
+
+def _at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
+    """A hand over some of its frames."""
+    of_frames = {name: getattr(hand, name) for name in _ARRAYS if name != "betas"}
+    return replace(
+        hand, **{n: np.asarray(array)[rows] for n, array in of_frames.items() if array is not None}
+    )
 
 
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:

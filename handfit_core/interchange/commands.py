@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from handfit_core.errors import InputError, OptionError
+from handfit_core.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable, shown, written_whole
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.writers import WRITERS, writer_for
-from handfit_core.options import CaptureOptions, add_options
-from handfit_core.take import HandTrack, Take, is_take
+from handfit_core.options import OPTIONS, CaptureOptions, add_options
+from handfit_core.take import HandTrack, Take, chosen, is_take
 
 
 def add_interchange_commands(commands: Any) -> None:
@@ -66,10 +66,29 @@ def take_of_input(args: argparse.Namespace) -> Take:
 
     take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
     if take is not None:
-        return take
+        return _chosen(take, args)
     source = args.input[0] if len(args.input) == 1 else args.input
     report = None if args.progress == "none" else args.reporter.progress
     return capture_with(source, CaptureOptions.of_arguments(args), report)
+
+
+_OF_TAKES: Final = ("hands", "frames", "max_hands")
+"""Options of a capture that choose from a take, too"""
+
+
+def _chosen(take: Take, args: argparse.Namespace) -> Take:
+    """What of a take the options of a capture choose. Raises OptionError for others of these."""
+    options = CaptureOptions.of_arguments(args)
+    others = [OPTIONS[name].flag for name in options.to_message() if name not in _OF_TAKES]
+    if others:
+        raise OptionError(
+            f"{shown(args.input[0])}: this is a take, which is captured already: leave {', '.join(others)} "
+            "out, or give what it was captured from"
+        )
+    try:
+        return chosen(take, options.hands, options.frames, options.max_hands)
+    except (NoHandFoundError, OptionError) as error:
+        raise type(error)(f"{shown(args.input[0])}: {error}") from None
 
 
 def opened_take(path: Path) -> Take | None:

@@ -25,6 +25,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media, pictures_in
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.options import CaptureOptions
+from handfit_core.take import is_take
 
 DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt".split(" "))
 """Endings of files that are read as recordings, whatever they are"""
@@ -127,6 +128,11 @@ def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Rec
     document = Document(path)
     if not document.path.exists():
         raise InputError(f"{shown(path)}: there is no such file or folder")
+    if document.suffix == ".npz" and is_take(document.path):
+        raise InputError(
+            f"{shown(path)}: this is a take, which is captured already: write it in another format with "
+            "convert, or open it in Blender with File > Import > Hand Take"
+        )
     name, reader = recognised(document, options.reader)
     try:
         with READERS.blamed(name):

@@ -1,6 +1,7 @@
 """Points of this project's own: written, read back, fitted again; and what is said of other files."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ from handfit_core.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.farm.inputs import expand
 from handfit_core.interchange.opening import RecordedMedia, is_recording, open_input, read_recording
 from handfit_core.interchange.writers import writer_for
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
-from handfit_core.take import Take, is_take
+from handfit_core.skeleton import other_side
+from handfit_core.take import Take, chosen, is_take
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -209,6 +212,62 @@ def test_the_command_line_converts_and_tells(
     assert len(json.loads(again.read_text())["frames"]) == 4
     assert main(["convert", str(take), "-o", str(tmp_path / "hand.xyz"), "--progress", "none"]) == 1
     assert "end the name with one of" in capsys.readouterr().err
+
+
+def two_hands(truth: Take) -> Take:
+    """Ten frames; the second hand, of the other side, is in the first three and less certain."""
+    take = chosen(truth, "auto", FrameRange(1, 10), None)
+    (hand,) = take.hands
+    late = np.arange(10) >= 3
+    of_frames = {k: np.array(v) for k, v in vars(hand).items() if isinstance(v, np.ndarray) and k != "betas"}
+    for name, array in of_frames.items():
+        array[late] = False if array.dtype == bool else np.nan
+        of_frames[name] = array
+    return replace(take, hands=(replace(hand, side=other_side(hand.side), **of_frames), hand))
+
+
+def test_hands_and_frames_of_a_take_are_chosen(truth: Take, tmp_path: Path) -> None:
+    path, out = two_hands(truth).save(tmp_path / "two.take.npz"), tmp_path / "out.take.npz"
+    sure, other = truth.hands[0].side, other_side(truth.hands[0].side)
+    command = ["convert", str(path), "-o", str(out), "--progress", "none"]
+
+    def made(*options: str) -> Take:
+        assert main([*command, *options]) == 0
+        return Take.load(out)
+
+    take = made("--hands", other, "--frames", "2-3")
+    assert (take.frame_numbers.tolist(), [hand.side for hand in take.hands]) == ([2, 3], [other])
+    np.testing.assert_array_equal(take.hands[0].transl, truth.hands[0].transl[1:3])
+    assert [Path(file).name for file in take.source.files] == ["hand.0002.jpg", "hand.0003.jpg"]
+    assert [hand.side for hand in made("--max-hands", "1").hands] == [sure]
+    assert [hand.side for hand in made("--frames", "5-10:2").hands] == [sure]
+    assert [hand.side for hand in made().hands] == [other, sure]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--smoothing", "2", "--refit"], "take, which is captured already: leave --smoothing, --refit out"),
+        (["--frames", "100-200"], "none of the take's frames lies in 100-200; it has 1 to 10"),
+        (["--frames", "7-9", "--hands", "OTHER"], "no OTHER hand in these frames"),
+    ],
+)
+def test_what_a_take_cannot_give_is_one_sentence(
+    truth: Take, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    path, other = two_hands(truth).save(tmp_path / "two.take.npz"), other_side(truth.hands[0].side)
+    options = [option.replace("OTHER", other) for option in options]
+    command = ["convert", str(path), "-o", str(tmp_path / "out.take.npz"), "--progress", "none"]
+    assert main([*command, *options]) == 1
+    assert said.replace("OTHER", other) in capsys.readouterr().err
+    assert not (tmp_path / "out.take.npz").exists()
+
+
+def test_a_take_is_not_captured_again(truth: Take, tmp_path: Path) -> None:
+    path = truth.save(tmp_path / "hand.take.npz")
+    for source, more in ((path, {}), (str(SAMPLE / "hand.0001.jpg"), {"keypoints": path})):
+        with pytest.raises(InputError, match=r"this is a take, which is captured already.*convert"):
+            capture(source, **more)
 
 
 def test_a_batch_takes_such_files_and_tells_takes_from_them(
