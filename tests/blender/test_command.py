@@ -16,6 +16,8 @@ from blender_manient import command, preferences
 from blender_manient.batch import run
 from blender_manient.batch.host import Host
 from blender_manient.scene.store import captured_hands, hand_of
+from handfit_core.errors import OptionError
+from handfit_core.farm.plan import Plan, check_files
 from handfit_core.take import Take
 
 from .conftest import READY
@@ -42,6 +44,23 @@ INTERRUPTING_BATCH = (
 
 def report(folder: Path) -> list[dict]:
     return json.loads((folder / "report.json").read_text(encoding="utf-8"))["inputs"]
+
+
+def test_a_plan_notices_keypoints_that_change(tmp_path, monkeypatch, capfd):
+    """A folder of another program, by a relative path, with what lies in its folders."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.jpg").write_bytes(b"no photo")
+    kept = tmp_path / "hands" / "person" / "a_000000_keypoints.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("{}")
+    assert command.main(["plan", "a.jpg", "-o", "out", "--format", "bvh", "--keypoints", "hands"]) == 0
+    plan = Plan.load(Path(capfd.readouterr().out.strip()))
+    assert plan.options["capture"]["keypoints"] == str(tmp_path / "hands")
+    assert [path for path, _ in plan.files] == [str(tmp_path / "hands")]
+    check_files(plan.files)
+    kept.write_text("[]")
+    with pytest.raises(OptionError, match="hands: holds something else"):
+        check_files(plan.files)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["capture", "--help"], ["check", "--help"]])
