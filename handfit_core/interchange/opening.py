@@ -22,7 +22,7 @@ from handfit_core.interchange.recording import (
     Recording,
 )
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import MediaInput, open_media, pictures_in
+from handfit_core.media.opening import MAX_FRAME_NUMBER, MediaInput, open_media, pictures_in
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.options import CaptureOptions
 from handfit_core.take import is_take
@@ -163,7 +163,9 @@ def beside(media: Media, recording: Recording) -> Recording:
     (`_as_numbered`), and said in `assumed`. Raises InputError where none is of these pictures, and for
     keypoints most of which lie outside them.
     """
-    numbers = np.asarray(media.numbers(0, media.expected_frames or None))
+    # A video whose header counts no frames has those of which something is told.
+    count = media.expected_frames or min(int(recording.frame_numbers[-1]) + 1, MAX_FRAME_NUMBER)
+    numbers = np.asarray(media.numbers(0, count))
     theirs, taken = _as_numbered(media.all_numbers(), np.asarray(recording.frame_numbers))
     if not np.isin(theirs, numbers).any():
         raise InputError(
