@@ -207,6 +207,14 @@ def _take_room(stream: FileIO, size: int) -> None:
         stream.write(block[:left])
 
 
+def path_of(name: str | os.PathLike[str]) -> Path:
+    """Its path, with ~ as the user's folder; ~nobody, where there is no such user, is a name like others."""
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:
+        return Path(name)
+
+
 def cache_dir() -> Path:
     """Where files are kept between runs: `$HANDFIT_CACHE`, or the platform's cache folder."""
     if override := os.environ.get("HANDFIT_CACHE"):

@@ -10,7 +10,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,12 +21,18 @@ import numpy as np
 from handfit_core.doors import safe_pickle
 from handfit_core.doors.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 from handfit_core.errors import InputError
-from handfit_core.files import read_file, shown, why
+from handfit_core.files import path_of, read_file, shown, why
 
 MOST_BYTES: Final = 1 << 29
 """of one file"""
-MOST_JSON: Final = 1 << 27
-"""bytes of one JSON text, whose numbers take ten times as much memory"""
+MOST_TEXT: Final = 1 << 27
+"""bytes of one JSON text or table"""
+_MOST_PARSED: Final = 900_000_000
+"""bytes of memory that what is in one may take, together with the text"""
+_JSON_BYTES: Final = {b"[": 56, b"{": 180, b",": 32, b'"': 10}
+"""of memory, for each such sign in a JSON text, whether it stands in quotes or not"""
+_TABLE_BYTES: Final = {b"\n": 64, b"\r": 64, b",": 58, b"\t": 58}
+"""the same in a table, whose lines are lists of texts"""
 MOST_FILES: Final = 1_000_000
 """of a folder"""
 _MOST_MEMORY: Final = 1 << 28
@@ -75,7 +81,7 @@ class Document:
     read at all raises InputError."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path).expanduser()
+        self.path = path_of(path)
         self.is_folder = self.path.is_dir()
 
     @property
@@ -101,11 +107,23 @@ class Document:
         except UnicodeDecodeError:
             return None
 
+    def _check_room(self, costs: Mapping[bytes, int]) -> None:
+        """Raise InputError for a text that would take too much memory. `costs`: bytes of what each sign of it
+        becomes."""
+        # All letters of a text are stored as wide as its widest, in up to 4 bytes, and its parts once more.
+        taken = len(self.bytes) * (2 if self.bytes.isascii() else 9)
+        taken += sum(self.bytes.count(sign) * cost for sign, cost in costs.items())
+        if len(self.bytes) > MOST_TEXT or taken > _MOST_PARSED:
+            raise InputError(f"{shown(self.path)}: it is too large to be read at once; cut it into parts")
+
     @cached_property
     def json(self) -> Any:
         """What a JSON file holds."""
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-        if start not in (b"{", b"[") or len(self.bytes) > MOST_JSON or self.text is None:
+        if start not in (b"{", b"["):
+            return None
+        self._check_room(_JSON_BYTES)
+        if self.text is None:
             return None
         try:
             return json.loads(self.text)
@@ -115,23 +133,27 @@ class Document:
     @cached_property
     def lines(self) -> list[Any] | None:
         """What a file with a JSON text a line (.jsonl) holds."""
-        if self.bytes[:1] != b"{" or len(self.bytes) > MOST_JSON or self.text is None:
+        if self.bytes[:1] != b"{":
             return None
+        self._check_room(_JSON_BYTES)
         try:
-            return [json.loads(line) for line in self.text.splitlines() if line.strip()]
+            with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8") as text:
+                return [json.loads(line) for line in text if line.strip()]
         except (ValueError, RecursionError):
             return None
 
     @cached_property
     def table(self) -> Table | None:
         """What a CSV file with a line of names holds; None also where lines differ in length."""
-        if self.suffix not in (".csv", ".tsv", ".txt") or self.text is None or len(self.bytes) > MOST_JSON:
+        if self.suffix not in (".csv", ".tsv", ".txt"):
             return None
-        try:
-            lines = list(csv.reader(io.StringIO(self.text), delimiter="\t" if self.suffix == ".tsv" else ","))
-        except csv.Error:
-            return None
-        lines = [line for line in lines if line]
+        self._check_room(_TABLE_BYTES)
+        with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8-sig", newline="") as text:
+            try:
+                cells = csv.reader(text, delimiter="\t" if self.suffix == ".tsv" else ",")
+                lines = [line for line in cells if line]
+            except (csv.Error, UnicodeDecodeError):
+                return None
         if len(lines) < 2 or not 1 < len(lines[0]) <= _MOST_COLUMNS:
             return None
         if any(len(line) != len(lines[0]) for line in lines):

@@ -172,7 +172,7 @@ def _in_order(
 def size_in(header: Mapping[str, Any], before: str = "") -> tuple[int, int] | None:
     """The pictures' size as plain keys tell it; None where they do not."""
     width, height = header.get(f"{before}width"), header.get(f"{before}height")
-    if isinstance(width, int) and isinstance(height, int) and 0 < width < 1 << 24 and 0 < height < 1 << 24:
+    if type(width) is int and type(height) is int and 0 < width < 1 << 24 and 0 < height < 1 << 24:
         return width, height
     return None
 

@@ -100,7 +100,7 @@ def open_input(source: MediaInput, options: CaptureOptions) -> Media:
     if not is_recording(source):
         return open_media(source, options.frames, max_megapixels=options.max_megapixels)
     path = source if isinstance(source, str | os.PathLike) else source[0]
-    recording = read_recording(path, options)
+    recording = _countable(read_recording(path, options))
     if recording.size == RELATIVE:
         if options.picture_size is None:
             raise OptionError(
@@ -111,6 +111,16 @@ def open_input(source: MediaInput, options: CaptureOptions) -> Media:
     elif recording.seen is not None and recording.size is None:
         recording = _with_size(recording)
     return RecordedMedia(recording, os.fspath(path), options.frames)
+
+
+def _countable(recording: Recording) -> Recording:
+    """A recording whose frames have numbers that Blender's can have, as `open_media` has it of pictures."""
+    numbers = recording.frame_numbers
+    if 0 <= numbers[0] <= numbers[-1] <= MAX_FRAME_NUMBER:
+        return recording
+    said = f"its frames' numbers, up to {numbers[-1]}, are none of Blender's: they are counted from 1"
+    counted = np.arange(1, len(numbers) + 1)
+    return replace(recording, frame_numbers=counted, assumed=(*recording.assumed, said))
 
 
 def _with_size(recording: Recording) -> Recording:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from handfit_core.errors import InputError
-from handfit_core.files import shown, why
+from handfit_core.files import path_of, shown, why
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import Pictures
 from handfit_core.media.size_limit import is_picture, is_video
@@ -47,25 +47,17 @@ def open_media(
     wanted = Wanted(frames or FrameRange(), max_megapixels)
     try:
         if not isinstance(source, str | os.PathLike):
-            media = _open_pictures([_path_of(p) for p in source], wanted, "the list of pictures")
+            media = _open_pictures([path_of(p) for p in source], wanted, "the list of pictures")
             media.given = [str(p) for p in source]
             return media
         if not str(source):
             raise InputError("no input was given; name a photo, a folder of photos or a video")
-        media = _open_path(_path_of(source), wanted)
+        media = _open_path(path_of(source), wanted)
         media.given = str(source)
         return media
     except OSError as error:  # a folder that may not be read, a name that is too long
         what = shown(error.filename) if isinstance(error.filename, str) else "the input"
         raise InputError(f"{what}: cannot be opened ({why(error)}); choose another file") from error
-
-
-def _path_of(name: str | os.PathLike[str]) -> Path:
-    """Its path, with ~ as the user's folder; ~nobody, where there is no such user, is a name like others."""
-    try:
-        return Path(name).expanduser()
-    except RuntimeError:
-        return Path(name)
 
 
 def _open_path(path: Path, wanted: Wanted) -> Media:

@@ -16,6 +16,8 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,16 +35,20 @@ from handfit_core.farm.pool import Pool
 from handfit_core.farm.show import Shown
 from handfit_core.farm.templates import KINDS, write_template
 from handfit_core.hand_model import load_model
+from handfit_core.interchange.opening import RELATIVE, open_input, read_recording
 from handfit_core.media.exif import known_intrinsics
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
 from handfit_core.parts import Part
-from handfit_core.pipeline import hand_summaries
+from handfit_core.pipeline import capture_with, hand_summaries
 from handfit_core.sheet import write_sheet
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from handfit_core.worker import answering, protocol
 from handfit_core.worker.server import Server
 from tests.core.farm.peers import COMMAND as PEER
+from tests.core.interchange.known_hands import own_mano
 from tests.hostile.engine import MOST_BYTES
 
 FRAMES = 4
@@ -70,7 +76,7 @@ def check_take(found: Take) -> None:
         assert track.side in SIDES
         for name, value in vars(track).items():
             if isinstance(value, np.ndarray):
-                flags = name in ("detected", "filled", "doubtful", "other_side")
+                flags = name in ("detected", "filled", "doubtful", "other_side", "overlapped")
                 assert value.dtype.kind in ("b" if flags else "fiu"), f"{name} is {value.dtype}"
                 seen = value if name == "betas" else value[track.present]
                 seen = seen if name == "betas" else seen[np.isfinite(seen)]
@@ -92,6 +98,33 @@ def part(path: str) -> None:
         assert all(math.isfinite(n) and abs(n) <= 1e9 for n in numbers), "a hand that is beyond all bounds"
         if any(frames):
             link_tracks(frames)
+
+
+@cache
+def _mano() -> str:
+    return str(own_mano(Path(tempfile.mkdtemp())))
+
+
+def recording(path: str, mano: bool = False, good: bool = False) -> None:
+    """Read what another program has found, and make a take of its first frames, with a model of MANO's format
+    or with the open hand. A `good` file is not refused."""
+    try:
+        _recorded(path, mano)
+    except errors.HandfitError as error:
+        assert not good, f"refused: {error}"
+        raise
+
+
+def _recorded(path: str, mano: bool) -> None:
+    options = CaptureOptions(model=_mano() if mano else None)
+    found = read_recording(path, options)
+    found.check()
+    for phrase in (found.summary, *found.assumed):
+        assert "\n" not in phrase, phrase
+        assert len(phrase) < 1000, phrase
+    options = replace(options, picture_size=(640, 480) if found.size == RELATIVE else None)
+    numbers = open_input(path, options).numbers(0, 2)
+    check_take(capture_with(path, replace(options, frames=FrameRange(numbers[0], numbers[-1]))))
 
 
 _doing: list[Pool] = []
@@ -244,6 +277,7 @@ def server(path: str, endless: int = 0) -> None:
 DOORS: dict[str, Callable[..., Any]] = {
     "take": take,
     "part": part,
+    "recording": recording,
     "farm": farm,
     "model": model,
     "media": media,

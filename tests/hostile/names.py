@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.hostile import models, pictures, takes, videos
+from tests.hostile import models, pictures, recordings, takes, videos
 from tests.hostile.engine import Case, Place
 
 CONTENTS: dict[str, tuple[str, Callable[[], bytes], str, dict[str, Any]]] = {
@@ -16,6 +16,9 @@ CONTENTS: dict[str, tuple[str, Callable[[], bytes], str, dict[str, Any]]] = {
     "take": (".npz", takes.good_bytes, "core.take", {}),
     "model": (".npz", models.good_bytes, "core.model", {"side": "right"}),
     "pickle": (".pkl", lambda: b"N.", "core.model", {"side": "right"}),
+    "points": (".json", lambda: recordings.content("points"), "core.recording", {}),
+    "body": (".npz", lambda: recordings.content("smplx"), "core.recording", {}),
+    "bones": (".bvh", lambda: recordings.content("bvh"), "core.recording", {}),
     "footage": (".mp4", videos.good_bytes, "blender.import_of", {"kind": "video"}),
     "photo": (".png", lambda: pictures.encoded("png"), "blender.import_of", {"kind": "photo"}),
 }

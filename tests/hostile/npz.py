@@ -100,7 +100,7 @@ _VALUE_LIES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "longer": lambda a: np.concatenate([np.atleast_1d(a)] * 2),
     "flat": lambda a: np.ravel(a),
     "deeper": lambda a: a[..., None],
-    "turned": lambda a: a.T if a.ndim > 1 else a[::-1],
+    "turned": lambda a: a.T if a.ndim > 1 else np.atleast_1d(a)[::-1],
 }
 
 _HEADER_LIES: dict[str, bytes] = {
@@ -127,8 +127,11 @@ _HEADER_LIES: dict[str, bytes] = {
 }
 
 
-def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **arguments: Any) -> Iterator[Case]:
-    """Cases for an npz of these arrays; the door gets the path and `arguments`."""
+def lies(
+    stem: str, door: str, good: Callable[[], Arrays], file: str, *, ours: bool = True, **arguments: Any
+) -> Iterator[Case]:
+    """Cases for an npz of these arrays; the door gets the path and `arguments`. Not `ours`: it has no header,
+    and arrays that nobody reads."""
 
     def case(name: str, build: Callable[[dict[str, bytes], Place], bytes], **options: bool) -> Case:
         def data(place: Place) -> bytes:
@@ -155,7 +158,7 @@ def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **argument
             yield case(
                 f"{lie}-{name}",
                 lambda members, _, name=name, data=data: zipped({**members, name: data}),
-                refused=name != "unknown",
+                refused=ours and name != "unknown",
             )
     for name in ("unknown", names[0], "header"):
         yield case(
@@ -181,7 +184,8 @@ def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **argument
     yield case("stored", lambda members, _: zipped(members, zipfile.ZIP_STORED)[:-1])
     yield case("bzip2", lambda members, _: zipped(members, zipfile.ZIP_BZIP2))
     yield case("lzma", lambda members, _: zipped(members, zipfile.ZIP_LZMA))
-    yield case("twice", lambda members, _: zipped(members) + zipped({"header": members["header"]}))
+    first = "header" if ours else names[0]
+    yield case("twice", lambda members, _: zipped(members) + zipped({first: members[first]}))
     yield case("a-npy-alone", lambda members, _: members[names[0]], refused=True)
     yield case("a-pickle", lambda *_: system_call(), refused=True)
     yield case("nothing", lambda *_: b"", refused=True)
@@ -193,6 +197,22 @@ def lies(stem: str, door: str, good: Callable[[], Arrays], file: str, **argument
             b"PK\x01\x02\x14\x00\x14\x00\x00", b"PK\x01\x02\x14\x00\x14\x00\x01"
         ),
     )
+
+
+def npy_lies(
+    stem: str, door: str, good: Callable[[], np.ndarray], file: str, **arguments: Any
+) -> Iterator[Case]:
+    """The same lies of a .npy of one array."""
+    for lie, change in _VALUE_LIES.items():
+        yield file_case(
+            f"{stem}-{lie}",
+            door,
+            file,
+            lambda _, change=change: member(np.asarray(change(good()))),
+            **arguments,
+        )
+    for lie, data in _HEADER_LIES.items():
+        yield file_case(f"{stem}-{lie}", door, file, lambda _, data=data: data, refused=True, **arguments)
 
 
 def header_lies(

@@ -26,12 +26,13 @@ from tests.hostile import (
     peers,
     pickles,
     pictures,
+    recordings,
     takes,
     videos,
 )
 from tests.hostile.engine import Case, Doorkeeper
 
-KINDS = (takes, parts, farms, models, pickles, pictures, videos, names, peers, commands, blends)
+KINDS = (takes, parts, recordings, farms, models, pickles, pictures, videos, names, peers, commands, blends)
 # By door, so that the children that hold a door open change places once.
 CASES = sorted(
     (case for kind in KINDS for case in kind.cases()), key=lambda case: case.door.partition(".")[0]

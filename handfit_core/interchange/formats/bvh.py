@@ -118,11 +118,12 @@ class _Wrong(Exception):
 
 def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
     """The bones, the seconds of a frame, and the largest angle that is written down."""
+    if len(document.bytes) > _MOST_BYTES:
+        size = len(document.bytes)
+        raise _Wrong(f"has {size} bytes, and at most {_MOST_BYTES} are read; cut it into parts")
     text = document.text
     if text is None:
         text = document.bytes.decode("latin-1")
-    if len(text) > _MOST_BYTES:
-        raise _Wrong(f"has {len(text)} characters, and at most {_MOST_BYTES} are read; cut it into parts")
     motion = MOTION.search(text)
     if not motion:
         raise _Wrong("has no MOTION, so that it is only a part of one")

@@ -105,10 +105,11 @@ def test_grab_without_hands(tmp_path: Path) -> None:
 # ARCTIC
 
 
-def test_arctics_hands(tmp_path: Path, model: Path) -> None:
+def arctic(path: Path, model: Path | None = None) -> Path:
     content = {}
     for side in SIDES:
-        orient, transl = in_world(HANDS[side], wrist_of(side, model, HANDS[side].betas))
+        wrist = wrist_of(side, model, HANDS[side].betas if model else None)
+        orient, transl = in_world(HANDS[side], wrist)
         content[side] = {
             "rot": orient,
             "pose": HANDS[side].hand_pose - mean_of(side),
@@ -116,8 +117,12 @@ def test_arctics_hands(tmp_path: Path, model: Path) -> None:
             "shape": np.tile(HANDS[side].betas, (FRAMES, 1)),
             "fitting_err": np.zeros(FRAMES),
         }
-    path = tmp_path / "box_grab_01.mano.npy"
     np.save(path, content, allow_pickle=True)
+    return path
+
+
+def test_arctics_hands(tmp_path: Path, model: Path) -> None:
+    path = arctic(tmp_path / "box_grab_01.mano.npy", model)
     assert_asks_for_mano(path, "mean pose")
     recording = read(path, model=str(model))
     assert recording.format == "arctic"

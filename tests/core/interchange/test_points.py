@@ -138,6 +138,20 @@ def test_points_of_another_clip_are_refused(written: Path) -> None:
         capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=other)
 
 
+def test_frames_beyond_blenders_are_counted(written: Path) -> None:
+    first = 20260101000000
+    far = changed(written, frames=[first + n for n in range(len(json.loads(written.read_text())["frames"]))])
+    assert capture(far, frames="2-3").frame_numbers.tolist() == [2, 3]
+
+
+def test_frames_without_any_hand_are_named(written: Path) -> None:
+    hands = json.loads(written.read_text())["hands"]
+    for hand in hands:
+        hand["keypoints_3d"][:4] = [None] * 4
+    with pytest.raises(NoHandFoundError, match="no hand, of which 6 points or more are known"):
+        capture(changed(written, hands=hands), frames="1-3")
+
+
 def test_a_file_of_points_has_no_other_keypoints(written: Path) -> None:
     with pytest.raises(OptionError, match="holds no pictures"):
         capture(written, keypoints=written)

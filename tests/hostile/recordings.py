@@ -1,0 +1,297 @@
+"""Files of other programs: damaged bytes, lies in their JSON, arrays and tables, folders that are none."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from tests.core.interchange.every_format import keypoint_files, other_files
+from tests.hostile.engine import Case, Place, file_case
+from tests.hostile.farms import ODD
+from tests.hostile.mutations import MUTATIONS, mutants, mutated, told
+from tests.hostile.npz import VALUES, lies, npy_lies, raw_member
+from tests.hostile.pickles import harms
+
+DOOR = "core.recording"
+MANO = {"arctic", "interhand", "hot3d", "dex-ycb"}
+"""Readers that need the user's own model"""
+
+
+@dataclass(frozen=True)
+class Good:
+    """A valid input: its files by their names, and which of them, or of their folders, is given."""
+
+    reader: str
+    given: str
+    files: dict[str, bytes]
+
+    @property
+    def stem(self) -> str:
+        return f"{self.reader}-{self.given.replace('/', '-').replace('.', '-')}"
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        return {"mano": True} if self.reader in MANO else {}
+
+    def laid_out(self, place: Place, changed: dict[str, bytes] | None = None) -> dict[str, Any]:
+        """All its files, some with other bytes, in the place of a case; the arguments of the door."""
+        for name, data in (self.files | (changed or {})).items():
+            place.write(name, data)
+        return {"path": str(place.folder / self.given), **self.arguments}
+
+
+@cache
+def goods() -> list[Good]:
+    found = []
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for reader, paths in (keypoint_files(folder) | other_files(folder)).items():
+            for path in paths:
+                # DexYCB's sides and cameras are told beside the labels.
+                within = folder / "dex" if reader == "dex-ycb" else path
+                files = [path] if path.is_file() else sorted(filter(Path.is_file, within.rglob("*")))
+                data = {str(file.relative_to(folder)): file.read_bytes() for file in files}
+                found.append(Good(reader, str(path.relative_to(folder)), data))
+    return found
+
+
+def content(reader: str) -> bytes:
+    """A file of that reader."""
+    return next(
+        good.files[good.given] for good in goods() if good.reader == reader and good.given in good.files
+    )
+
+
+NUMBERS = {
+    **VALUES,
+    "far": "2147483648", "farther": "999999999999999", "farthest": "9223372036854775808", "half": "0.5", "digits": '"99999999999999"',
+    "many": "[" + "0," * 200_000 + "0]", "bodies": "[" + "{}," * 50_000 + "{}]", "words": "[" + '"x",' * 30 + '"x"]',
+}  # fmt: skip
+"""What may stand in JSON where something else is expected, by name"""
+
+CELLS = {
+    "nan": "nan", "infinity": "inf", "huge": "1e999", "large": "1e300", "digits": "9" * 5000, "empty": "", "minus": "-1", "far": "2147483648",
+    "farther": "999999999999999", "half": "0.5", "hexadecimal": "0x10", "underscore": "1_0", "words": "words", "quote": '"', "nul": "\0",
+    "comma": "1,2", "greek": "\u0661", "long": "x" * 200_000,
+}  # fmt: skip
+
+TABLES: dict[str, Callable[[], bytes]] = {
+    "columns-2-million": lambda: b"x,y," * 1_000_000 + b"z\n" + b"1,2," * 1_000_000 + b"3\n",
+    "columns-9999": lambda: b",".join(b"left_hand_%d_x" % n for n in range(9999)) + b"\n" + b"1," * 9998 + b"1\n",
+    "rows-30-million": lambda: b"frame,x\n" + b"1,2\n" * 30_000_000,
+    "cells-60-million": lambda: b"frame,x\n" + b"," * 60_000_000,
+    "empty-lines": lambda: b"frame,x\n" + b"\n" * 100_000_000,
+    "one-cell": lambda: b'frame,x\n"' + b"x" * 100_000_000,
+    "quotes": lambda: b"frame,x\n" + b'"' * 50_000_000,
+    "too-large": lambda: b"frame,x\n" + bytes(520_000_000),
+    "same-names": lambda: b"frame,side,point,x_px,y_px,x_px,y_px\n1,left,0,1,2,3,4\n",
+    "only-names": lambda: b"frame,side,point,x_px,y_px\n",
+    "no-names": lambda: b",,,,\n,,,,\n",
+    "all-hands": lambda: b"frame,hand,side,point,x_px,y_px\n" + b"".join(b"1,%d,left,%d,5,5\n" % (n // 21, n % 21) for n in range(42_000)),
+    "far-frames": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,left,%d,5,5\n" % (10**n, m) for n in range(15) for m in range(21)),
+    "nul": lambda: b"frame,side,point,x_px,y_px\n1,left,0,\0,2\n",
+    "not-utf-8": lambda: b"frame,side,point,x_px,y_px\n1,l\xff\xfeft,0,1,2\n",
+    "utf-16": lambda: "frame,side,point,x_px,y_px\n1,left,0,1,2\n".encode("utf-16"),
+}  # fmt: skip
+
+JSONS: dict[str, Callable[[], bytes]] = {
+    "nothing": lambda: b"", "deep": lambda: b"[" * 5_000_000, "deep-objects": lambda: b'{"frames":' * 1_000_000,
+    "lists": lambda: b"[" + b"[]," * 20_000_000 + b"[]]", "objects": lambda: b"[" + b"{}," * 20_000_000 + b"{}]",
+    "numbers": lambda: b"[" + b"9," * 50_000_000 + b"9]", "floats": lambda: b"[" + b".5," * 100 + b"1.5]",
+    "reals": lambda: b"[" + b"1e5," * 30_000_000 + b"1e5]", "texts": lambda: b"[" + b'"ab",' * 25_000_000 + b'""]',
+    "keys": lambda: b'{"frames":{' + b",".join(b'"%d":[]' % n for n in range(5_000_000)) + b"}}",
+    "frames": lambda: b'{"frames":{' + b",".join(b'"%d":[]' % n for n in range(100_000)) + b"}}",
+    "long-number": lambda: b"[" + b"9" * 50_000_000 + b"]", "long-text": lambda: b'["' + b"x" * 120_000_000 + b'"]',
+    "escapes": lambda: b'["' + rb"\ud83d\ude00" * 8_000_000 + b'"]', "wide": lambda: b'["' + b"x" * 100_000_000 + "\U0001f590".encode() + b'"]',
+    "people": lambda: b'{"people":[' + b'{"pose_keypoints_2d":[]},' * 1_000_000 + b"{}]}",
+    "points": lambda: b'{"format":"handfit-points","version":1,"frames":[' + b"1," * 1_000_000 + b'2],"hands":[]}',
+    "lines": lambda: b"{}\n" * 40_000_000, "too-large": lambda: b"[" + b" " * 500_000_000 + b"]", "zeros": lambda: bytes(1000),
+}  # fmt: skip
+
+BONES: dict[str, tuple[str, str]] = {
+    "frames-many": (r"Frames: *\d+", "Frames: 999999999999"), "frames-minus": (r"Frames: *\d+", "Frames: -5"),
+    "frames-none": (r"Frames: *\d+", "Frames: 0"), "frames-words": (r"Frames: *\d+", "Frames: " + "9" * 5000),
+    **{f"time-{name}": (r"Frame Time: *\S+", f"Frame Time: {value}") for name, value in {"zero": "0", "nan": "nan", "infinite": "inf",
+       "minus": "-1", "tiny": "1e-300", "large": "1e300", "words": "x"}.items()},
+    **{f"offset-{name}": (r"OFFSET +\S+", f"OFFSET {value}") for name, value in {"nan": "nan", "infinite": "inf", "huge": "1e308",
+       "zero": "0", "words": "x"}.items()},
+    "channels-many": (r"CHANNELS +\d", "CHANNELS 999999999"), "channels-none": (r"CHANNELS +\d", "CHANNELS 0"),
+    "channels-minus": (r"CHANNELS +\d", "CHANNELS -3"), "turns-nan": (r"(?<=Frame Time: )(\S+)\s+\S+", r"\1\nnan"),
+    "turns-huge": (r"(?<=Frame Time: )(\S+)\s+\S+", r"\1\n1e308"), "no-braces": (r"[{}]", ""), "names": (r"JOINT +\S+", "JOINT " + "x" * 3000),
+    "deep": (r"JOINT", "JOINT x {\n OFFSET 0 0 0\n CHANNELS 0\n" * 100_000 + "JOINT"),
+    "wide": (r"End Site", "End Site {\n OFFSET 0 0 0\n}\n" * 100_000 + "End Site"),
+}  # fmt: skip
+"""What in a BVH is replaced, each time that it is there but for `deep` and `wide`"""
+
+ODD_NAMES = (
+    "9" * 15,
+    "9" * 200,
+    "-1",
+    "0",
+    "a_99999999999999999999",
+    "\u0661",
+    "x" * 200,
+    "a\nb",
+    "\udcff",
+    "%n",
+)
+"""What files of a folder may be called besides"""
+
+
+def _places(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Where something stands, one of each kind: the first of a list, and of what numbers name."""
+    if path:
+        yield path
+    items = list(
+        content.items()
+        if isinstance(content, dict)
+        else enumerate(content)
+        if isinstance(content, list)
+        else ()
+    )
+    numbered = isinstance(content, list) or all(str(key).isdigit() for key, _ in items)
+    for key, value in items[: 1 if numbered else None]:
+        yield from _places(value, (*path, key))
+
+
+def _lines(data: bytes, name: str) -> Any:
+    """What JSON, or a line of JSON each, holds; None: it is none."""
+    if name.endswith(".jsonl"):
+        return [json.loads(line) for line in data.splitlines()]
+    return json.loads(data) if name.endswith(".json") else None
+
+
+def _some(name: str, part: int) -> bool:
+    """Whether this is one of a part of the cases, which are more than anybody waits for."""
+    return sum(name.encode("utf-8", "replace")) % part == 0
+
+
+def cases() -> Iterator[Case]:
+    for good in goods():
+        if good.given in good.files:
+            yield from _of_file(good, good.files[good.given])
+        else:
+            yield from _of_folder(good)
+    for kinds, ending in ((JSONS, "json"), (TABLES, "csv")):
+        for name, data in kinds.items():
+            yield file_case(f"{ending}-{name}", DOOR, f"a_0.{ending}", lambda _, data=data: data())
+    yield file_case("jsonl-lines", DOOR, "a.jsonl", lambda _: JSONS["lines"]())
+    for name, data in harms():
+        known = name == "runs-reduce-os.system"
+        if known or _some(name, 2):
+            yield file_case(
+                f"recording-{name}", DOOR, "hamer.pkl", lambda _, data=data: data(), refused=True, known=known
+            )
+        if _some(name, 3):
+            in_npy = lambda _, data=data: raw_member("()", "'|O'", data())  # noqa: E731
+            yield file_case(f"recording-npy-{name}", DOOR, "a.mano.npy", in_npy, refused=True)
+    bvh = content("bvh").decode()
+    for name, (pattern, text) in BONES.items():
+        changed = partial(
+            lambda p, t, n, _: re.sub(p, t, bvh, count=n).encode(),
+            pattern,
+            text,
+            int(name in ("deep", "wide")),
+        )
+        yield file_case(f"bvh-{name}", DOOR, "a.bvh", changed)
+
+
+def _of_file(good: Good, data: bytes) -> Iterator[Case]:
+    name, more = Path(good.given).name, good.arguments
+    yield file_case(f"{good.stem}-good", DOOR, name, lambda _: data, known=True, good=True, **more)
+    yield from mutants(good.stem, DOOR, lambda: data, name, 3, **more)
+    held = _lines(data, name)
+    if held is not None:
+        for path in _places(held):
+            for value, text in NUMBERS.items():
+                case = f"{good.stem}-{'-'.join(map(str, path))}-{value}"
+                if _some(case, 11):
+
+                    def lie(_: Place, path=path, text=text) -> bytes:
+                        if not name.endswith(".jsonl"):
+                            return told(held, path, text).encode()
+                        lines = [json.dumps(line) for line in held]
+                        lines[0] = told(held[0], path[1:], text) if path[1:] else text
+                        return "\n".join(lines).encode()
+
+                    yield file_case(case, DOOR, name, lie, **more)
+    elif name.endswith(".csv"):
+        rows = [line.split(",") for line in data.decode().splitlines()]
+        for column in sorted({0, 1, 2, 3, 4, len(rows[0]) // 2, len(rows[0]) - 1}):
+            for value, text in CELLS.items():
+                case = f"{good.stem}-{column}-{value}"
+                if _some(case, 2):
+
+                    def cell(_: Place, column=column, text=text) -> bytes:
+                        row = [*rows[1][:column], text, *rows[1][column + 1 :]]
+                        return "\n".join(map(",".join, (rows[0], row, *rows[2:]))).encode("utf-8")
+
+                    yield file_case(case, DOOR, name, cell, **more)
+    elif name.endswith(".npz"):
+        with TemporaryDirectory() as folder:
+            file = Path(folder, name)
+            file.write_bytes(data)
+            with np.load(file, allow_pickle=True) as archive:
+                arrays = {key: archive[key] for key in archive.files}
+        for case in lies(good.stem, DOOR, lambda: arrays, name, ours=False, **more):
+            if _some(case.name, 3):
+                yield replace(case, known=False)
+    elif name.endswith(".npy") and b"'|O'" not in data[:100]:
+        array = np.load(io.BytesIO(data))
+        yield from npy_lies(good.stem, DOOR, lambda: array, name, **more)
+
+
+def _of_folder(good: Good) -> Iterator[Case]:
+    yield Case(f"{good.stem}-good", DOOR, lambda place: {**good.laid_out(place), "good": True}, known=True)
+    for file in good.files:
+        stem = f"{good.stem}-{Path(file).stem}"
+        for mutation in MUTATIONS:
+            if _some(f"{stem}-{mutation.__name__}", 2):
+
+                def mutant(place: Place, file=file, mutation=mutation) -> dict[str, Any]:
+                    return good.laid_out(place, {file: mutated(good.files[file], mutation, place.rng)})
+
+                yield Case(f"{stem}-{mutation.__name__}", DOOR, mutant)
+    files = list(good.files)
+    for kind, put in ODD.items():
+        for place_of in ("first", "last", "all"):
+
+            def odd(place: Place, put=put, place_of=place_of) -> dict[str, Any]:
+                arguments = good.laid_out(place)
+                for file in {"first": files[:1], "last": files[-1:], "all": files}[place_of]:
+                    (place.folder / file).unlink()
+                    put(place.folder / file)
+                return arguments
+
+            yield Case(
+                f"{good.stem}-{place_of}-is-a-{kind}", DOOR, odd, known=kind == "pipe" and place_of == "all"
+            )
+    for number, called in enumerate(ODD_NAMES):
+
+        def besides(place: Place, called=called) -> dict[str, Any]:
+            arguments = good.laid_out(place)
+            last = place.folder / files[-1]
+            name = os.fsencode(f"{called}{last.suffix}")
+            Path(os.fsdecode(os.path.join(os.fsencode(last.parent), name))).write_bytes(last.read_bytes())  # noqa: PTH118
+            return arguments
+
+        yield Case(f"{good.stem}-besides-{number}", DOOR, besides)
+
+    def many(place: Place) -> dict[str, Any]:
+        arguments = good.laid_out(place)
+        last = place.folder / files[-1]
+        for number in range(3000):
+            (last.parent / f"x_{number:06}{last.suffix}").touch()
+        return arguments
+
+    yield Case(f"{good.stem}-with-3000-more", DOOR, many)
