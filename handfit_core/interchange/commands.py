@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from pathlib import Path
 from typing import Any, Final
 
 from handfit_core.errors import InputError, NoHandFoundError, OptionError
-from handfit_core.files import check_writable, shown, written_whole
+from handfit_core.files import check_writable, path_of, shown, written_whole
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.writers import WRITERS, writer_for
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
@@ -120,8 +121,8 @@ def _convert(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
-    path = Path(args.input)
-    if not path.exists():
+    path = path_of(args.input)
+    if not os.path.exists(path):  # noqa: PTH110  (raises for no name, however long)
         raise InputError(f"{shown(path)}: there is no such file or folder")
     take = opened_take(path)
     if take is not None:

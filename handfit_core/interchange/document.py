@@ -10,7 +10,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,10 +29,6 @@ MOST_TEXT: Final = 1 << 27
 """bytes of one JSON text or table"""
 _MOST_PARSED: Final = 900_000_000
 """bytes of memory that what is in one may take, together with the text"""
-_JSON_BYTES: Final = {b"[": 56, b"{": 180, b",": 32, b'"': 10}
-"""of memory, for each such sign in a JSON text, whether it stands in quotes or not"""
-_TABLE_BYTES: Final = {b"\n": 64, b"\r": 64, b",": 58, b"\t": 58}
-"""the same in a table, whose lines are lists of texts"""
 MOST_FILES: Final = 1_000_000
 """of a folder"""
 _MOST_MEMORY: Final = 1 << 28
@@ -82,7 +78,7 @@ class Document:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = path_of(path)
-        self.is_folder = self.path.is_dir()
+        self.is_folder = os.path.isdir(self.path)  # noqa: PTH112  (raises for no name, however long)
 
     @property
     def suffix(self) -> str:
@@ -107,12 +103,11 @@ class Document:
         except UnicodeDecodeError:
             return None
 
-    def _check_room(self, costs: Mapping[bytes, int]) -> None:
-        """Raise InputError for a text that would take too much memory. `costs`: bytes of what each sign of it
-        becomes."""
+    def _check_room(self, parsed: int) -> None:
+        """Raise InputError for a text that would take too much memory. `parsed`: bytes that what is in it
+        takes."""
         # All letters of a text are stored as wide as its widest, in up to 4 bytes, and its parts once more.
-        taken = len(self.bytes) * (2 if self.bytes.isascii() else 9)
-        taken += sum(self.bytes.count(sign) * cost for sign, cost in costs.items())
+        taken = len(self.bytes) * (2 if self.bytes.isascii() else 9) + parsed
         if len(self.bytes) > MOST_TEXT or taken > _MOST_PARSED:
             raise InputError(f"{shown(self.path)}: it is too large to be read at once; cut it into parts")
 
@@ -122,7 +117,7 @@ class Document:
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         if start not in (b"{", b"["):
             return None
-        self._check_room(_JSON_BYTES)
+        self._check_room(_memory_of_json(self.bytes))
         if self.text is None:
             return None
         try:
@@ -135,7 +130,7 @@ class Document:
         """What a file with a JSON text a line (.jsonl) holds."""
         if self.bytes[:1] != b"{":
             return None
-        self._check_room(_JSON_BYTES)
+        self._check_room(_memory_of_json(self.bytes))
         try:
             with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8") as text:
                 return [json.loads(line) for line in text if line.strip()]
@@ -147,7 +142,7 @@ class Document:
         """What a CSV file with a line of names holds; None also where lines differ in length."""
         if self.suffix not in (".csv", ".tsv", ".txt"):
             return None
-        self._check_room(_TABLE_BYTES)
+        self._check_room(_memory_of_table(self.bytes))
         with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8-sig", newline="") as text:
             try:
                 cells = csv.reader(text, delimiter="\t" if self.suffix == ".tsv" else ",")
@@ -278,6 +273,20 @@ class Document:
         if self.table is not None:
             return f"a table with the columns {_some(list(self.table.columns))}"
         return f"a file of {len(self.bytes)} bytes that is no JSON, .npz or table"
+
+
+def _memory_of_json(data: bytes) -> int:
+    """Bytes that what is in a JSON text takes at most, roughly, by signs that may also stand in quotes."""
+    lists, objects, items, quotes, names = (data.count(sign) for sign in (b"[", b"{", b",", b'"', b":"))
+    # Objects that are many have the same names, which are kept once; those of very many names have their own.
+    own = max(0, names - 32 * objects)
+    return 56 * lists + 180 * objects + 32 * items + 10 * quotes + 20 * names + 200 * own
+
+
+def _memory_of_table(data: bytes) -> int:
+    """The same of a table, whose lines are lists of texts."""
+    lines, cells = data.count(b"\n") + data.count(b"\r"), data.count(b",") + data.count(b"\t")
+    return 64 * lines + 58 * cells
 
 
 def _unpickled(data: bytes) -> Any:

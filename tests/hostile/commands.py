@@ -7,6 +7,7 @@ from typing import Any
 
 from tests.hostile import models, pickles, pictures, takes, videos
 from tests.hostile.engine import Case, Place
+from tests.hostile.names import TEXTS
 from tests.hostile.npz import bomb
 
 BAD: dict[str, tuple[str, Callable[[], bytes]]] = {
@@ -54,6 +55,13 @@ def cases() -> Iterator[Case]:
             return {"argv": ["capture", "a.png", "-o", "result/out.npz", *options]}
 
         yield Case(f"command-option-{name}", "core.command", chosen)
+    for name, text in TEXTS.items():
+        for verb in (["info"], ["convert", "-o", "result/out.bvh"]):
+
+            def of_others(_: Place, verb=verb, text=text) -> dict[str, Any]:
+                return {"argv": [*verb, text]}
+
+            yield Case(f"command-{verb[0]}-{name}", "core.command", of_others, refused=True)
     for name, file, made in (
         ("bomb", "a.npz", lambda: bomb({}, "header", 3 << 29)),
         ("runs", "MANO_RIGHT.pkl", pickles.system_call),

@@ -56,12 +56,14 @@ def _read(document: Document, asked: Asked) -> Recording:
         for _, human in of_person(people, asked.person):
             found = keyed(human)
             try:
-                everything.append(_triples(found.get("posekeypoints2d", found.get("posekeypoints"))))
+                body = _triples(found.get("posekeypoints2d", found.get("posekeypoints")))
+                if len(body):
+                    everything.append(body)
                 for side in SIDES:
                     hand = _triples(found.get(f"hand{side}keypoints2d", found.get(f"hand{side}keypoints")))
-                    everything.append(hand)
                     if not len(hand):
                         continue
+                    everything.append(hand)
                     if len(hand) != NUM_KEYPOINTS:
                         raise ValueError(f"a {side} hand of {len(hand)} points; expected 21")
                     given += 1
