@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
@@ -251,6 +252,8 @@ def end_with_parent(parent: int, end: Callable[[], None]) -> None:
     signal.signal(signal.SIGALRM, look)
     signal.siginterrupt(signal.SIGALRM, False)
     signal.setitimer(signal.ITIMER_REAL, _EVERY, _EVERY)
+    # While Python ends, signals do again what they do by default, and this one's is to kill the process.
+    atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)
 
 
 def reap() -> None:

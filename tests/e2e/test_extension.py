@@ -101,6 +101,7 @@ def test_the_core_is_its_source_with_the_models_and_without_evaluation(zipped, t
         "handfit_core/hand_model/data/poses.npz",
         "handfit_core/detect/correction/data/landmark_network.npz",
         "handfit_core/fit/data/doubt.npz",
+        "handfit_core/interchange/data/lift_network.npz",
         *(f"handfit_core/farm/templates/{name}" for name in ("flamenco.js", "slurm.sh", "snakemake.smk")),
     }
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "handfit_core").rglob("*.py")}

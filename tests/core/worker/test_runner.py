@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -131,3 +134,20 @@ def test_a_pool_has_processes_of_its_own_with_one_thread_each() -> None:
     assert os.getpid() not in {event["pid"] for event in done}
     assert {event["threads"] for event in done} == {"1"}
     assert os.environ.get("OMP_NUM_THREADS") == before
+
+
+_ENDS_SLOWLY = """
+import os, time
+from handfit_core.worker import process
+class Last:
+    def __del__(self, sleep=time.sleep):
+        sleep(0.5)
+kept = Last()
+process._EVERY = 0.01
+process.end_with_parent(os.getppid(), lambda: None)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no such timers")
+def test_who_looks_for_its_parent_is_not_killed_by_that_while_it_ends() -> None:
+    assert subprocess.run([sys.executable, "-c", _ENDS_SLOWLY], timeout=60, check=False).returncode == 0
