@@ -7,7 +7,7 @@ the sidebar and the headers cover a part.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import bpy
 import gpu
@@ -147,13 +147,42 @@ def zoom_and_offset(
         side = 0 if sensor_fit == "HORIZONTAL" else 1
         scale = region[side] / frame[side]
     width, height = frame[0] * scale, frame[1] * scale
-    factor = min((free[2] - free[0]) / width, (free[3] - free[1]) / height)
-    zoom = min(max((math.sqrt(4.0 * factor) - math.sqrt(2.0)) * 50.0, _LOWEST_ZOOM), _HIGHEST_ZOOM)
-    factor = (math.sqrt(2.0) + zoom / 50.0) ** 2 / 4.0
-    middle = (free[0] + free[2]) / 2.0, (free[1] + free[3]) / 2.0
-    # The offset is in twice the region's size, and grows with the zoom.
+    zoom = _zoom_of(min((free[2] - free[0]) / width, (free[3] - free[1]) / height))
+    return zoom, _offset(zoom, region, ((free[0] + free[2]) / 2.0, (free[1] + free[3]) / 2.0))
+
+
+def enlarged(
+    zoom: float,
+    offset: Sequence[float],
+    region: tuple[float, float],
+    factor: float,
+    here: np.ndarray,
+    there: np.ndarray,
+) -> tuple[float, tuple[float, float]]:
+    """`view_camera_zoom` and `view_camera_offset` of a camera view that is enlarged by `factor`, as far as
+    Blender's limits allow, and in which `there` lies what lay `here`: (2,) pixels of the region each."""
+    before = _enlargement(zoom)
+    zoom = _zoom_of(before * factor)
+    grown = _enlargement(zoom) / before
+    middle = [size * (0.5 - 2.0 * before * moved) for size, moved in zip(region, offset, strict=True)]
+    x, y = (to + (at - old) * grown for at, old, to in zip(middle, here, there, strict=True))
+    return zoom, _offset(zoom, region, (x, y))
+
+
+def _enlargement(zoom: float) -> float:
+    return (math.sqrt(2.0) + zoom / 50.0) ** 2 / 4.0
+
+
+def _zoom_of(enlargement: float) -> float:
+    return min(max((math.sqrt(4.0 * enlargement) - math.sqrt(2.0)) * 50.0, _LOWEST_ZOOM), _HIGHEST_ZOOM)
+
+
+def _offset(zoom: float, region: tuple[float, float], middle: tuple[float, float]) -> tuple[float, float]:
+    """The offset with which the frame's middle lies there: in twice the region's size, growing with the
+    zoom."""
+    factor = _enlargement(zoom)
     x, y = ((size / 2.0 - at) / (2.0 * factor * size) for size, at in zip(region, middle, strict=True))
-    return zoom, (x, y)
+    return x, y
 
 
 def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:

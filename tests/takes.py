@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,3 +46,12 @@ def take_of(hands: Sequence[HandTrack], camera: Intrinsics, width: int, height: 
         "model_digests": {hand.side: load_model("open-hand", hand.side).digest for hand in hands},
     }
     return Take(hands=tuple(hands), intrinsics=camera, width=width, height=height, **values | fields)
+
+
+def correctable(take: Take) -> Take:
+    """The same take with what fitting again needs of its detections."""
+    hands = []
+    for hand in take.hands:
+        points = hand.joints_3d - hand.joints_3d[:, :1]
+        hands.append(replace(hand, keypoints_depth=0.0 * points[..., 2], world_landmarks=points))
+    return replace(take, hands=tuple(hands))

@@ -28,7 +28,15 @@ DOUBT_COLOR: Final = (1.0, 0.55, 0.15)
 LETTERS: Final = 13.0
 """size of text, at a user interface scale of 1"""
 RADIUS: Final = 5.0
-"""pixels of a handle, at a user interface scale of 1"""
+"""pixels of a handle with room around it, at a user interface scale of 1"""
+_LEAST_RADIUS: Final = 1.5
+"""The same of one that others nearly cover"""
+_RIM: Final = 1.5
+"""pixels of the dark edge around it, likewise"""
+_ACTIVE, _PINNED = 1.35, 2.1
+"""How much larger a handle is under the mouse, and how much a pin is"""
+_LINE: Final = 2.0
+"""pixels: the width of a bone of a hand with room for its handles"""
 
 _PARTS: Final = {
     "thumb": ("Base", "Knuckle", "Joint", "Tip"),
@@ -69,10 +77,11 @@ class Picture:
 def draw(picture: Picture) -> None:
     """Draw in the current region, in pixels."""
     scale = ui_scale()
+    sizes = handle_sizes(picture, scale)
     gpu.state.blend_set("ALPHA")
     try:
-        _draw_skeleton(picture, scale)
-        _draw_handles(picture, scale)
+        _draw_skeleton(picture, sizes, scale)
+        _draw_handles(picture, sizes, scale)
     finally:
         gpu.state.blend_set("NONE")
     _draw_name(picture, scale)
@@ -81,15 +90,35 @@ def draw(picture: Picture) -> None:
         write(picture.text, *picture.corner, shade, scale)
 
 
-def _draw_skeleton(picture: Picture, scale: float) -> None:
+def rooms(places: np.ndarray) -> np.ndarray:
+    """(21,) pixels to half-way from each of `places` (21, 2) to the nearest other one; infinite for a place
+    alone, and NaN for one that is NaN."""
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    apart[np.isnan(apart)] = np.inf
+    np.fill_diagonal(apart, np.inf)
+    return np.where(np.isnan(places).any(axis=1), np.nan, apart.min(axis=1) / 2.0)
+
+
+def handle_sizes(picture: Picture, scale: float) -> np.ndarray:
+    """(21,) each handle's size relative to one that has room: as large as lets no two cover each other, where
+    they are not in the same place."""
+    radius = np.full(NUM_KEYPOINTS, RADIUS)
+    radius[[k for k in (picture.hovered, picture.dragged) if k is not None]] *= _ACTIVE
+    outer = radius + _RIM
+    outer[list(picture.pinned)] = radius[list(picture.pinned)] * _PINNED
+    return np.clip(rooms(picture.places) / (outer * scale), _LEAST_RADIUS / RADIUS, 1.0)
+
+
+def _draw_skeleton(picture: Picture, sizes: np.ndarray, scale: float) -> None:
     ends = picture.places[LINES]  # (20, 2, 2)
     there = np.isfinite(ends).all(axis=(1, 2))
     if not there.any():
         return
-    draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(LINE_COLORS[there], 2, axis=0), 2.0 * scale)
+    width = max(_LINE * float(np.nanmedian(sizes)), 1.0) * scale
+    draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(LINE_COLORS[there], 2, axis=0), width)
 
 
-def _draw_handles(picture: Picture, scale: float) -> None:
+def _draw_handles(picture: Picture, sizes: np.ndarray, scale: float) -> None:
     corners: list[np.ndarray] = []
     colors: list[np.ndarray] = []
 
@@ -101,15 +130,15 @@ def _draw_handles(picture: Picture, scale: float) -> None:
         place = picture.places[keypoint]
         if np.isnan(place).any():
             continue
-        active = keypoint in (picture.hovered, picture.dragged)
-        radius = RADIUS * scale * (1.35 if active else 1.0)
+        active, size = keypoint in (picture.hovered, picture.dragged), sizes[keypoint] * scale
+        radius = RADIUS * size * (_ACTIVE if active else 1.0)
         if keypoint in picture.pinned:
             # A pin: a diamond in a white frame.
-            shape(_DIAMOND, place, radius * 2.1, (*DARK, 0.9))
+            shape(_DIAMOND, place, radius * _PINNED, (*DARK, 0.9))
             shape(_DIAMOND, place, radius * 1.8, (*PIN_COLOR, 1.0))
             shape(_DIAMOND, place, radius * 1.1, (*color(keypoint), 1.0))
         else:
-            shape(_DISC, place, radius + 1.5 * scale, (*DARK, 0.8))
+            shape(_DISC, place, radius + _RIM * size, (*DARK, 0.8))
             shape(_DISC, place, radius, (*(PIN_COLOR if active else color(keypoint)), 1.0))
     if corners:
         draw_shape("TRIS", np.concatenate(corners), np.concatenate(colors))

@@ -30,6 +30,8 @@ from . import drawing, view
 
 REACH: Final = 14.0
 """pixels from a handle within which the mouse takes it, at a user interface scale of 1"""
+_LEAST_REACH: Final = 5.0
+"""The same of a handle with others close by"""
 _SLOW: Final = 0.06
 """seconds after which the dragged point is drawn without the hand. Before that the answer is nearly there,
 and drawing twice would only make it later"""
@@ -40,9 +42,30 @@ _ENOUGH: Final = 6
 """points of a hand that was added: so many make a sensible pose"""
 _STILL: Final = 3
 """pixels. A press that moves less is a click"""
+_FRAMED: Final = 2.0
+"""sizes of the hand that the view shows of the picture: half of one on each side of it"""
 
 latencies: deque[float] = deque(maxlen=2000)
 """seconds from a movement of the mouse to the hand that followed it, newest last"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """Where an artist has looked at a hand."""
+
+    zoom: float
+    offset: tuple[float, float]
+    places: np.ndarray
+    """(21, 2) pixels of the picture: where the hand was then"""
+
+
+_sights: dict[int, _Sight] = {}
+"""By the armatures' session_uid, which a rename and an undo leave and which no other file's hand gets"""
+
+
+def forget_sights() -> None:
+    """The open file goes."""
+    _sights.clear()
 
 
 @dataclass(eq=False)
@@ -99,7 +122,7 @@ class KeypointMode:
     """The state of the mode, from its start to `end`. Data-blocks are named, never held."""
 
     def __init__(self, context: bpy.types.Context, refiner: Refiner, viewport: view.Viewport) -> None:
-        """Turn the viewport to the capture camera and warm the worker up. Raises HandfitError."""
+        """Turn the viewport to the hand in its picture and warm the worker up. Raises HandfitError."""
         self.refiner = refiner
         self.drag: _Drag | None = None
         self.hovered: int | None = None
@@ -118,6 +141,10 @@ class KeypointMode:
         self.solid = False
         """Whether the hand hides the picture, whatever its opacity is otherwise"""
         see_through.begin(camera.data, self._opacity)
+        self._frame = context.scene.frame_current_final
+        self._places = self.picture_places()
+        """(21, 2) pixels of the picture: the hand on that frame, or on the last one before that had one"""
+        self._look_again(viewport)
         self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         viewport.area.tag_redraw()
 
@@ -134,6 +161,7 @@ class KeypointMode:
         if self._warming:
             shared_worker.abandon(self._warming)
         see_through.end()
+        self._remember_sight(context)
         self.view.leave(context)
         screen.redraw("VIEW_3D")
 
@@ -156,6 +184,75 @@ class KeypointMode:
         if context.mode not in ("OBJECT", "POSE"):
             return "Keypoints: refining works in Object and Pose mode"
         return None
+
+    # What of the picture is seen
+
+    def show_hand(self, viewport: view.Viewport) -> None:
+        """Frame the hand with half its size on each side; the whole picture on a frame without it."""
+        self.show_picture(viewport)
+        places = self.region_places(viewport)
+        if np.isnan(places).all():
+            return
+        low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+        free = viewport.free()
+        factor = ((free[1] - free[0]) / np.maximum(_FRAMED * (high - low), 1.0)).min()
+        viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
+
+    def show_picture(self, viewport: view.Viewport) -> None:
+        """Frame the whole picture."""
+        self.view.face(viewport)
+        camera = self.refiner.hand.camera
+        assert camera is not None
+        viewport.show_picture(camera, bpy.context.scene)
+
+    def _look_again(self, viewport: view.Viewport) -> None:
+        """Show of the hand what the artist has looked at before; without that, all of it."""
+        armature = self.refiner.found
+        sight = _sights.get(armature.session_uid) if armature is not None else None
+        if sight is None:
+            self.show_hand(viewport)
+            return
+        viewport.set_zoom(sight.zoom, sight.offset)
+        if not self._keep_in_sight(viewport, sight.places):
+            self.show_hand(viewport)
+
+    def _remember_sight(self, context: bpy.types.Context) -> None:
+        viewport, armature = view.viewport_at(context, self.view.address), self.refiner.found
+        if viewport is not None and armature is not None and self.view.shows(viewport):
+            seen = viewport.view
+            offset = tuple(seen.view_camera_offset)
+            _sights[armature.session_uid] = _Sight(seen.view_camera_zoom, offset, self._places)
+
+    def _follow_hand(self, context: bpy.types.Context) -> None:
+        """Move the view with the hand where another frame is shown now."""
+        if context.scene.frame_current_final == self._frame:
+            return
+        self._frame, before = context.scene.frame_current_final, self._places
+        now = self.picture_places()
+        if np.isnan(now).all():
+            return
+        self._places = now
+        viewport = view.viewport_at(context, self.view.address)
+        if viewport is not None:
+            self._keep_in_sight(viewport, before)
+
+    def _keep_in_sight(self, viewport: view.Viewport, before: np.ndarray) -> bool:
+        """Have the view show those points that it showed when they were at `before`, (21, 2) pixels of the
+        picture: it moves to their middle if one has left it, and keeps its zoom. Returns whether there are
+        any."""
+        viewport.view.update()  # since the last zoom
+        matrix = self.matrix(viewport)
+        if matrix is None:
+            return False
+        low, high = viewport.free()
+        places = mapped(matrix, before)
+        seen = ((places >= low) & (places <= high)).all(axis=1)
+        places = mapped(matrix, self._places)[seen]
+        places = places[np.isfinite(places).all(axis=1)]
+        if ((places < low) | (places > high)).any():
+            middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
+            viewport.enlarge(1.0, middle, (low + high) / 2.0)
+        return len(places) > 0
 
     # The hand over the picture
 
@@ -209,11 +306,13 @@ class KeypointMode:
     def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
         """The handle nearest to a place in window pixels, within reach."""
         mouse = np.array([x - viewport.region.x, y - viewport.region.y])
-        away = np.linalg.norm(self.region_places(viewport) - mouse, axis=-1)
+        places = self.region_places(viewport)
+        away = np.linalg.norm(places - mouse, axis=-1)
         if np.isnan(away).all():
             return None
-        nearest = int(np.nanargmin(away))
-        return nearest if away[nearest] <= REACH * screen.ui_scale() else None
+        nearest, scale = int(np.nanargmin(away)), screen.ui_scale()
+        reach = np.clip(drawing.rooms(places)[nearest], _LEAST_REACH * scale, REACH * scale)
+        return nearest if away[nearest] <= reach else None
 
     # Dragging
 
@@ -281,6 +380,7 @@ class KeypointMode:
 
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers, and ask for what has not been asked for."""
+        self._follow_hand(context)
         drag = self.drag
         try:
             if self._warming and shared_worker.answer(self._warming) is not None:

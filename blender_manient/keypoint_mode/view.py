@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import bpy
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.picture_map import picture_to_region
 
-from ..screen import camera_region, frame_whole_picture
+from ..screen import camera_region, enlarged, frame_whole_picture, free_box
 
 _OF_REGION = (
     "view_perspective",
@@ -21,6 +23,16 @@ _OF_REGION = (
     "view_rotation",
 )
 _OF_SPACE = ("use_local_camera", "lock_camera")
+_STEP: Final = 1.25
+"""by which one notch of the wheel enlarges"""
+_SWIPE: Final = 20.0
+"""pixels that fingers move on a trackpad for the same"""
+_ZOOMS: Final = {
+    "WHEELUPMOUSE": _STEP,
+    "NUMPAD_PLUS": _STEP,
+    "WHEELDOWNMOUSE": 1.0 / _STEP,
+    "NUMPAD_MINUS": 1.0 / _STEP,
+}
 
 
 @dataclass(frozen=True)
@@ -46,6 +58,42 @@ class Viewport:
 
         others = (r for r in self.area.regions if r.type != "WINDOW")
         return inside(self.region) and not any(inside(r) for r in others)
+
+    def mouse(self, event: bpy.types.Event) -> np.ndarray:
+        """(2,) pixels of the region: where the mouse is."""
+        return np.array([event.mouse_x - self.region.x, event.mouse_y - self.region.y], dtype=float)
+
+    def show_picture(self, camera: bpy.types.Object, scene: bpy.types.Scene) -> None:
+        """Frame the camera's whole picture. The matrices follow at once."""
+        frame_whole_picture(self.area, camera, scene)
+        self.view.update()
+
+    def enlarge(self, factor: float, here: np.ndarray, there: np.ndarray | None = None) -> None:
+        """Enlarge the camera view, and lay what is `here` `there`: (2,) pixels of the region; None: it
+        stays."""
+        seen, size = self.view, (self.region.width, self.region.height)
+        there = here if there is None else there
+        self.set_zoom(*enlarged(seen.view_camera_zoom, seen.view_camera_offset, size, factor, here, there))
+
+    def set_zoom(self, zoom: float, offset: Sequence[float]) -> None:
+        """Set the camera view's zoom and offset. The matrices follow at once."""
+        self.view.view_camera_zoom, self.view.view_camera_offset = zoom, offset
+        self.view.update()
+        self.region.tag_redraw()
+
+    def free(self) -> np.ndarray:
+        """(2, 2) lower left and upper right of what lies free of the sidebar and the headers, pixels of the
+        region."""
+        return np.reshape(free_box(self.area, self.region), (2, 2))
+
+
+def zoom_of(event: bpy.types.Event) -> float | None:
+    """By how much the wheel, a key or a trackpad enlarges the picture; None for another event."""
+    if event.ctrl or event.shift or event.alt or event.oskey:
+        return None
+    if event.type == "TRACKPADZOOM":
+        return _STEP ** ((event.mouse_x - event.mouse_prev_x) / _SWIPE)
+    return _ZOOMS.get(event.type) if event.value == "PRESS" else None
 
 
 def first_viewport(context: bpy.types.Context) -> Viewport | None:
@@ -90,13 +138,18 @@ class CaptureView:
         space.lock_camera = False
         if there:
             return
-        if context.scene is not None and context.scene.camera != camera:
+        self.face(viewport)
+        viewport.show_picture(camera, context.scene)
+
+    def face(self, viewport: Viewport) -> None:
+        """Have the viewport look through the capture camera."""
+        scene, space, camera = bpy.context.scene, viewport.space, bpy.data.objects[self.camera]
+        if scene is not None and scene.camera != camera:
             space.use_local_camera = True
             space.camera = camera
         elif space.use_local_camera:
             space.camera = camera
-        view.view_perspective = "CAMERA"
-        frame_whole_picture(viewport.area, camera, context.scene)
+        viewport.view.view_perspective = "CAMERA"
 
     def shows(self, viewport: Viewport) -> bool:
         """Whether the viewport looks through the capture camera now."""

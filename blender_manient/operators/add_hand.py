@@ -194,7 +194,7 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
         viewport = view.viewport_at(context, _mode.view.address) if _mode is not None else None
         if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
             return self._end(context)
-        mouse = np.array([event.mouse_x - viewport.region.x, event.mouse_y - viewport.region.y], dtype=float)
+        mouse = viewport.mouse(event)
         inside, settings = viewport.contains(event.mouse_x, event.mouse_y), context.scene.manient
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
             _mode.follow(viewport, mouse)
@@ -212,6 +212,8 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
             settings.added_side = "left" if settings.added_side == "right" else "right"
         elif event.value == "PRESS" and event.type == "P" and inside and not (event.ctrl or event.alt):
             _mode.seen = "palm" if _mode.seen == "back" else "back"
+        elif (factor := view.zoom_of(event)) is not None and inside and _mode.view.shows(viewport):
+            viewport.enlarge(factor, mouse)
         else:
             return {"PASS_THROUGH"}
         viewport.region.tag_redraw()

@@ -15,7 +15,7 @@ _TICK = 0.008
 """seconds between two looks at the worker"""
 _KEYS = (
     "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    "
-    "Left/Right: Frame    Enter, Esc: Done"
+    "Left/Right: Frame    Wheel: Zoom    Home: Hand    Shift Home: Picture    Enter, Esc: Done"
 )
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB"}
 
@@ -107,6 +107,10 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
                 _mode.hovered = hovered
                 viewport.area.tag_redraw()
             return {"PASS_THROUGH"}
+        factor = view.zoom_of(event)
+        if factor is not None and inside and _mode.view.shows(viewport):
+            viewport.enlarge(factor, viewport.mouse(event))
+            return {"RUNNING_MODAL"}
         if event.value != "PRESS":
             return {"PASS_THROUGH"}
         if event.type == "LEFTMOUSE" and inside:
@@ -133,6 +137,9 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
             return {"RUNNING_MODAL"}
         if event.type in ("LEFT_ARROW", "RIGHT_ARROW") and not (event.ctrl or event.shift or event.alt):
             _mode.step(context.scene, -1 if event.type == "LEFT_ARROW" else 1)
+            return {"RUNNING_MODAL"}
+        if event.type == "HOME" and not (event.ctrl or event.alt or event.oskey):
+            (_mode.show_picture if event.shift else _mode.show_hand)(viewport)
             return {"RUNNING_MODAL"}
         if event.type in _ENDS or event.type == "ESC":
             return self._end(context)
@@ -161,4 +168,10 @@ def unregister(*_args) -> None:
         _mode.ended = ""
 
 
-HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": unregister}
+@bpy.app.handlers.persistent
+def _on_load(*_args) -> None:
+    unregister()
+    mode.forget_sights()
+
+
+HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": _on_load}

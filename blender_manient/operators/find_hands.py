@@ -17,14 +17,6 @@ from .needs_hand import Refuses, Waits, errors_reported
 
 _TICK = 0.03
 """seconds between two looks at the worker"""
-_STEP = 1.25
-"""by which one notch of the wheel enlarges"""
-_ZOOMS = {
-    "WHEELUPMOUSE": _STEP,
-    "NUMPAD_PLUS": _STEP,
-    "WHEELDOWNMOUSE": 1.0 / _STEP,
-    "NUMPAD_MINUS": 1.0 / _STEP,
-}
 _BLENDERS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""
 
@@ -79,11 +71,20 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         viewport = view.viewport_at(context, now.address)
         if viewport is None or event.type == "TIMER":
             return {"PASS_THROUGH"}
-        mouse = np.array([event.mouse_x - viewport.region.x, event.mouse_y - viewport.region.y], dtype=float)
+        mouse = viewport.mouse(event)
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
             return self._moved(now, viewport, mouse, viewport.contains(event.mouse_x, event.mouse_y))
-        if event.type in ("TRACKPADPAN", "TRACKPADZOOM") and now.sight is not None:
-            return self._swiped(now, viewport, mouse, event)
+        if now.sight is not None and viewport.contains(event.mouse_x, event.mouse_y):
+            if (factor := view.zoom_of(event)) is not None:
+                now.sight.zoom(factor, now.place(viewport, mouse), now.room(viewport))
+                now.hover(viewport, mouse)
+                viewport.area.tag_redraw()
+                return {"RUNNING_MODAL"}
+            if event.type == "TRACKPADPAN":
+                by = [event.mouse_x - event.mouse_prev_x, event.mouse_y - event.mouse_prev_y]
+                now.sight.move(np.array(by, dtype=float), now.room(viewport))
+                viewport.area.tag_redraw()
+                return {"RUNNING_MODAL"}
         if event.value == "RELEASE":
             return self._released(context, now, viewport, event)
         if event.value == "PRESS" and viewport.contains(event.mouse_x, event.mouse_y):
@@ -106,18 +107,6 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
             return {"PASS_THROUGH"}
         viewport.area.tag_redraw()
         return {"PASS_THROUGH"}
-
-    def _swiped(self, now, viewport, mouse, event):
-        """Fingers on a trackpad."""
-        by = np.array([event.mouse_x - event.mouse_prev_x, event.mouse_y - event.mouse_prev_y], dtype=float)
-        if not viewport.contains(event.mouse_x, event.mouse_y):
-            return {"PASS_THROUGH"}
-        if event.type == "TRACKPADPAN":
-            now.sight.move(by, now.room(viewport))
-        else:
-            now.sight.zoom(_STEP ** (by[0] / 20.0), now.place(viewport, mouse), now.room(viewport))
-        viewport.area.tag_redraw()
-        return {"RUNNING_MODAL"}
 
     def _released(self, context, now, viewport, event):
         if event.type == "MIDDLEMOUSE" and self._panned is not None:
@@ -152,20 +141,13 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         elif kind == "A":
             now.choice.toggle_all()
         elif now.sight is not None:
-            self._look(now, viewport, mouse, event)
+            if kind == "MIDDLEMOUSE":
+                self._panned = mouse
+            elif kind == "HOME":
+                now.sight.whole()
         if kind != "LEFTMOUSE":
             now.hover(viewport, mouse)
         return {"RUNNING_MODAL"}
-
-    def _look(self, now, viewport, mouse, event):
-        """Zoom and move the picture."""
-        room = now.room(viewport)
-        if event.type in _ZOOMS:
-            now.sight.zoom(_ZOOMS[event.type], now.place(viewport, mouse), room)
-        elif event.type == "MIDDLEMOUSE":
-            self._panned = mouse
-        elif event.type == "HOME":
-            now.sight.whole()
 
     def _do(self, context, now, todo):
         """What a button or a key asks for; a hand is added to the picture of the chosen ones, if there are

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_manient.screen import zoom_and_offset
+from blender_manient.screen import enlarged, zoom_and_offset
 
 PORTRAIT, LANDSCAPE, SQUARE = (620.0, 1080.0), (1920.0, 1080.0), (500.0, 500.0)
 
@@ -58,3 +58,17 @@ def test_blenders_limits_of_zoom():
     assert zoom == -30.0
     zoom, _ = zoom_and_offset((2000, 200), (0, 0, 2000, 200), (1.0, 500.0), "VERTICAL")
     assert -30.0 < zoom < 600.0
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 1.7, 1e6, 1e-6])
+def test_a_place_stays_or_goes_where_it_is_to_be(factor):
+    region, zoom, offset = (1200, 900), 25.0, (0.11, -0.04)
+    here, there = np.array([310.0, 640.0]), np.array([700.0, 200.0])
+    before = frame_box(region, LANDSCAPE, "AUTO", zoom, offset).reshape(2, 2)
+    after = frame_box(region, LANDSCAPE, "AUTO", *enlarged(zoom, offset, region, factor, here, there))
+    after = after.reshape(2, 2)
+    grown = np.ptp(after, axis=0) / np.ptp(before, axis=0)
+    if 0.1 < factor < 10.0:
+        np.testing.assert_allclose(grown, factor)
+    share = (here - before[0]) / np.ptp(before, axis=0)
+    np.testing.assert_allclose(after[0] + share * np.ptp(after, axis=0), there)

@@ -373,6 +373,7 @@ def mode_without_a_window(armature) -> KeypointMode:
     mode.refiner, mode.view = Refiner(armature), SimpleNamespace(address=0)
     mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
     mode._warming, mode._solved_in = 0, 0.0
+    mode._frame, mode._places = bpy.context.scene.frame_current_final, mode.picture_places()
     return mode
 
 

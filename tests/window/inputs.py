@@ -15,9 +15,10 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
 from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES
+from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
-from tests.takes import take_of, track_of
+from tests.takes import correctable, take_of, track_of
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
@@ -30,8 +31,9 @@ def write_clip(python: str, path: Path, frames: int, blank_from: int | None = No
     subprocess.run([python, "-c", _WRITE_CLIP, *arguments], check=True, timeout=120)
 
 
-def write_long_take(path: Path, frames: int) -> Path:
-    """Two hands, as a take file: again and again the same hundred frames. `frames`: hundreds."""
+def write_long_take(path: Path, frames: int, away: float = 0.6) -> Path:
+    """Two hands, as a take file: again and again the same hundred frames. `frames`: hundreds; `away`: metres
+    from the camera, which make them small and leave them where they are in the picture."""
     t = np.linspace(0.0, 2 * np.pi, 100)
     camera = Intrinsics.assumed(1280, 720)
     tracks = []
@@ -43,10 +45,15 @@ def write_long_take(path: Path, frames: int) -> Path:
         orient = np.stack([0.3 * np.sin(t), 0.2 * np.cos(t), t * 0], axis=-1)
         bend = 0.4 + 0.4 * np.sin(t)
         pose = np.tile([0.0, 0.0, 1.0 if side == "right" else -1.0], 15) * bend[:, None]
-        transl = np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0.6 + 0 * t], axis=-1)
+        transl = np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0.6 + 0 * t], axis=-1) * (away / 0.6)
         tracks.append(track_of(side, again(orient), again(pose), again(transl), camera))
     take = take_of(tracks, camera, 1280, 720, source=Source("video", ("gone.mp4",)))
     return take.save(path)
+
+
+def write_far_take(path: Path) -> Path:
+    """Two hands far away, which can be corrected: some 40 of the picture's 1280 pixels."""
+    return correctable(Take.load(write_long_take(path, 100, away=5.2))).save(path)
 
 
 _WRITE_CLIP = """

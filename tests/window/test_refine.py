@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+
+from tests.window.inputs import write_far_take
 from tests.window.test_capture import assert_sentence
 
 CLIP = 60
@@ -57,3 +61,30 @@ def test_the_picture_shows_through_the_hand_while_it_is_edited(blender, photo):
     # The slider is no change of the file: undo takes the drag back, and it is remembered.
     assert played["slider"] == played["undone"] == played["again"] == [*picture, ["FRONT", 0.75]]
     assert played["drags"] == 0
+
+
+def test_small_hands_are_looked_at_closely(blender, tmp_path):
+    take = write_far_take(tmp_path / "far.take.npz")
+    played = blender.play("refine.looked_at", take=take, blend=tmp_path / "far.blend", timeout=240).value
+    for name in ("begun", "other", "home", "opened"):
+        handles, free = (np.reshape(played[name][what], (2, 2)) for what in ("handles", "free"))
+        size, room = np.ptp(handles, axis=0), np.ptp(free, axis=0)
+        assert (room / size).min() == pytest.approx(2.0, rel=0.02), name
+        np.testing.assert_allclose(handles.mean(axis=0), free.mean(axis=0), atol=2.0, err_msg=name)
+    picture = np.ptp(np.reshape(played["begun"]["picture"], (2, 2)), axis=0)[0]
+    hand = np.ptp(np.reshape(played["begun"]["handles"], (2, 2)), axis=0)
+    assert (1280 / picture * hand).max() < 45, "pixels of the hand in the picture"
+    mouse, tip = played["tip"]
+    np.testing.assert_allclose(tip, mouse, atol=2.0)
+    zoomed = [played[name]["zoom"] for name in ("zoomed", "followed", "again", "elsewhere")]
+    assert zoomed[0] > played["begun"]["zoom"]
+    assert zoomed[1] == zoomed[2] == zoomed[0]
+    assert zoomed[3] == played["home"]["zoom"]
+    assert played["left"]
+    (left, bottom), (right, top) = np.reshape(played["picture"]["picture"], (2, 2))
+    free = played["picture"]["free"]
+    assert free[0] - 1 <= left < right <= free[2] + 1
+    assert free[1] - 1 <= bottom < top <= free[3] + 1
+    handles, free = (np.reshape(played["elsewhere"][what], (2, 2)) for what in ("handles", "free"))
+    assert (handles >= free[0]).all()
+    assert (handles <= free[1]).all()

@@ -10,7 +10,8 @@ from scenarios.capturing import capture, hands, part
 
 def whole_picture(stage, source):
     """A capture with the sidebar closed, open, in a quad view, and from within another camera view that was
-    zoomed into; what Edit Keypoints makes of a view from elsewhere. Pixels of the window of each."""
+    zoomed into; what Shift Home in Edit Keypoints makes of a view from elsewhere. Pixels of the window of
+    each."""
     found = {}
     yield from capture(stage, source)
     yield 0.3
@@ -31,6 +32,7 @@ def whole_picture(stage, source):
     operator = part("operators.edit_keypoints")
     yield from stage.invoke("manient.edit_keypoints")
     yield from stage.until(operator.running, 5.0, "the mode to begin")
+    yield from stage.key("HOME", shift=True)
     yield 0.5
     found["edit keypoints"] = _seen(stage)
     yield from stage.key("ESC")

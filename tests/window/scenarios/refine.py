@@ -145,6 +145,103 @@ def see_through(stage, source, shadings=("SOLID",)):
     return found
 
 
+def looked_at(stage, take, blend, far=26, notches=13):
+    """What Edit Keypoints shows of two small hands: at first, zoomed in about a fingertip, on a frame on
+    which the hand is elsewhere, of the other hand, after a rename and an undo, by its keys, and in the file
+    opened again. Places in pixels of the window."""
+    with stage.override():
+        bpy.ops.manient.import_take(filepath=str(take))
+    yield from stage.open_sidebar()
+    bpy.context.scene.frame_set(1)
+    first, second = hands()
+    before = _camera_view(stage)
+    found = {"begun": (yield from _looking(stage, first, "look-begun"))}
+
+    tip = places()[INDEX_TIP]
+    yield from stage.move_to(tip)
+    for _ in range(notches):
+        yield from stage.key("WHEELUPMOUSE")
+    yield 0.2
+    yield from stage.screenshot("look-zoomed")
+    found["tip"], found["zoomed"] = [stage.mouse, places()[INDEX_TIP]], _looked(stage)
+    bpy.context.scene.frame_set(far)
+    yield from stage.until(lambda: _in_sight(stage, INDEX_TIP), 5.0, "the fingertip")
+    yield from stage.screenshot("look-followed")
+    found["followed"] = _looked(stage)
+    yield from _ended(stage)
+    found["left"] = _camera_view(stage) == before
+
+    found["other"] = yield from _looking(stage, second, "look-other")
+    yield from _ended(stage)
+    first.name = "Another name"
+    bpy.ops.ed.undo_push(message="Renamed")
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.ed.undo_push(message="Cube")
+    yield from stage.undo()
+    found["again"] = yield from _looking(stage, bpy.data.objects["Another name"], "look-again")
+    yield from stage.key("HOME", shift=True)
+    yield 0.2
+    yield from stage.screenshot("look-picture")
+    found["picture"] = _looked(stage)
+    yield from stage.key("HOME")
+    yield 0.2
+    found["home"] = _looked(stage)
+    yield from _ended(stage)
+    bpy.context.scene.frame_set(1)
+    found["elsewhere"] = yield from _looking(stage, bpy.data.objects["Another name"], "look-elsewhere")
+    yield from _ended(stage)
+
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    yield 0.5
+    found["opened"] = yield from _looking(stage, bpy.data.objects["Another name"], "look-opened")
+    yield from _ended(stage)
+    return found
+
+
+def _looking(stage, armature, shot):
+    """Begin Edit Keypoints of a hand; what is seen then."""
+    for other in bpy.context.selected_objects:
+        other.select_set(False)
+    bpy.context.view_layer.objects.active = armature
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(lambda: places() and not state()["warming"], WARM, "a warm worker")
+    yield 0.2
+    yield from stage.screenshot(shot)
+    return _looked(stage)
+
+
+def _ended(stage):
+    yield from stage.key("ESC")
+    yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
+
+
+def _camera_view(stage) -> list:
+    view = stage.area().spaces[0].region_3d
+    return [view.view_perspective, view.view_camera_zoom, *view.view_camera_offset]
+
+
+def _looked(stage) -> dict:
+    """The handles, what is free for them, and the zoom."""
+    mode, handles = operator()._mode, np.array(list(places().values()))
+    viewport = part("keypoint_mode.view").viewport_at(bpy.context, mode.view.address)
+    free = viewport.free() + [viewport.region.x, viewport.region.y]
+    corners = [(0, 0), (mode.refiner.take.width, mode.refiner.take.height)]
+    picture = part("keypoint_mode.mode").mapped(mode.matrix(viewport), np.array(corners))
+    picture += [viewport.region.x, viewport.region.y]
+    return {
+        "handles": [*handles.min(axis=0), *handles.max(axis=0)],
+        "picture": [*picture.min(axis=0), *picture.max(axis=0)],
+        "free": free.ravel().tolist(),
+        "zoom": viewport.view.view_camera_zoom,
+    }
+
+
+def _in_sight(stage, keypoint) -> bool:
+    low, high = np.reshape(_looked(stage)["free"], (2, 2))
+    return bool(((places()[keypoint] >= low) & (places()[keypoint] <= high)).all())
+
+
 def _alphas() -> list:
     """Depth and alpha of each background image of the capture camera."""
     backgrounds = bpy.context.scene.camera.data.background_images
