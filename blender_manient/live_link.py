@@ -1,8 +1,9 @@
 """The live link: what changes on captured hands shows on the characters that follow them, and is keyed there.
 
-Blender tells when a hand's armature has changed. At once the character takes the pose that the hand shows in
-this frame; when nothing has changed for a moment, what differs from the keys that the link has written before
-is written into the same action, in slices. Keys of the artist on other frames of the character stay.
+Blender tells when a hand's armature has changed. At once, as when the link is switched on, the character
+takes the pose that the hand shows in this frame; when nothing has changed for a moment, what differs from the
+keys that the link has written before is written into the same action, in slices. Keys of the artist on other
+frames of the character stay.
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ import hashlib
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import result_of, slice_clock
+from handfit_core.slices import result_of, retold, slice_clock
 
+from . import screen
 from .remembered import Remembered
 from .scene.characters import hands_to_move
 from .scene.editable import check_unlayered
@@ -34,10 +37,16 @@ from .scene.onto_character import (
 )
 from .scene.sampling import rotations_of, shown_now
 
+_T = TypeVar("_T")
+
 _TICK = 1 / 60
 """seconds between two looks while something is to be done"""
 _CALM = 0.2
 """seconds without a change after which keys are written"""
+_TOLD = 10
+"""times that the panel tells of one writing of keys how far it is"""
+_COMPUTED = 0.8
+"""The share of that until the keys are known, and only have to be written"""
 _SAME = 1e-6
 """Parts of quaternions, and locations, that differ by less are the same key"""
 
@@ -45,17 +54,17 @@ _SAME = 1e-6
 class _Link:
     """A character that follows captured hands."""
 
-    def __init__(self, armature: bpy.types.Object) -> None:
+    def __init__(self, armature: bpy.types.Object, *, shows: bool = False) -> None:
         self.armature = Remembered.of("objects", armature)
         self.changed: float | None = time.monotonic() - _CALM
         """When a change was last seen that is not keyed yet"""
-        self.shows = False
+        self.shows = shows
         """Whether the pose is to be shown at once"""
         self.written: list[BoneKeys] | None = None
         """What the link has keyed last; None where it does not know any more"""
         self.steps: Iterator[float] | None = None
-        """What is being keyed, and since when"""
-        self.began = 0.0
+        """What is being keyed, since when, and which share of it is done"""
+        self.began = self.done = 0.0
 
 
 _links: dict[int, _Link] = {}
@@ -69,6 +78,13 @@ _troubles: dict[int, str] = {}
 def trouble(armature: bpy.types.Object) -> str | None:
     """Why a linked character does not follow, or not with keys; None where it does."""
     return _troubles.get(armature.session_uid)
+
+
+def keyed(armature: bpy.types.Object) -> float | None:
+    """Which share is written, 0..1, of the keys that a linked character is getting; None while it gets
+    none."""
+    link = _links.get(armature.session_uid)
+    return None if link is None or link.steps is None else link.done
 
 
 def step() -> float | None:
@@ -97,15 +113,20 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
     if link.shows:
         link.shows = False
         _show(armature)
+        return  # so that the window draws it before anything is keyed
     if link.steps is None:
         if link.changed is None or time.monotonic() - link.changed < _CALM:
             return
-        link.steps, link.began = _keying(link, armature), time.monotonic()
-    for _ in link.steps:
+        link.steps, link.began, link.done = _keying(link, armature), time.monotonic(), 0.0
+    for done in link.steps:
+        told, link.done = link.done, max(done, link.done)
+        if int(_TOLD * told) != int(_TOLD * link.done):
+            screen.redraw_sidebars()
         if is_over():
             return
     # Writing keys may itself look like a change: the next pass finds nothing to write then.
     link.steps = None
+    screen.redraw_sidebars()
     _troubles.pop(armature.session_uid, None)
     if link.changed is None or link.changed < link.began:
         link.changed = None
@@ -127,7 +148,7 @@ def _show(armature: bpy.types.Object) -> None:
 
 
 def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, None]:
-    """Write what is not what the link has written before."""
+    """Write what is not what the link has written before; tells how much is done, 0..1."""
     character, hands = armature.manient.character, hands_to_move(armature, bpy.context)
     for _, hand in hands:
         if not told_by_keys(hand.rig):
@@ -136,20 +157,37 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
                 "that the link only shows its pose: press Apply to Character to key the motion"
             )
     onto = Onto("NEW", character.wrist, character.reference, character.contacts)
-    motions = [(hand_map, result_of(reading_motion(hand))) for hand_map, hand in hands]
-    computed = yield from computing(armature, motions, onto)
+    keys: list[BoneKeys] = []
+    for number, (hand_map, hand) in enumerate(hands):
+        before, share = _COMPUTED * number / len(hands), _COMPUTED / len(hands)
+        motion = yield from retold(reading_motion(hand), lambda before=before: before)
+        yield before
+        computed = yield from _part(computing(armature, [(hand_map, motion)], onto), before, share)
+        keys += computed.keys
     if character.action is None:
-        yield from writing_anew(armature, computed.keys, "NEW")
+        yield from _part(writing_anew(armature, keys, "NEW"), _COMPUTED, 1.0 - _COMPUTED)
         character.action = armature.animation_data.action
     elif armature.animation_data is None or armature.animation_data.action is not character.action:
         raise OptionError(
             "this character has another action now: switch the link off and on to key a new one"
         )
-    elif _digest(computed.keys) != character.linked:
-        for one in computed.keys:
-            before = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
-            yield from writing([one if before is None else _changed(before, one)])
-    link.written, character.linked = computed.keys, _digest(computed.keys)
+    elif _digest(keys) != character.linked:
+        for number, one in enumerate(keys):
+            old = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
+            share = (1.0 - _COMPUTED) / len(keys)
+            steps = writing([one if old is None else _changed(old, one)])
+            yield from _part(steps, _COMPUTED + number * share, share)
+    link.written, character.linked = keys, _digest(keys)
+
+
+def _part(steps: Generator[float, None, _T], before: float, share: float) -> Generator[float, None, _T]:
+    """The same steps, which tell of a part of the whole: it has `share` of that, after what is `before`."""
+    while True:
+        try:
+            done = next(steps)
+        except StopIteration as stop:
+            return stop.value
+        yield before + share * done
 
 
 def _changed(old: BoneKeys, new: BoneKeys) -> BoneKeys:
@@ -217,7 +255,7 @@ def followed(group: bpy.types.PropertyGroup) -> None:
             data = armature.animation_data
             if data is None or data.action is not character.action:
                 character.action = None
-            _links[uid] = _Link(armature)
+            _links[uid] = _Link(armature, shows=True)
         except HandfitError as error:
             _troubles[uid] = str(error)
         finally:

@@ -92,7 +92,9 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         row.scale_y = 1.3
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
         layout.operator("manient.apply_to_character", text="Apply Pose", icon="POSE_HLT").mode = "POSE"
-        layout.prop(character, "live", icon="LINKED", toggle=True)
+        done = live_link.keyed(armature)
+        text = "Live Link" if done is None else f"Live Link: Keys {done:.0%}"
+        layout.prop(character, "live", text=text, icon="LINKED", toggle=True)
         layout.operator("manient.export_character", icon="EXPORT")
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:

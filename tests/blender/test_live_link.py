@@ -25,13 +25,20 @@ NAMES = [joint_name(j, "right") for j in range(16)]
 
 
 @pytest.fixture
-def linked(make_take):
-    """A captured hand, and a character that follows it."""
+def beside(make_take):
+    """A captured hand, and a character that could follow it."""
     hand = hand_of(build_take(make_take(sides=("right",)).take).hands[0].armature)
     assert hand is not None
     target = build_armature(hand_specs("right", np.random.default_rng(3), bend=0.4, stretch=0.2))
     keep_map(target, map_of("right"))
     target.manient.character.contacts = False
+    return hand, target
+
+
+@pytest.fixture
+def linked(beside):
+    """A captured hand, and a character that follows it."""
+    hand, target = beside
     target.manient.character.live = True
     settle()
     assert live_link.trouble(target) is None
@@ -71,6 +78,26 @@ def values(target):
 def alike(hand, target, frame):
     error = angles(directions(target, NAMES, frame), directions(hand.armature, bone_names("right"), frame))
     return error.max() < 0.1
+
+
+def test_switched_on_it_shows_this_frame_before_it_keys_and_tells_how_far_it_is(beside, monkeypatch):
+    hand, target = beside
+    bpy.context.scene.frame_set(6)
+    monkeypatch.setattr(live_link, "slice_clock", lambda: lambda: True)
+    target.manient.character.live = True
+    assert live_link.step() is not None
+    assert target.animation_data is None, "a key"
+    assert alike(hand, target, 6)
+    assert live_link.keyed(target) is None
+    told = []
+    while live_link.step() is not None:
+        told.append(live_link.keyed(target))
+    assert live_link.keyed(target) is None
+    assert told[0] == 0.0
+    assert told == sorted(told)
+    assert len(set(told)) > 10
+    assert 0.9 < told[-1] <= 1.0
+    assert alike(hand, target, 9)
 
 
 def test_switched_on_it_keys_all(linked):
