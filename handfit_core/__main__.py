@@ -25,7 +25,7 @@ from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
 from handfit_core.farm.commands import add_work_command
-from handfit_core.fit_quality import EXPECTED, IN_PICTURE
+from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
 from handfit_core.media.frame_range import FrameRange
@@ -297,11 +297,13 @@ def _mean_error(hand: dict[str, Any]) -> str:
     share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
     if share is None or pixels is None:
         return "no mean error"
+    if not hand["error_known"]:  # a fit that lies on wrong keypoints is no better for it
+        return f"{NOT_KNOWN}, mean error {IN_PICTURE.said(share)} ({pixels:.1f} px)"
     in_picture = f"mean error {IN_PICTURE.said(share)} ({IN_PICTURE.quality(share)}, {pixels:.1f} px)"
-    likely = hand["mean_expected_error"]
+    likely, scale = hand["mean_expected_error"], expected_scale(hand["frames"])
     if likely is None:
         return in_picture
-    return f"likely error {EXPECTED.said(likely)} ({EXPECTED.quality(likely)}), {in_picture}"
+    return f"likely error {scale.said(likely)} ({scale.quality(likely)}), {in_picture}"
 
 
 class _LogHandler(logging.Handler):

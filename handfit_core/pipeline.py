@@ -20,7 +20,7 @@ from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable
-from handfit_core.fit_quality import mean_expected_error, mean_relative_error
+from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
@@ -40,7 +40,7 @@ from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, HandMean, Region
 from handfit_core.parts import Part, Parts, stretches_in
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import HandTrack, Take
 from handfit_core.worker.sharing import expected_frames, shared
@@ -181,7 +181,10 @@ def capture_with(
             if recording is None
             else detected_in(recording)
         )
-        numbers, tracks = seen.numbers, _linked(media, options, seen, stop)
+        told = DETECTORS.get(options.detector).calibrated and options.landmark_model is None
+        calibrated = recording is None and told
+        numbers = seen.numbers
+        tracks = [replace(track, calibrated=calibrated) for track in _linked(media, options, seen, stop)]
         del seen
     if stop():
         stop = _after(LAST_FITS_SECONDS) if can.slow else never
@@ -503,6 +506,9 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
             right_side[row] = d.right_side
         if d.overlapped is not None:
             overlapped[row] = d.overlapped
+    expected = fit.expected_error
+    if expected is None and not track.calibrated:
+        expected = np.full((count, len(FINGERS)), np.nan)
     keypoints_2d = points[..., :2]
     there, error = np.flatnonzero(present), np.full(count, np.nan)
     for rows in (there[part] for part in slices(len(there))):
@@ -523,7 +529,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         score=score,
         filled=present & ~seen,
         doubtful=fit.doubtful,
-        expected_error=fit.expected_error,
+        expected_error=expected,
         keypoints_depth=points[..., 2],
         world_landmarks=world,
         right_side=right_side,
@@ -534,7 +540,8 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
 
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
     """What is to be told of each hand: side, frames found, filled and doubtful, mean error in pixels and as a
-    share of the hand's length, and the one that is expected, metres (None where they have no value)."""
+    share of the hand's length, and the one that is expected, metres (None where they have no value), and
+    whether anybody can tell that one."""
     return [
         {
             "side": track.side,
@@ -544,6 +551,7 @@ def hand_summaries(take: Take) -> list[dict[str, Any]]:
             "mean_reprojection_error_px": _mean(track.reprojection_error[track.detected]),
             "mean_error_of_hand": mean_relative_error(track, take.intrinsics),
             "mean_expected_error": mean_expected_error(track),
+            "error_known": error_is_known(track),
         }
         for track in take.hands
     ]

@@ -16,7 +16,14 @@ import numpy as np
 
 from handfit_core.errors import HandfitError
 from handfit_core.files import is_file, written_whole
-from handfit_core.fit_quality import EXPECTED, IN_PICTURE, Scale, relative_errors
+from handfit_core.fit_quality import (
+    IN_PICTURE,
+    NOT_KNOWN,
+    Scale,
+    error_is_known,
+    expected_scale,
+    relative_errors,
+)
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.pictures import read_picture
@@ -65,9 +72,10 @@ def write_sheet(
     """Write the contact sheet of a take as JPEG; returns the source numbers of the frames on it.
 
     `frames` frames at most, each `height` pixels high: spread over those with a hand, the most doubtful one
-    among them; where one is not good, with its likely error. Small hands are shown close up, behind the whole
-    first picture, and those of a photo each by itself. Where the footage is not there any more, hands are
-    drawn on plain ground. `max_megapixels` is what it may have, as in `open_media`. Raises OutputError.
+    among them; where one is not good, or nobody knows, with its likely error. Small hands are shown close up,
+    behind the whole first picture, and those of a photo each by itself. Where the footage is not there any
+    more, hands are drawn on plain ground. `max_megapixels` is what it may have, as in `open_media`. Raises
+    OutputError.
     """
     import cv2
 
@@ -85,6 +93,8 @@ def write_sheet(
             scale, errors = _errors(take, group)
             good = not np.isfinite(errors[row]) or scale.quality(errors[row]) == "good"
             said = "" if good else f"  {scale.said(errors[row])}"
+            if not any(map(error_is_known, group)):
+                said = f"  {NOT_KNOWN}"
             _write(cell, f"{take.frame_numbers[row]}{said}", doubtful=not good)
             cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
     sheet = np.concatenate(cells[:-1], axis=1)
@@ -154,7 +164,8 @@ def _errors(take: Take, hands: Sequence[HandTrack]) -> tuple[Scale, np.ndarray]:
     unknown = np.full(len(take.frame_numbers), np.nan)
     likely = [hand.expected_error.mean(axis=1) for hand in hands if hand.expected_error is not None]
     shares = [relative_errors(hand, take.intrinsics) for hand in hands]
-    return EXPECTED if likely else IN_PICTURE, np.fmax.reduce([unknown, *(likely or shares)])
+    seen = max((int(hand.detected.sum()) for hand in hands), default=0)
+    return expected_scale(seen) if likely else IN_PICTURE, np.fmax.reduce([unknown, *(likely or shares)])
 
 
 def _footage(take: Take, rows: Sequence[int], max_megapixels: float | None) -> Iterator[np.ndarray | None]:

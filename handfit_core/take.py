@@ -126,7 +126,8 @@ class HandTrack:
     """(T,) bool: frames whose pose may well be wrong; None: nobody looked"""
     expected_error: np.ndarray | None = None
     """(T, 5) metres that each finger, thumb first, is likely to be off once the hand is laid over the true
-    one; NaN where nobody can tell, as where a person has corrected the pose; None: nobody looked"""
+    one; NaN where nobody can tell, as where a person has corrected the pose, or in all frames, where the
+    keypoints are of a source for which that is not known; None: nobody looked"""
     keypoints_depth: np.ndarray | None = None
     """(T, 21) pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not
     kept"""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import bpy
 
+from handfit_core.fit_quality import NOT_KNOWN
+
 from ..scene import corrections, markers
 from ..scene.confidence import errors_of
 from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
 from ..section import Section, fitted, sentence
-from ..wording import counted
+from ..wording import capitalised, counted
 
 
 class MANIENT_PT_result(Section, bpy.types.Panel):
@@ -63,7 +65,10 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         doubtful = int(errors.doubtful.sum())
         row = box.row(align=True)
         frames = "frame" if doubtful == 1 else "frames"
-        row.label(text=f"{doubtful or 'No'} doubtful {frames}", translate=False)
+        if errors.known:
+            row.label(text=f"{doubtful or 'No'} doubtful {frames}", translate=False)
+        else:
+            row.label(text=capitalised(NOT_KNOWN), translate=False)
         if doubtful and count > 1:
             for direction, icon in (("PREVIOUS", "TRIA_LEFT"), ("NEXT", "TRIA_RIGHT")):
                 jump = row.operator("manient.jump_doubtful", text="", icon=icon)
@@ -75,7 +80,9 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             markable.enabled = marked or doubtful + filled > 0
             mark = markable.operator("manient.mark_doubtful", text="Markers", depress=marked)
             mark.hand = armature.name
-            row.prop(armature.manient, "show_error", text="Error", toggle=True)
+            graph = row.row(align=True)
+            graph.enabled = errors.known
+            graph.prop(armature.manient, "show_error", text="Error", toggle=True)
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
         if armature.manient.show_confidence and context.mode != "POSE":
             sentence(box, context, "Blender shows bone colors in Pose Mode", "INFO")

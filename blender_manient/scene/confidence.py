@@ -19,7 +19,14 @@ import numpy as np
 
 from handfit_core.edit.corrections import CorrectionField
 from handfit_core.errors import TakeError
-from handfit_core.fit_quality import EXPECTED, IN_PICTURE, Scale, length_in_picture, relative_errors
+from handfit_core.fit_quality import (
+    IN_PICTURE,
+    Scale,
+    error_is_known,
+    expected_scale,
+    length_in_picture,
+    relative_errors,
+)
 from handfit_core.skeleton import JOINTS_BY_FINGER, KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
@@ -50,6 +57,8 @@ class Errors:
     """Which of the bones' are green, yellow and red"""
     doubtful: np.ndarray
     """(T,) bool"""
+    known: bool
+    """Whether anybody can tell how far off the hand was captured"""
 
     @property
     def mean(self) -> float | None:
@@ -77,7 +86,8 @@ def _errors(take: Take, track: HandTrack, field: CorrectionField) -> Errors:
         scale, levels = IN_PICTURE, _BONE_LEVELS
         frames, bones = relative_errors(track, take.intrinsics), bone_errors(take, track)
     else:
-        scale, levels = EXPECTED, EXPECTED.levels
+        scale = expected_scale(int(track.detected.sum()))
+        levels = scale.levels
         frames = track.expected_error.mean(axis=1)
         bones = np.repeat(frames[:, None], NUM_JOINTS, axis=1)
         bones[:, JOINTS_BY_FINGER] = track.expected_error[..., None]
@@ -88,6 +98,7 @@ def _errors(take: Take, track: HandTrack, field: CorrectionField) -> Errors:
         bones=np.where(captured[:, None], bones, np.nan),
         bone_levels=levels,
         doubtful=captured & doubtful,
+        known=error_is_known(track),
     )
 
 

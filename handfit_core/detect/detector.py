@@ -100,6 +100,9 @@ class Backend:
     clip: Callable[..., Any] | None = None
     """Makes what finds the hands of a whole clip, where frames need not be looked at one after another: a
     `stretches.ClipDetector`, of an opened `Media` and the `CaptureOptions`"""
+    calibrated: bool = False
+    """Whether `fit.doubt` can tell how far off its hands are likely to be. That was measured with MediaPipe's
+    networks; of other keypoints it is not known, whatever they look like"""
 
 
 DETECTORS: Final = Registry(

@@ -8,5 +8,8 @@ from handfit_core.detect.stills import StillFinder
 from handfit_core.detect.stretches import ClipDetector
 
 DIRECT = Backend(
-    open=StillFinder, fingerprint=lambda settings: fingerprint(settings.landmark_model), clip=ClipDetector
+    open=StillFinder,
+    fingerprint=lambda settings: fingerprint(settings.landmark_model),
+    clip=ClipDetector,
+    calibrated=True,
 )

@@ -201,6 +201,8 @@ class DetectedTrack:
     """Rows after which pictures of the clip are missing, so that the next row is no neighbour in time"""
     landmarks: Landmarks | None = None
     """Where on a hand its keypoints lie; None: where the detector sees them"""
+    calibrated: bool = True
+    """Whether `fit.doubt` can tell how far off a fit to them is likely to be (`Backend.calibrated`)"""
 
     @property
     def detected(self) -> np.ndarray:

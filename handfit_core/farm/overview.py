@@ -18,7 +18,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from handfit_core.files import storable, written_whole
-from handfit_core.fit_quality import EXPECTED, IN_PICTURE, Scale
+from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, Scale, expected_scale
 from handfit_core.sheet import SUFFIX
 
 _SEEN: Final = 0.8
@@ -34,11 +34,17 @@ Entry = Mapping[str, Any]
 _SECTIONS: Final = {
     "failed": ("Failed", "These are not done. What went wrong, and in which attempts:"),
     "doubtful": ("Doubtful", "Look at these first: the worst one is on top."),
+    "unknown": (
+        "Not known",
+        "Nobody can tell how far these are off: likely errors were not measured for their keypoints.",
+    ),
     "good": ("Good", "Nothing speaks against these."),
     "running": ("Running", ""),
     "pending": ("Waiting", ""),
 }
 """Section -> its title and what stands below, in the order of the page"""
+_DONE: Final = ("doubtful", "unknown", "good")
+"""Those of what a task has made"""
 
 _STYLE: Final = """
 :root{color-scheme:light dark;--ground:#f6f6f4;--card:#fff;--text:#1d1f21;--faint:#62666b;--line:#dcdcd8;
@@ -69,8 +75,8 @@ article.line h3{display:inline;font-weight:400;margin-right:.6rem}
 img{display:block;height:11rem;max-width:100%;object-fit:contain;object-position:left top}
 .files a{margin-right:.7rem}[hidden]{display:none!important}
 .failed{color:var(--failed)}.doubtful,.poor,.fair{color:var(--doubtful)}.good{color:var(--good)}
-.running{color:var(--running)}.pending{color:var(--pending)}
-article.failed,article.doubtful,article.good,article.running,article.pending{color:inherit}
+.running{color:var(--running)}.pending,.unknown{color:var(--pending)}
+article.failed,article.doubtful,article.unknown,article.good,article.running,article.pending{color:inherit}
 article.failed{border-left-color:var(--failed)}article.doubtful{border-left-color:var(--doubtful)}
 article.good{border-left-color:var(--good)}article.running{border-left-color:var(--running)}
 @media (max-width:45rem){article.sheet{grid-template-columns:1fr;gap:.5rem;contain-intrinsic-size:auto 20rem}
@@ -101,12 +107,13 @@ def write_overview(
 
 
 def section_of(entry: Entry) -> str:
-    """Where an entry stands on the page: failed, doubtful, good, running or pending."""
+    """Where an entry stands on the page: one of `_SECTIONS`."""
     status = entry.get("status")
     if status == "ok":
         hands, frames = _hands(entry), _number(entry, "frames")
         doubted = not hands or _list(entry, "warnings") or any(_hand(hand, frames)[1] for hand in hands)
-        return "doubtful" if doubted else "good"
+        unknown = any(hand.get("error_known") is False for hand in hands)
+        return "doubtful" if doubted else "unknown" if unknown else "good"
     return str(status) if status in ("failed", "running") else "pending"
 
 
@@ -143,8 +150,8 @@ def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
         if found
     )
     yield f"<nav>{''.join(links) or 'There is nothing in this batch.'}</nav>"
-    done = [*sections["doubtful"], *sections["good"]]
-    hosts = Counter(_host(entry) for name in ("doubtful", "good", "failed") for entry in sections[name])
+    done = [entry for name in _DONE for entry in sections[name]]
+    hosts = Counter(_host(entry) for name in (*_DONE, "failed") for entry in sections[name])
     rows = [("all" if len(hosts) > 1 else next(iter(hosts), ""), done, sections["failed"])]
     if len(hosts) > 1:
         rows += [
@@ -175,9 +182,9 @@ def _card(section: str, entry: Entry) -> str:
     sheets = [file for file in files if file.endswith(SUFFIX)]
     name, given = _said(entry, "name"), _said(entry, "input")
     facts = [_text(_host(entry))] if _host(entry) else []
-    if section in ("doubtful", "good", "failed"):
+    if section in (*_DONE, "failed"):
         facts.insert(0, _duration(_number(entry, "seconds")))
-    if section in ("doubtful", "good"):
+    if section in _DONE:
         frames = _number(entry, "frames")
         facts.insert(0, f"{_count(frames)} frames" if frames != 1 else "1 frame")
     parts = [f"<h3>{_name(name)}</h3>"]
@@ -215,7 +222,9 @@ def _hand(hand: Entry, frames: float) -> tuple[str, bool]:
     if frames > 1:
         said = f" in {_count(detected)} of {_count(frames)} frames"
         said += f", {_count(doubtful)} of them doubtful" if doubtful else ""
-    if scale is not None:
+    if hand.get("error_known") is False:
+        said += f", {NOT_KNOWN}"
+    elif scale is not None:
         said += f", {scale.title.lower()} {scale.said(error)} (<span class={quality}>{quality}</span>)"
     doubted = quality == "poor" or detected < _SEEN * frames or doubtful > _DOUBTED * detected
     return f"{_text(_said(hand, 'side'))} hand{said}", doubted
@@ -246,8 +255,11 @@ def _badness(entry: Entry) -> tuple[float, int]:
 
 
 def _error(hand: Entry) -> tuple[Scale | None, float]:
-    """How far off a hand is likely to be, or lies from the picture where that is not known; and in what."""
-    for scale, key in ((EXPECTED, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
+    """How far off a hand is likely to be, or lies from the picture where nobody looked; and in what."""
+    if hand.get("error_known") is False:
+        return None, 0.0
+    likely = expected_scale(_number(hand, "detected"))
+    for scale, key in ((likely, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
         if isinstance(hand.get(key), int | float):
             return scale, _number(hand, key)
     return None, 0.0

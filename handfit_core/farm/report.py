@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from handfit_core.files import written_whole
-from handfit_core.fit_quality import EXPECTED, IN_PICTURE, mean_expected_error, mean_relative_error
+from handfit_core.fit_quality import (
+    IN_PICTURE,
+    NOT_KNOWN,
+    error_is_known,
+    expected_scale,
+    mean_expected_error,
+    mean_relative_error,
+)
 from handfit_core.take import Take
 
 
@@ -27,7 +34,7 @@ class Result:
     """per hand its side, the frames in which it was detected and those in which it is doubtful (None: nobody
     looked), mean_reprojection_error_px, mean_error_of_hand:
     the same as a share of the hand's length in the picture, and mean_expected_error: metres that it is likely
-    to be off"""
+    to be off; error_known: whether anybody can tell that"""
     character: dict[str, Any] | None = None
     """the armature that got the motion, and per hand of it its side, the captured hand's number, what the rig
     was taken for, how many bones were keyed in how many frames, and by how many metres of the captured hand
@@ -68,6 +75,7 @@ class Result:
                     "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
                     "mean_error_of_hand": None if share is None else round(share, 4),
                     "mean_expected_error": None if likely is None else round(likely, 5),
+                    "error_known": error_is_known(track),
                 }
             )
 
@@ -80,6 +88,7 @@ _HAND: Final = {
     "mean_reprojection_error_px": _NUMBER | None,
     "mean_error_of_hand": _NUMBER | None,
     "mean_expected_error": _NUMBER | None,
+    "error_known": bool | None,
 }
 _ATTEMPT: Final = {"error": str, "kind": str, "host": str, "seconds": _NUMBER, "at": str}
 _KINDS: Final[Mapping[str, Any]] = {
@@ -130,7 +139,10 @@ def line(result: Result) -> str:
 
 
 def _error(hand: dict[str, Any]) -> str:
-    for scale, name in ((EXPECTED, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
+    if hand.get("error_known") is False:
+        return f" ({NOT_KNOWN})"
+    likely = expected_scale(hand["detected"])
+    for scale, name in ((likely, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
         if (error := hand[name]) is not None:
             return f" ({scale.title.lower()} {scale.said(error)}, {scale.quality(error)})"
     return ""

@@ -277,8 +277,8 @@ def fit_track(
         transl=spread(transl, frames, count),
         converged=spread(converged, found, count, False),
         filled=spread(True, np.setdiff1d(frames, found), count, False),
-        doubtful=spread(doubtful(expected), found, count, False),
-        expected_error=spread(expected, found, count),
+        doubtful=spread(doubtful(expected), found, count, False) if track.calibrated else None,
+        expected_error=spread(expected, found, count) if track.calibrated else None,
     )
 
 

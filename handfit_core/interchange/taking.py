@@ -67,7 +67,7 @@ def _track_of(hand: PointsHand, points: np.ndarray, intrinsics: Intrinsics, fps:
     for row in np.flatnonzero(found):
         rows[row] = _seen_point_by_point(hand.side, points[row], sigma, intrinsics)
     landmarks = hand.landmarks or (NO_OFFSETS if hand.on_joints else None)
-    return DetectedTrack(hand.side, tuple(rows), fps, landmarks=landmarks)
+    return DetectedTrack(hand.side, tuple(rows), fps, landmarks=landmarks, calibrated=False)
 
 
 def _sigma_of(points: np.ndarray) -> float:
@@ -186,4 +186,4 @@ def seen_of(
     for row, hand in zip(rows, points, strict=True):
         seen = _seen_point_by_point(side, hand, 0.001, intrinsics)
         found[row] = replace(seen, score=float(certain[row]))
-    return DetectedTrack(side, tuple(found), fps)
+    return DetectedTrack(side, tuple(found), fps, calibrated=False)

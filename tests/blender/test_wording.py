@@ -16,7 +16,7 @@ from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_PT_proportions
 from blender_manient.remembered import Remembered
-from blender_manient.scene import reshape, store
+from blender_manient.scene import confidence, reshape, store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
 from blender_manient.wording import (
@@ -27,7 +27,7 @@ from blender_manient.wording import (
     shortened_name,
     without_name,
 )
-from handfit_core.fit_quality import mean_relative_error, relative_errors
+from handfit_core.fit_quality import EXPECTED, mean_relative_error, relative_errors
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
 from tests.drawn import drawn
@@ -164,6 +164,24 @@ def test_a_hands_block_tells_the_error_that_is_expected(registered, make_take):
     track = replace(take.hands[0], expected_error=np.full((len(take.frame_numbers), 5), 0.0093))
     store.hand_of(build_take(replace(take, hands=(track,))).hands[0].armature)
     assert "Likely error 9.3 mm: fair " in drawn(MANIENT_PT_result).said
+
+
+def test_a_hands_block_says_what_nobody_knows(registered, make_take):
+    take = make_take(sides=("right",)).take
+    track = replace(take.hands[0], expected_error=np.full((len(take.frame_numbers), 5), np.nan))
+    hand = store.hand_of(build_take(replace(take, hands=(track,))).hands[0].armature)
+    block = drawn(MANIENT_PT_result).said
+    assert "Likely error not known " in block
+    assert not any(word in block for word in ("good", "fair", "poor", "doubtful"))
+    colors = confidence.colors_of(confidence.errors_of(hand).bones, EXPECTED.levels)
+    assert (colors == confidence.UNSEEN_COLOR).all()
+
+
+def test_a_photos_hand_has_a_photos_word(registered, make_take):
+    take = make_take(sides=("right",), frame_numbers=np.array([1])).take
+    track = replace(take.hands[0], expected_error=np.full((1, 5), 0.0158))
+    build_take(replace(take, hands=(track,)))
+    assert "Likely error 15.8 mm: fair " in drawn(MANIENT_PT_result).said
 
 
 def test_proportions_without_a_name_are_folded_away(registered, make_take):

@@ -60,6 +60,11 @@ def test_a_detector(tmp_path: Path) -> None:
     (hand,) = Take.load(output).hands
     assert hand.side == "right"
     assert hand.detected.all()
+    assert hand.doubtful is None
+    assert hand.expected_error is not None
+    assert np.isnan(hand.expected_error).all(), "the calibration is of our own detector's points"
+    assert "likely error not known" in done.stderr
+    assert "good" not in done.stderr
     assert hand.keypoints_2d.mean(axis=1) == pytest.approx(
         np.array([[200, 240], [260, 240], [320, 250]]), abs=1
     )

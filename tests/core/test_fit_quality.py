@@ -7,9 +7,12 @@ import pytest
 
 from handfit_core.fit_quality import (
     EXPECTED,
+    EXPECTED_OF_STILL,
     FAIR_BELOW,
     GOOD_BELOW,
     IN_PICTURE,
+    error_is_known,
+    expected_scale,
     mean_expected_error,
     mean_relative_error,
     relative_errors,
@@ -68,8 +71,32 @@ def test_the_mean_of_what_is_expected(take: Take) -> None:
     assert mean_expected_error(replace(track, expected_error=expected)) == pytest.approx(0.015)
 
 
+def test_nobody_knows(take: Take) -> None:
+    track = take.hands[0]
+    expected = np.full((len(take.frame_numbers), 5), np.nan)
+    assert error_is_known(track), "an older take"
+    assert not error_is_known(replace(track, expected_error=expected))
+    expected[2] = 0.01
+    assert error_is_known(replace(track, expected_error=expected))
+
+
+@pytest.mark.parametrize(
+    ("error", "frames", "word"),
+    [
+        (0.0107, 1, "good"),
+        (0.0158, 1, "fair"),
+        (0.0202, 1, "fair"),
+        (0.0276, 1, "poor"),
+        (0.0107, 2, "fair"),
+        (0.0158, 300, "poor"),
+    ],
+)
+def test_a_still_is_not_judged_as_a_clip_is(error: float, frames: int, word: str) -> None:
+    assert expected_scale(frames).quality(error) == word
+
+
 def test_words() -> None:
-    for scale in (IN_PICTURE, EXPECTED):
+    for scale in (IN_PICTURE, EXPECTED, EXPECTED_OF_STILL):
         steps = (0.0, scale.good_below, scale.fair_below)
         assert [scale.quality(s) for s in steps] == ["good", "fair", "poor"]
     assert IN_PICTURE.said(GOOD_BELOW) == "2.5 % of the hand"

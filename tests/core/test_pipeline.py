@@ -1,5 +1,6 @@
 """The whole core on the bundled sample, against the pose that was rendered; and on real photos."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -24,6 +25,7 @@ from handfit_core.errors import (
     PlugInError,
     TakeError,
 )
+from handfit_core.farm import report
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
@@ -273,6 +275,43 @@ def test_filled_frames_have_a_pose_but_nothing_seen() -> None:
     assert track.right_side is not None
     assert np.isnan(track.keypoints_depth[1:]).all()
     assert np.isnan(track.right_side).all()  # nobody judged
+
+
+@pytest.mark.parametrize("detector", ["direct", "mediapipe", "other"])
+def test_likely_errors_are_of_what_they_were_measured_for(
+    detector: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    direct = DETECTORS.get("direct")
+    others = Backend(open=direct.open, fingerprint=direct.fingerprint)
+    if detector == "other":
+        monkeypatch.setattr(DETECTORS, "get", lambda _name: others)
+    taken = capture(SAMPLE / "hand.0001.jpg", detector=detector)
+    (hand,), (told,) = taken.hands, hand_summaries(taken)
+    assert hand.expected_error is not None
+    assert np.isfinite(hand.expected_error).all() == (detector != "other") == told["error_known"]
+    assert (hand.doubtful is None) == (detector == "other")
+    assert (told["mean_expected_error"] is None) == (detector == "other")
+
+
+@pytest.mark.parametrize("solver", ["fast", "paper-a"])
+def test_other_programs_keypoints_have_no_likely_error(solver: str, tmp_path: Path) -> None:
+    truth, path = Take.load(SAMPLE / "truth.take.npz"), tmp_path / "hands.json"
+    nonsense = np.random.default_rng(1).uniform(100.0, 300.0, (21, 3))
+    hand = {"handedness": truth.hands[0].side, "keypoints": nonsense.tolist()}
+    path.write_text(json.dumps({"frames": [{"hands": [hand]}]}))
+    taken = capture(SAMPLE / "hand.0001.jpg", keypoints=path, solver=solver)
+    (told,) = hand_summaries(taken)
+    assert not told["error_known"]
+    assert told["mean_expected_error"] is None
+    assert taken.hands[0].doubtful is None
+    assert "(good" not in report.line(report_of(taken))
+    assert "likely error not known" in report.line(report_of(taken))
+
+
+def report_of(taken: Take) -> report.Result:
+    result = report.Result("hands.json", "hands", status="ok")
+    result.describe(taken)
+    return result
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from handfit_core import sheet
 from handfit_core.errors import OutputError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
@@ -105,6 +106,15 @@ def test_the_most_doubtful_frame_is_among_them_and_named(tmp_path: Path) -> None
     assert len(numbers) == 4
     named = [(cell[-24:, :, 0] - cell[-24:, :, 2] > 80).any() for cell in cells_of(tmp_path / "a.jpg")]
     assert named == [number == 7 for number in numbers]
+
+
+def test_what_nobody_knows_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    monkeypatch.setattr(sheet, "_write", lambda _cell, text, **_kind: written.append(text))
+    take = take_with()
+    unknown = replace(take.hands[0], expected_error=np.full((COUNT, 5), np.nan))
+    write_sheet(replace(take, hands=(unknown,)), tmp_path / "a.jpg", frames=2)
+    assert written == ["1  likely error not known", "12  likely error not known"]
 
 
 def test_small_hands_are_shown_close_up_behind_the_whole_picture(tmp_path: Path) -> None:

@@ -149,9 +149,23 @@ def test_every_hand_is_told_with_its_error_in_words(tmp_path: Path) -> None:
     (text,) = page.sections["doubtful"]
     assert "right hand in 100 of 100 frames, likely error 13.1 mm (poor)" in text
     assert "left hand in 90 of 100 frames, error 3.1 % of the hand (fair)" in text
+    (text,) = made(tmp_path, ok("photo", hand(0.0158, 1), frames=1)).sections["good"]
+    assert "right hand, likely error 15.8 mm (fair)" in text
     (text,) = made(tmp_path, ok("photo", hand(0.006, 1), frames=1)).sections["good"]
     assert "right hand, likely error 6.0 mm (good)" in text
     assert "1 frame ·" in text
+
+
+def test_what_nobody_knows_is_called_neither_good_nor_poor(tmp_path: Path) -> None:
+    unknown = hand(None, mean_error_of_hand=0.001, error_known=False)
+    page = made(tmp_path, ok("known"), ok("missing", unknown | {"detected": 10}), ok("unknown", unknown))
+    assert {name: len(found) for name, found in page.sections.items()} == {
+        "doubtful": 1,
+        "unknown": 1,
+        "good": 1,
+    }
+    assert "right hand in 100 of 100 frames, likely error not known" in page.sections["unknown"][0]
+    assert "3" in page.head
 
 
 def test_failures_are_told_with_their_attempts_and_hosts(tmp_path: Path) -> None:
