@@ -14,6 +14,7 @@ from bpy.props import (
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
+    IntVectorProperty,
     PointerProperty,
     StringProperty,
 )
@@ -119,6 +120,13 @@ class ManientSettings(bpy.types.PropertyGroup):
         description="Hands or keypoints that another program has found in this source, such as OpenPose; "
         "empty: hands are looked for",
         subtype="FILE_PATH",
+    )
+    picture_size: IntVectorProperty(  # type: ignore
+        name="Picture Size",
+        description="Pixels of the pictures in which another program has found the hands; 0: not told",
+        size=2,
+        min=0,
+        max=(1 << 24) - 1,
     )
     use_frames: BoolProperty(  # type: ignore
         name="Frame Range", description="Capture only some of the source's frames", default=False

@@ -116,6 +116,8 @@ class SourceInfo:
     fps: float = 0.0
     first: int = 1
     last: int = 1
+    unsized: bool = False
+    """Whether these are another program's hands in pictures of a size that their file does not tell"""
     can_be_shown: bool = False
     """Whether Blender may decode its first picture for a thumbnail"""
     request: int = 0
@@ -146,15 +148,21 @@ def _is_known(settings) -> bool:
 def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage | None:
     """What a scene would be matched to by capturing the panel's source, or `only` one frame of it; None while
     nobody knows."""
-    if info.files is None or not info.width:
+    width, height = settings.picture_size if info.unsized else (info.width, info.height)
+    if info.files is None or not (width and height):
         return None
     first, last = info.first, info.last
     if info.files.kind != "photo" and settings.use_frames:
         first, last = settings.first_frame, settings.last_frame
     if only is not None:
         first = last = max(only, 0)
-    size = (0, 0) if settings.camera == "ACTIVE" else (info.width, info.height)
+    size = (0, 0) if settings.camera == "ACTIVE" else (width, height)
     return Footage(info.fps, first, last, *size)
+
+
+def lacks_size(settings, info: SourceInfo) -> bool:
+    """Whether the artist has yet to say how large the source's pictures are."""
+    return info.unsized and not all(settings.picture_size)
 
 
 def of_dropped(settings, path: Path) -> Footage | None:
@@ -190,9 +198,11 @@ def source_changed(settings) -> None:
 
 
 def source_chosen(settings) -> None:
-    """Another source, to which the former one's keypoints do not belong; undo brings both back by itself."""
-    if settings.keypoints and (_known is None or _known.path != settings.source):
-        settings.keypoints = ""
+    """Another source, to which the former one's keypoints and size do not belong; undo brings all back by
+    itself."""
+    if _known is None or _known.path != settings.source:
+        settings.property_unset("keypoints")
+        settings.property_unset("picture_size")
     source_changed(settings)
 
 
@@ -251,6 +261,7 @@ def _await_answer() -> float | None:
         info.width, info.height = int(found["width"]), int(found["height"])
         info.fps, info.frames = float(found["fps"]), int(found["frames"])
         info.first, info.last = int(found["first"]), int(found["last"])
+        info.unsized = not info.width
     info.request = 0
     screen.redraw_sidebars()
     return None

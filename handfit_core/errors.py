@@ -15,6 +15,10 @@ class OptionError(HandfitError):
     """An option, name or range that does not exist; the message lists what does."""
 
 
+class PictureSizeError(OptionError):
+    """Another program's keypoints, of pictures whose size neither their file nor an option tells."""
+
+
 class PlugInError(HandfitError):
     """A detector, solver or reader of another package failed; the message names both."""
 

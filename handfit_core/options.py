@@ -416,7 +416,7 @@ class CaptureOptions:
     picture_size: tuple[int, int] | None = _option(
         None,
         _size,
-        "the pictures' size, where another program's file has points as parts of it",
+        "the pictures' size, where another program's file does not tell it",
         "WIDTHxHEIGHT",
         by_default="what it tells",
     )

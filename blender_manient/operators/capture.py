@@ -217,6 +217,7 @@ def new_job(
             lens=_lens(settings, scene),
             max_megapixels=preferences.get(context).max_megapixels or None,
             keypoints=_keypoints(settings, source),
+            picture_size=_picture_size(settings, source),
         ),
         building=jobs.Building(
             scene=Remembered.of("scenes", scene),
@@ -250,6 +251,17 @@ def _keypoints(settings, source: source_info.SourceFiles) -> str | None:
     if source.kind == "data" or not settings.keypoints:
         return None
     return str(Path(bpy.path.abspath(settings.keypoints)).expanduser().absolute())
+
+
+def _picture_size(settings, source: source_info.SourceFiles) -> tuple[int, int] | None:
+    if source.kind != "data":
+        return None
+    width, height = settings.picture_size
+    if source_info.lacks_size(settings, source_info.of(settings)) or bool(width) != bool(height):
+        raise OptionError(
+            "type the source's width and height: its file does not tell how large its pictures are"
+        )
+    return (width, height) if width else None
 
 
 def _model(settings) -> str | None:

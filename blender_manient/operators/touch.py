@@ -69,11 +69,9 @@ class MANIENT_OT_touch(FitsRange, bpy.types.Operator):
             return capitalised(str(error)), True
         if np.isnan(gaps).all():
             return "There is no hand in these frames", True
-        least, most = 1000 * np.maximum([np.nanmin(gaps), np.nanmax(gaps)], 0.0)
-        return (
-            f"{counted(len(gaps), 'frame')}. The points are {least:.0f} to {most:.0f} mm apart there",
-            False,
-        )
+        ends = 1000 * np.maximum([np.nanmin(gaps), np.nanmax(gaps)], 0.0)
+        far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
+        return f"{counted(len(gaps), 'frame')}. The points are {far} mm apart there", False
 
     def work(self, context) -> _Work:
         return _Work(context, self)

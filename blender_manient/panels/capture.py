@@ -41,7 +41,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, text, "SCENE_DATA")
         searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
         buttons = layout.column(align=True)
-        buttons.enabled = info.files is not None and (settings.target == "NEW" or hand is not None)
+        told = info.files is not None and not source_info.lacks_size(settings, info)
+        buttons.enabled = told and (settings.target == "NEW" or hand is not None)
         row = buttons.row(align=True)
         row.scale_y = 1.5
         choosing = find_mode.current

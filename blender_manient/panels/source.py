@@ -33,6 +33,14 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             sentence(layout, context, info.problem, "INFO" if missing else "ERROR", alert=not missing)
             return
         self._describe(context, info)
+        if info.unsized:
+            lacking = source_info.lacks_size(settings, info)
+            if lacking:
+                sentence(layout, context, "How large are its pictures? The file does not say", "QUESTION")
+            size = layout.row(align=True)
+            size.alert = lacking
+            for index, name in enumerate(("Width", "Height")):
+                size.prop(settings, "picture_size", index=index, text=name)
         if info.siblings > 1:
             layout.prop(settings, "as_sequence", text=f"Image Sequence ({info.siblings} Pictures)")
         if info.files.kind != "photo":

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.errors import InputError, OptionError
+from handfit_core.errors import InputError, PictureSizeError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
@@ -95,21 +95,20 @@ def _holds_data(document: Document) -> bool:
 
 
 def open_input(source: MediaInput, options: CaptureOptions) -> Media:
-    """Pictures, as `open_media` opens them, or a recording. Raises InputError, and OptionError for what a
-    recording needs to be told."""
+    """Pictures, as `open_media` opens them, or a recording. Raises InputError, and PictureSizeError for a
+    recording that needs to be told the size of its pictures: with another one, the camera would be wrong."""
     if not is_recording(source):
         return open_media(source, options.frames, max_megapixels=options.max_megapixels)
     path = source if isinstance(source, str | os.PathLike) else source[0]
     recording = _countable(read_recording(path, options))
-    if recording.size == RELATIVE:
-        if options.picture_size is None:
-            raise OptionError(
-                f"{shown(path)}: its points are parts of the picture's size, which it does not tell; give "
-                "--picture-size WIDTHxHEIGHT, or the pictures as the input and this file as --keypoints"
-            )
+    if recording.size == RELATIVE and options.picture_size is not None:
         recording = scaled(recording, *options.picture_size)
-    elif recording.seen is not None and recording.size is None:
-        recording = _with_size(recording)
+    elif recording.size == RELATIVE or (recording.seen is not None and recording.size is None):
+        raise PictureSizeError(
+            f"{shown(path)}: it does not tell the size of its pictures; give --picture-size WIDTHxHEIGHT "
+            "(Width and Height of the source in Blender), or the pictures as the input and this file as "
+            "--keypoints"
+        )
     return RecordedMedia(recording, os.fspath(path), options.frames)
 
 
@@ -121,16 +120,6 @@ def _countable(recording: Recording) -> Recording:
     said = f"its frames' numbers, up to {numbers[-1]}, are none of Blender's: they are counted from 1"
     counted = np.arange(1, len(numbers) + 1)
     return replace(recording, frame_numbers=counted, assumed=(*recording.assumed, said))
-
-
-def _with_size(recording: Recording) -> Recording:
-    """A recording of keypoints in pixels with a picture's size that holds them."""
-    assert recording.seen is not None
-    reach = np.nanmax(np.append(recording.seen.keypoints.reshape(-1, 2), [[0.0, 0.0]], axis=0), axis=0)
-    times = max(1, int(np.ceil((reach / VIRTUAL_SIZE).max())))
-    size = VIRTUAL_SIZE[0] * times, VIRTUAL_SIZE[1] * times
-    said = f"the pictures' size is not told: {size[0]}x{size[1]} (--picture-size tells it)"
-    return replace(recording, size=size, assumed=(*recording.assumed, said))
 
 
 def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Recording:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from handfit_core.doors.values import shortly
-from handfit_core.errors import OptionError
+from handfit_core.errors import OptionError, PictureSizeError
 from handfit_core.files import written_whole
 from handfit_core.worker.protocol import pack
 from handfit_core.worker.runner import OnProgress
@@ -105,15 +105,21 @@ def detect(
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:
     """Open the request's input and read nothing but its first picture. Raises OptionError and InputError."""
-    from handfit_core.interchange.opening import open_input
+    from handfit_core.interchange.opening import RELATIVE, open_input
     from handfit_core.options import CaptureOptions
 
-    media = open_input(_source(message), CaptureOptions(max_megapixels=message.get("max_megapixels")))
+    source, limit = _source(message), message.get("max_megapixels")
+    try:
+        media = open_input(source, CaptureOptions(max_megapixels=limit))
+        width, height = media.width, media.height
+    except PictureSizeError:
+        media = open_input(source, CaptureOptions(picture_size=RELATIVE))
+        width, height = 0, 0
     first, last = media.first_and_last
     return {
         "kind": media.source.kind,
-        "width": media.width,
-        "height": media.height,
+        "width": width,
+        "height": height,
         "fps": media.fps,
         "frames": media.expected_frames,
         "first": first,

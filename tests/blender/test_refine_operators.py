@@ -16,6 +16,7 @@ import blender_manient
 from blender_manient import preferences, shared_worker
 from blender_manient.keypoint_mode.mode import KeypointMode
 from blender_manient.operators import edit_keypoints
+from blender_manient.operators import touch as touching
 from blender_manient.operators.refit_range import replaced
 from blender_manient.operators.touch import MANIENT_OT_touch, touching_range
 from blender_manient.refiner import BonePoses, Refiner
@@ -240,6 +241,16 @@ def gap(armature, first: int = FIRST, last: int = LAST) -> np.ndarray:
 def touch(**others) -> None:
     wanted = {"point": str(THUMB), "other": str(TIP), "scope": "CUSTOM", "first": FIRST, "last": LAST}
     assert bpy.ops.manient.touch(**wanted | others) == {"FINISHED"}
+
+
+@pytest.mark.parametrize(
+    ("gaps", "said"),
+    [((0.0128, 0.0131), "13 mm"), ((0.0124, 0.0131, np.nan), "12 to 13 mm"), ((-0.002, 0.0001), "0 mm")],
+)
+def test_how_far_apart(monkeypatch, gaps, said):
+    monkeypatch.setattr(touching, "_Work", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
+    count = f"{len(gaps)} frames. The points are {said} apart there"
+    assert MANIENT_OT_touch.said(SimpleNamespace(), bpy.context) == (count, False)
 
 
 def test_points_are_made_to_touch_over_a_range_and_let_go_again(armature):

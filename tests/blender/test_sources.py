@@ -8,8 +8,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from blender_manient import source_info  # noqa: E402
-from handfit_core.errors import InputError  # noqa: E402
+from blender_manient import shared_worker, source_info  # noqa: E402
+from blender_manient.operators.capture import new_job  # noqa: E402
+from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
+from blender_manient.panels.source import MANIENT_PT_source  # noqa: E402
+from handfit_core.errors import InputError, OptionError  # noqa: E402
+from tests.drawn import drawn  # noqa: E402
 
 
 @pytest.fixture
@@ -73,6 +77,33 @@ def test_hands_of_another_program(tmp_path, make_take):
     take = make_take().take.save(tmp_path / "a.take.npz")
     with pytest.raises(InputError, match="Import > Hand Take"):
         source_info.resolve(str(take), as_sequence=False)
+
+
+def test_a_picture_size_that_no_file_tells_is_asked_for(registered, monkeypatch, tmp_path):
+    monkeypatch.setattr(shared_worker, "capture_sentence", lambda: "")
+    path, settings = tmp_path / "hands.json", bpy.context.scene.manient
+    path.write_text("{}")
+    settings.source = str(path)
+    info = source_info.of(settings)
+    assert "Width" not in drawn(MANIENT_PT_source).said
+
+    info.unsized, info.fps = True, 30.0
+    source = drawn(MANIENT_PT_source)
+    assert "How large are its pictures? The file does not say Width Height" in source.said
+    assert source.loud == "Width Height"
+    assert {"Capture", "Capture Frame 1"} <= set(drawn(MANIENT_PT_capture).grey)
+    assert source_info.footage(settings, info) is None
+    with pytest.raises(OptionError, match="width and height"):
+        new_job(bpy.context, only_frame=False)
+
+    settings.picture_size = (640, 480)
+    assert drawn(MANIENT_PT_source).loud == ""
+    assert "Capture" not in drawn(MANIENT_PT_capture).grey
+    assert source_info.footage(settings, info).width == 640
+    assert new_job(bpy.context, only_frame=False).options.picture_size == (640, 480)
+    (tmp_path / "others.json").write_text("{}")
+    settings.source = str(tmp_path / "others.json")
+    assert tuple(settings.picture_size) == (0, 0), "a size belongs to one source"
 
 
 def test_video(tmp_path):

@@ -122,7 +122,7 @@ def _recorded(path: str, mano: bool) -> None:
     for phrase in (found.summary, *found.assumed):
         assert "\n" not in phrase, phrase
         assert len(phrase) < 1000, phrase
-    options = replace(options, picture_size=(640, 480) if found.size == RELATIVE else None)
+    options = replace(options, picture_size=(640, 480) if found.size in (None, RELATIVE) else None)
     numbers = open_input(path, options).numbers(0, 2)
     check_take(capture_with(path, replace(options, frames=FrameRange(numbers[0], numbers[-1]))))
 

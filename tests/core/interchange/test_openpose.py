@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.errors import InputError, PictureSizeError
 from handfit_core.interchange.opening import RELATIVE, read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.options import CaptureOptions
@@ -119,8 +119,8 @@ def test_a_folder_alone_is_fitted_by_the_size_that_is_told(
             < 12
         )
     assert not caplog.messages
-    assert capture(path).width == 1920
-    assert any("size is not told: 1920x1080" in message for message in caplog.messages)
+    with pytest.raises(PictureSizeError, match="--picture-size"):
+        capture(path)
 
 
 def test_zeros_are_missing_points_and_hidden_hands_are_left_out(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handfit_core.__main__ import main
-from handfit_core.errors import InputError, NoHandFoundError, OptionError
+from handfit_core.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
 from handfit_core.farm.inputs import expand
 from handfit_core.interchange.opening import RecordedMedia, is_recording, open_input, read_recording
 from handfit_core.interchange.writers import writer_for
@@ -18,6 +18,7 @@ from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import other_side
 from handfit_core.take import Take, chosen, is_take
+from handfit_core.worker.answering import probe
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -78,13 +79,18 @@ def test_a_size_and_a_rate_that_the_file_does_not_tell(truth: Take, written: Pat
     assert isinstance(told, RecordedMedia)
     assert (told.width, told.height, told.fps) == (640, 480, 50.0)
     assert told.recording.assumed == ()
-    alone = open_input(written, CaptureOptions())
-    assert isinstance(alone, RecordedMedia)
-    assert (alone.width, alone.fps) == (1920, 24.0)
-    assert [any(said in phrase for phrase in alone.recording.assumed) for said in ("size", "--fps")] == [
-        True,
-        True,
-    ]
+    no_rate = open_input(written, CaptureOptions(picture_size=(640, 480)))
+    assert isinstance(no_rate, RecordedMedia)
+    assert (no_rate.fps, len(no_rate.recording.assumed)) == (24.0, 1)
+    with pytest.raises(PictureSizeError, match="--picture-size"):
+        open_input(written, CaptureOptions())
+    asked = probe({"input": [str(written)]})
+    assert (asked["kind"], asked["width"], asked["height"], asked["frames"]) == (
+        "data",
+        0,
+        0,
+        len(truth.frame_numbers),
+    )
 
 
 def test_points_of_a_copy_whose_size_is_told(truth: Take, written: Path) -> None:
