@@ -63,14 +63,13 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             row.label(text=said, translate=False)
             row.operator("manient.jump_worst", text="", icon="INFO").hand = armature.name
         doubtful = int(errors.doubtful.sum())
-        row = box.row(align=True)
-        frames = "frame" if doubtful == 1 else "frames"
-        if errors.known:
+        if not errors.known:
+            box.label(text=capitalised(NOT_KNOWN), translate=False)
+        elif count > 1:  # of one frame the word above says it
+            row = box.row(align=True)
+            frames = "frame" if doubtful == 1 else "frames"
             row.label(text=f"{doubtful or 'No'} doubtful {frames}", translate=False)
-        else:
-            row.label(text=capitalised(NOT_KNOWN), translate=False)
-        if doubtful and count > 1:
-            for direction, icon in (("PREVIOUS", "TRIA_LEFT"), ("NEXT", "TRIA_RIGHT")):
+            for direction, icon in (("PREVIOUS", "TRIA_LEFT"), ("NEXT", "TRIA_RIGHT")) if doubtful else ():
                 jump = row.operator("manient.jump_doubtful", text="", icon=icon)
                 jump.direction, jump.hand = direction, armature.name
         row = box.row(align=True)

@@ -34,11 +34,10 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             return
         self._describe(context, info)
         if info.unsized:
-            lacking = source_info.lacks_size(settings, info)
-            if lacking:
-                sentence(layout, context, "How large are its pictures? The file does not say", "QUESTION")
+            # The sentence stays once it is answered: nothing moves away under the mouse.
+            sentence(layout, context, "How large are its pictures? The file does not say", "QUESTION")
             size = layout.row(align=True)
-            size.alert = lacking
+            size.alert = source_info.lacks_size(settings, info)
             for index, name in enumerate(("Width", "Height")):
                 size.prop(settings, "picture_size", index=index, text=name)
         if info.siblings > 1:

@@ -180,8 +180,10 @@ def test_a_hands_block_says_what_nobody_knows(registered, make_take):
 def test_a_photos_hand_has_a_photos_word(registered, make_take):
     take = make_take(sides=("right",), frame_numbers=np.array([1])).take
     track = replace(take.hands[0], expected_error=np.full((1, 5), 0.0158))
-    build_take(replace(take, hands=(track,)))
-    assert "Likely error 15.8 mm: fair " in drawn(MANIENT_PT_result).said
+    build_take(replace(take, hands=(replace(track, doubtful=np.array([True])),)))
+    block = drawn(MANIENT_PT_result).said
+    assert "Likely error 15.8 mm: fair " in block
+    assert "doubtful" not in block
 
 
 def test_proportions_without_a_name_are_folded_away(registered, make_take):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+
+from handfit_core.take import Take
 
 CLIP = 120
 """frames: enough for the panel to tell its rate before it is done"""
@@ -35,6 +38,15 @@ def test_video_with_progress(blender, make_clip):
     ]
     texts = [text for state, _, _, text in played["seen"] if state == "capturing"]
     assert any(f"/{CLIP}" in text and "fps" in text and "left" in text for text in texts)
+
+
+def test_another_programs_hands_without_a_size(blender, rendered_hand, tmp_path):
+    track, path = Take.load(rendered_hand / "truth.take.npz").hands[0], tmp_path / "hands.json"
+    hands = [{"handedness": track.side, "keypoints": points.tolist()} for points in track.keypoints_2d]
+    path.write_text(json.dumps({"fps": 24, "frames": [{"hands": [hand]} for hand in hands]}))
+    played = blender.play("capture.of_another_program", source=str(path), size=(640, 480)).value
+    assert played["size"] == 640
+    assert played["colors"] == [[0.35, 0.35, 0.35]], "nobody knows how far off a finger is"
 
 
 def test_escape_stops_and_keeps_what_is_finished(blender, make_clip):

@@ -48,6 +48,43 @@ def photo(stage, source):
     return {"first": before, "undone": undone, "redone": redone, "reloaded": summary()}
 
 
+def of_another_program(stage, source, size):
+    """Keypoints whose pictures' size nobody has told: the panel asks for it, and knows no error of the hand."""
+    yield from stage.open_sidebar()
+    settings = bpy.context.scene.manient
+    settings.source = source
+    info = part("source_info")
+    yield from stage.until(lambda: info.of(settings).unsized, 60.0, "the worker to miss a size")
+    yield 0.5
+    yield from stage.screenshot("size-asked")
+    if place := (yield from stage.find_button("bpy.ops.manient.capture(")):
+        yield from stage.click(place)
+        yield 0.5
+    assert not jobs(), "it is captured without a size"
+    for index, along in enumerate((0.25, 0.75)):
+        place = yield from stage.find_button(f"manient.picture_size[{index}]", along=along)
+        assert place is not None, "the panel has no field for the size"
+        yield from stage.move_to(place)
+        yield from stage.key("RET")
+        yield from stage.write(str(size[index]))
+        yield from stage.key("RET")
+    assert tuple(settings.picture_size) == tuple(size)
+    yield 0.5
+    yield from stage.screenshot("size-told")
+    job = yield from press_capture(stage, source)
+    yield from finish(stage, job)
+    done(job)
+    (armature,) = hands()
+    armature.manient.show_confidence = True
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="POSE")
+    yield from stage.look_through_camera()
+    yield 0.5
+    yield from stage.screenshot("error-not-known")
+    colors = {tuple(round(c, 2) for c in bone.color.custom.normal) for bone in armature.pose.bones}
+    return {"size": part("scene.store").hand_of(armature).take.width, "colors": sorted(colors)}
+
+
 def by_the_button(stage, source):
     """The mouse on the panel's own buttons: Capture, then the X beside the progress bar."""
     yield from stage.open_sidebar()
