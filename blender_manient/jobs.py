@@ -56,6 +56,8 @@ class Building:
     controls: bool = False
     render_setup: bool = True
     matching: Choice = "AUTO"
+    retimed: float | None = None
+    """Frames per second of the scene that a clip of another rate will be retimed to"""
     camera: Remembered | None = None
     """An existing camera to look through instead of a new one"""
 
@@ -256,6 +258,7 @@ def _start(job: Job) -> None:
         options=job.options.to_message(),
         compact=True,
         bare=job.bare,
+        retimed=job.building.retimed,
     )
     job.state = "capturing"
 

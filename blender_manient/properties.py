@@ -492,7 +492,16 @@ class ManientCapture(bpy.types.PropertyGroup):
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore
     frame_offset: FloatProperty(default=0.0)  # type: ignore
     frame_scale: FloatProperty(  # type: ignore
-        default=1.0, description="Scene frame = frame_offset + frame_scale * source frame"
+        default=1.0, description="Scene frame = frame_offset + frame_scale * the take's frame number"
+    )
+    source_take: StringProperty(  # type: ignore
+        description="The take as it was captured, where the kept one is retimed, as base64 text"
+    )
+    source_digest: StringProperty()  # type: ignore
+    scene_rate: FloatProperty(  # type: ignore
+        default=0.0,
+        description="Frames per second of the scene that the clip was built for; 0: it has no rate, or an "
+        "older version built it",
     )
 
 

@@ -13,16 +13,19 @@ from typing import Any
 
 import bpy
 import bpy.utils.previews
+import numpy as np
 
 from handfit_core.errors import HandfitError, InputError
 from handfit_core.files import shown, why
 from handfit_core.interchange.opening import is_recording
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender
+from handfit_core.retiming import shown_numbers
 from handfit_core.take import is_take
 
 from . import jobs, preferences, screen, shared_worker
 from .scene.matching import Footage
+from .scene.store import captures_of, clip_timing
 from .wording import capitalised, without_name
 
 _LOOK_AGAIN = 0.1
@@ -156,8 +159,20 @@ def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage |
         first, last = settings.first_frame, settings.last_frame
     if only is not None:
         first = last = max(only, 0)
-    size = (0, 0) if settings.camera == "ACTIVE" else (width, height)
-    return Footage(info.fps, first, last, *size)
+    if settings.camera == "ACTIVE":
+        width = height = 0
+    return Footage(info.fps, first, last, width, height, info.files.kind in ("video", "data"))
+
+
+def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
+    """The source's frame at the scene's current frame: that which a capture of it shows there, else the one
+    of that number."""
+    frame = context.scene.frame_current
+    with contextlib.suppress(HandfitError):  # a take that cannot be read
+        for capture in captures_of(context, files.kind, files.files):
+            (frame,) = shown_numbers(clip_timing(capture).source_frames(np.array([frame]))).tolist()
+            break
+    return frame
 
 
 def lacks_size(settings, info: SourceInfo) -> bool:

@@ -376,7 +376,7 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
     rows = np.flatnonzero([frames is None or int(number) in frames for number in numbers])
     if not len(rows):
         raise OptionError(f"none of the take's frames lies in {frames}; it has {numbers[0]} to {numbers[-1]}")
-    kept = [_at_rows(hand, rows) for hand in take.hands if hands not in SIDES or hand.side == hands]
+    kept = [at_rows(hand, rows) for hand in take.hands if hands not in SIDES or hand.side == hands]
     kept = [hand for hand in kept if hand.present.any()]
     if take.hands and not kept:
         raise NoHandFoundError(
@@ -391,8 +391,8 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
     return replace(take, source=source, frame_numbers=numbers[rows], hands=tuple(kept))
 
 
-def _at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
-    """A hand over some of its frames."""
+def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
+    """A hand over some of its frames, in any order."""
     of_frames = {name: getattr(hand, name) for name in _ARRAYS if name != "betas"}
     return replace(
         hand, **{n: np.asarray(array)[rows] for n, array in of_frames.items() if array is not None}

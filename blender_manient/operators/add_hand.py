@@ -20,7 +20,7 @@ from ..keypoint_mode import drawing, view
 from ..keypoint_mode.mode import free_corner
 from ..properties import SIDE_ITEMS
 from ..scene.build import add_last_hand
-from ..scene.store import active_hand, kept_take, rows_at
+from ..scene.store import active_hand, captures_of, kept_take, rows_at
 from .capture import new_job
 from .needs_hand import Refuses, Waits, errors_reported, select_alone
 
@@ -251,18 +251,10 @@ def capture_here(context: bpy.types.Context) -> bpy.types.Collection | None:
     if not settings.source and hand is not None:
         return hand.collection if hand.camera is not None else None
     source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
-    first = [hand.collection] if hand is not None else []
-    for capture in [*first, *reversed(context.scene.collection.children_recursive)]:
+    for capture in captures_of(context, source.kind, source.files):
         camera = capture.manient.camera
-        if (
-            capture.manient.is_capture
-            and camera is not None
-            and camera.type == "CAMERA"
-            and camera.users_collection
-        ):
-            took = kept_take(capture).source
-            if took.kind == source.kind and set(took.files) <= set(source.files):
-                return capture
+        if camera is not None and camera.type == "CAMERA" and camera.users_collection:
+            return capture
     return None
 
 

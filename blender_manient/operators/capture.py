@@ -15,7 +15,9 @@ from handfit_core.worker.runner import WorkerError
 from .. import jobs, preferences, screen, shared_worker, source_info
 from ..remembered import Remembered
 from ..scene.camera import lens_of_camera
+from ..scene.matching import matches
 from ..scene.store import active_hand
+from ..scene.timing import frame_rate
 from .needs_hand import Refuses, Waits, errors_reported
 
 _TICK = 0.02
@@ -195,13 +197,14 @@ def new_job(
     if target != "NEW" and hand is None:
         raise OptionError("select the captured hand that is to be animated, or choose New Hands")
     camera = scene.camera if settings.camera == "ACTIVE" else None
+    only = source_info.shown_frame(context, source) if only_frame else None
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
         raise OptionError("the scene has no active camera: choose another camera setting")
     return jobs.Job(
         name=Path(source.files[0]).name if source.kind != "sequence" else Path(source.files[0]).parent.name,
         files=source.files,
         options=CaptureOptions(
-            frames=_frames(settings, source, scene.frame_current if only_frame else None),
+            frames=_frames(settings, source, only),
             hands="auto" if regions else settings.hands,
             regions=regions,
             only_regions=bool(regions),
@@ -228,11 +231,20 @@ def new_job(
             controls=settings.add_controls,
             matching=settings.matching,
             render_setup=settings.render_setup,
+            retimed=_retimed(context, only_frame) if target == "NEW" else None,
             camera=Remembered.of("objects", camera) if camera else None,
         ),
         bare=bare,
         asks=asks and source.kind == "photo" and settings.target == "NEW",
     )
+
+
+def _retimed(context: bpy.types.Context, only_frame: bool) -> float | None:
+    """The scene's rate, where it stays and the source may be retimed to it."""
+    scene, settings = context.scene, context.scene.manient
+    known = source_info.footage(settings, source_info.of(settings))
+    kept = not only_frame and not matches(scene, settings.matching, known)
+    return frame_rate(scene) if kept else None
 
 
 def _frames(settings, source: source_info.SourceFiles, only: int | None) -> FrameRange | None:

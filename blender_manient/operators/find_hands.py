@@ -216,12 +216,12 @@ def source_of(context: bpy.types.Context) -> mode.Source:
     assert info.files is not None
     frame = None
     if info.files.kind != "photo":
-        frame = _frame(context.scene.frame_current, job.options, info)
+        frame = _frame(source_info.shown_frame(context, info.files), job.options, info)
     return mode.Source(job.files, frame, job.options)
 
 
 def _frame(current: int, options: CaptureOptions, info: source_info.SourceInfo) -> int:
-    """The used frame of the source that is shown at the scene's current frame; the first beyond its ends."""
+    """The used frame of the source that is shown at its frame `current`; the first beyond its ends."""
     wanted = options.frames or FrameRange()
     # Until the worker has counted a video's frames, the scene's is believed to be among them.
     used = wanted.within(info.first, info.last if info.frames else max(info.first, current))

@@ -55,9 +55,10 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 buttons.operator("manient.find_hands", icon="VIEWZOOM")
         if info.files is not None and info.files.kind != "photo" and choosing is None:
             # Only what is not said above.
-            if text and not text.startswith(own := _becomes(context.scene, info, only_frame=True)):
+            shown = source_info.shown_frame(context, info.files)
+            if text and not text.startswith(own := _becomes(context.scene, info, only=shown)):
                 sentence(buttons, context, own, "SCENE_DATA")
-            frame = buttons.operator("manient.capture", text=f"Capture Frame {context.scene.frame_current}")
+            frame = buttons.operator("manient.capture", text=f"Capture Frame {shown}")
             frame.only_frame = True
         if choosing is None and searched:
             row = layout.row(align=True)
@@ -96,12 +97,12 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             layout.operator("manient.clear_captures", text="Clear List")
 
 
-def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only_frame: bool = False) -> str:
-    """What becomes of the scene when the source, or only the current frame of it, is captured."""
+def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int | None = None) -> str:
+    """What becomes of the scene when the source, or `only` one frame of it, is captured."""
     settings = scene.manient
-    footage = source_info.footage(settings, info, only=scene.frame_current if only_frame else None)
+    footage = source_info.footage(settings, info, only=only)
     pictures = info.files is not None and info.files.kind != "data"
-    ready = settings.render_setup and settings.camera != "ACTIVE" and pictures and not only_frame
+    ready = settings.render_setup and settings.camera != "ACTIVE" and pictures and only is None
     return said(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.retiming import sampled
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take
 
@@ -31,8 +32,8 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .store import CapturedHand, hand_of, timing_of
-from .timing import timing_in
+from .store import CapturedHand, captured_take, clip_timing, hand_of, scene_frames, timing_of
+from .timing import in_scene
 
 Mode = Literal["ANIMATION", "POSE"]
 
@@ -65,9 +66,15 @@ def apply_track(
     if mode == "POSE":
         numbers = np.asarray(take.frame_numbers)[rows]
         wanted = numbers[0] if source_frame is None else source_frame
-        rows = rows[[int(np.argmin(np.abs(numbers - wanted)))]]
-    timing = timing_of(hand.collection) if own else timing_in(bpy.context.scene, take, frame)
-    frames = np.array([frame]) if mode == "POSE" else timing.scene_frames(take.frame_numbers)[rows]
+        rows, frames = rows[[int(np.argmin(np.abs(numbers - wanted)))]], np.array([frame])
+    else:
+        take, track, frames = _in_scene(hand, take, track, frame, own=own)
+        rows = np.flatnonzero(track.present)
+        if len(rows) == 0:
+            raise OptionError(
+                f"the take of {take.source.name} has none of the frames of {hand.armature.name!r}"
+            )
+        frames = frames[rows]
     keys = PoseKeys.everywhere(frames, *_of_track(hand, take, track, rows))
     return _apply(hand, keys, mode, mode == "ANIMATION" or own if wrist is None else wrist)
 
@@ -97,6 +104,22 @@ def apply_hand(
             keys.rotation_keyed[:] = moved.rotation_keyed.any(axis=0)
             keys.location_keyed[:] = moved.location_keyed.any()
     return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)
+
+
+def _in_scene(
+    hand: CapturedHand, take: Take, track: HandTrack, frame: float, *, own: bool
+) -> tuple[Take, HandTrack, np.ndarray]:
+    """The take and its track with rows where the scene gets keys, and their scene frames (N,): those of the
+    target's own pictures, else from `frame` on."""
+    if not own:
+        take, timing, _ = in_scene(bpy.context.scene, replace(take, hands=(track,)), frame)
+        return take, take.hands[0], timing.scene_frames(take.frame_numbers)
+    if captured_take(hand.collection) is hand.take:
+        return take, track, timing_of(hand.collection).scene_frames(take.frame_numbers)
+    frames = scene_frames(hand.collection, hand.take)
+    times = clip_timing(hand.collection).source_frames(frames)
+    inside = (times >= take.frame_numbers[0]) & (times <= take.frame_numbers[-1])
+    return take, sampled(track, np.asarray(take.frame_numbers), times[inside]), frames[inside]
 
 
 def track_for(take: Take, side: str) -> HandTrack:

@@ -36,7 +36,7 @@ from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
 from .store import describe_capture, describe_hand, keep_take, keeping_take, kept_here, timing_of
-from .timing import Timing, check_range, set_timing, timing_in
+from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
 
 _T = TypeVar("_T")
 _SAME_JOINTS = 1e-3
@@ -159,7 +159,10 @@ def _steps(
         wrists[track.side] = "open" if models[track.side] is loaded else how.wrist
         yield None
     shapes = [models[t.side].shaped(t.betas) for t in take.hands]
-    timing = Timing() if how.match_scene else timing_in(scene, take, how.frame)
+    captured = take
+    timing = clip = Timing()
+    if not how.match_scene:
+        take, timing, clip = in_scene(scene, captured, how.frame)
     check_range(take, timing)
     units = 1.0 / scene.unit_settings.scale_length
     work = _Work(take, models, how.pose_correctives)
@@ -174,7 +177,7 @@ def _steps(
     yield None
     plate, plate_warnings = None, []
     if how.picture:
-        plate, plate_warnings = yield from work.counting(loading_plate(take, timing, how.max_megapixels))
+        plate, plate_warnings = yield from work.counting(loading_plate(captured, clip, how.max_megapixels))
     if plate is not None:
         keep(plate.image)
     yield None
@@ -200,11 +203,16 @@ def _steps(
         hand = yield from _hand(made, work, track, shaped, name, units, timing, how.camera)
         hands.append(hand)
 
-    yield from work.counting(keeping_take(collection, take, how.data))
+    if take is captured:
+        yield from work.counting(keeping_take(collection, take, how.data))
+    else:
+        yield from work.counting(keeping_take(collection, captured, how.data, captured=True))
+        yield None
+        yield from work.counting(keeping_take(collection, take))
     yield None
 
     # From here on the artist sees it.
-    describe_capture(collection, camera, timing)
+    describe_capture(collection, camera, timing, _rate(scene, captured, how.match_scene))
     for index, hand in enumerate(hands):
         describe_hand(hand.armature, collection, take, index, wrists[hand.side])
         _keep_pins(hand.armature, take, take.hands[index])
@@ -393,6 +401,14 @@ def _show_behind_own(camera: bpy.types.Object, plate: Plate, take: Take, scene: 
         ]
     show_behind(camera.data, plate, take, scene)
     return []
+
+
+def _rate(scene: bpy.types.Scene, take: Take, matched: bool) -> float:
+    """Frames per second of the scene at which the take plays as fast as it was filmed; 0 for what has no
+    rate, or does not move."""
+    if not has_rate(take) or len(take.frame_numbers) == 1:
+        return 0.0
+    return take.fps if matched else frame_rate(scene)
 
 
 def _checked_scene(scene: bpy.types.Scene | None) -> bpy.types.Scene:

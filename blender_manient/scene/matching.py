@@ -13,24 +13,32 @@ from typing import Literal
 
 import bpy
 
+from handfit_core.errors import OptionError
+from handfit_core.retiming import check_rate
 from handfit_core.take import Take
 
 from ..blender_versions import has_strips
+from ..wording import capitalised
 from .store import kept_here
 from .surroundings import is_untouched
-from .timing import frame_rate, nearest_rate
+from .timing import frame_rate, has_rate, is_retimed, nearest_rate
 
 Choice = Literal["AUTO", "MATCH", "KEEP"]
 
 CHOICES = (
-    ("AUTO", "Auto", "Match a scene in which nothing moves and nothing was set up; keep any other"),
+    ("AUTO", "Auto", "Match a scene in which nothing moves and nothing was set up; retime to any other"),
     (
         "MATCH",
-        "Match Footage",
+        "Match Scene to Clip",
         "Give the scene the footage's frame rate, frame range, size and camera; with Ready to Render "
         "also suns if nothing lights it, and colors as the picture has them",
     ),
-    ("KEEP", "Keep", "The scene stays as it is: the hand begins at the current frame, at the scene's rate"),
+    (
+        "KEEP",
+        "Retime to Scene",
+        "The scene stays as it is: the hand begins at the current frame, with a key on every frame of the "
+        "scene, and the clip plays behind it at the speed at which it was filmed",
+    ),
 )
 """The items of the properties in which artists choose"""
 
@@ -49,12 +57,14 @@ class Footage:
     width: int = 0
     """0: before a camera of the scene's own, whose size stays"""
     height: int = 0
+    timed: bool = True
+    """Whether it has a rate of its own; photos and image sequences have none"""
 
     @classmethod
     def of_take(cls, take: Take, *, own_camera: bool = False) -> Footage:
         """What `build_take` gives to a scene."""
         numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
-        return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size)
+        return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, timed=has_rate(take))
 
     def is_that_of(self, scene: bpy.types.Scene) -> bool:
         """Whether a clip's rate, range and size are the scene's already."""
@@ -121,7 +131,18 @@ def said(
         return f"Scene {'becomes' if done is None else 'became'} {news}"
     comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
     why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""
-    return f"{comes}: the scene stays, as {why}" if why else f"{comes}: the scene stays as it is"
+    comes += f": the scene stays, as {why}" if why else ": the scene stays as it is"
+    if footage is None or not _retimes(scene, footage):
+        return comes
+    try:
+        check_rate(frame_rate(scene))
+    except OptionError as error:
+        return capitalised(str(error))
+    return f"{comes}. The clip of {footage.fps:.5g} fps {'is' if done is None else 'was'} retimed to it"
+
+
+def _retimes(scene: bpy.types.Scene, footage: Footage) -> bool:
+    return footage.timed and footage.last > footage.first and is_retimed(scene, footage.fps)
 
 
 def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:

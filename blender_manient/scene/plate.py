@@ -33,6 +33,9 @@ class Plate:
     frame_start: int = 1
     frame_offset: int = 0
     frame_duration: int = 1
+    offset_driver: str = ""
+    """What drives the offset where scene frames are not the source's: a simple expression of `frame`, which
+    Blender evaluates without Python"""
 
     def apply_timing(self, user: bpy.types.ImageUser) -> None:
         """Set an image user (of a background image or of a texture node)."""
@@ -40,6 +43,10 @@ class Plate:
         user.frame_start = self.frame_start
         user.frame_offset = self.frame_offset
         user.use_auto_refresh = True
+        user.driver_remove("frame_offset")
+        if self.offset_driver:
+            driver = user.driver_add("frame_offset").driver
+            driver.type, driver.expression = "SCRIPTED", self.offset_driver
 
 
 def load_plate(
@@ -54,7 +61,7 @@ def loading_plate(
 ) -> Generator[None, None, tuple[Plate | None, list[str]]]:
     """The take's picture, and what the user should know about it.
 
-    `timing` says where the take lies in the scene's time; without it, on its own frame numbers.
+    `timing` says where the clip's frames lie in the scene's time; without it, on its own frame numbers.
     `max_megapixels` is how large it may be, instead of what the preferences say.
     Hands of another program may have none, and a file that is missing, unreadable or too large gives no plate
     and a warning.
@@ -90,7 +97,7 @@ def loading_plate(
         plate = Plate(_upright_copy(image, take.source.orientation))
         bpy.data.images.remove(image)
         size = size[::-1] if take.source.orientation in (5, 6, 7, 8) else size
-    return plate, _mismatches(path, size, take) + _other_rate(path, take, timing)
+    return plate, _mismatches(path, size, take)
 
 
 def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator[None, None, str]:
@@ -139,22 +146,24 @@ def _mismatches(path: Path, size: tuple[int, ...], take: Take) -> list[str]:
     return []
 
 
-def _other_rate(path: Path, take: Take, timing: Timing) -> list[str]:
-    if timing.scale == 1.0 or take.source.kind != "video":
-        return []
-    return [
-        f"{path}: the video has {take.fps:g} frames per second, the scene {take.fps * timing.scale:g}, and "
-        "Blender shows one video frame per scene frame, so only the first frame fits its hands; match the "
-        "scene to the footage to see them together"
-    ]
-
-
 def _movie(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
     """Blender shows frame (scene frame - start + 1): the take's first frame where its first keys are."""
+    last = max(image.frame_duration, int(take.frame_numbers[-1]))
+    if timing.scale != 1.0:
+        return retimed_plate(image, take, timing, last)
     start = _first_scene_frame(take, timing) - int(take.frame_numbers[0]) + 1
-    return Plate(
-        image, frame_start=start, frame_duration=max(image.frame_duration, int(take.frame_numbers[-1]))
-    )
+    return Plate(image, frame_start=start, frame_duration=last)
+
+
+def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int) -> Plate:
+    """A video of `last` frames at another rate than its own: on every scene frame the picture whose moment is
+    the nearest, as `handfit_core.retiming.shown_numbers` has it."""
+    number, first = int(take.frame_numbers[0]), _first_scene_frame(take, timing)
+    start = first - int((number - 1) * timing.scale)
+    duration = int((last - 1) * timing.scale) + 1
+    wanted = f"floor({number} + (frame - ({first})) / {timing.scale!r} + 0.5)"
+    plain = f"max(0, min({duration}, frame - ({start - 1})))"
+    return Plate(image, start, 0, duration, f"max(1, min({last}, {wanted})) - {plain}")
 
 
 def _sequence(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:

@@ -14,15 +14,16 @@ from mathutils import Matrix
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import rotmat_to_quat
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.retiming import shown_rows
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, PARENTS
-from handfit_core.take import HandTrack, Take
+from handfit_core.take import HandTrack, Take, at_rows
 
 from .confidence import errors_of
 from .corrections import corrections_of
 from .keys import read_pose_keys
 from .own_scene import object_mode, shown_in_pose, unseen_scene
 from .sampling import rotations_of, sample, stepped
-from .store import CapturedHand, rows_at, scene_frames
+from .store import CapturedHand, captured_take, rows_at, scene_frames
 
 _CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
 """matrix_world of a capture camera that nobody moved"""
@@ -34,7 +35,7 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
     global_orient, hand_pose, transl, joints_3d and the errors are computed anew in the take's frames, from
     what the rigs show there relative to the capture camera; detections stay. Frames in which nothing was
     detected but that have keys or a correction now count as filled. Hands that the artist deleted are left
-    out. Raises HandModelError.
+    out. Of a retimed clip it has the frames that the scene shows. Raises HandModelError.
     """
     take, collection = hands[0].take, hands[0].collection
     scene = bpy.context.scene
@@ -48,7 +49,16 @@ def retaken(hands: Sequence[CapturedHand]) -> Take:
         if camera is not None:
             unseen.collection.objects.link(camera)
         tracks = tuple(_track(hand, frames, metres, unseen) for hand in sorted(hands, key=lambda h: h.index))
-    return replace(take, hands=tracks)
+    return _of_pictures(replace(take, hands=tracks), captured_take(collection))
+
+
+def _of_pictures(take: Take, captured: Take) -> Take:
+    """A retimed take as one of the clip's own frames: those that the scene shows."""
+    if captured.fps == take.fps:
+        return take
+    rows, numbers = shown_rows(take, np.asarray(captured.frame_numbers), take.fps / captured.fps)
+    hands = tuple(at_rows(track, rows) for track in take.hands)
+    return replace(take, fps=captured.fps, frame_numbers=numbers, hands=hands)
 
 
 def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.types.Scene) -> HandTrack:

@@ -12,7 +12,7 @@ import binascii
 import contextlib
 import hashlib
 from collections import OrderedDict
-from collections.abc import Generator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -85,11 +85,12 @@ class CapturedHand:
 
 
 def keeping_take(
-    collection: bpy.types.Collection, take: Take, data: bytes | None = None
+    collection: bpy.types.Collection, take: Take, data: bytes | None = None, *, captured: bool = False
 ) -> Generator[None, None, None]:
     """Keep a take in its collection, in place of the one that is there, in small steps. `data`: the bytes of
     its file, where they are at hand; else the first step compresses the take, which for 10 000 frames of two
-    hands takes half a second. Does nothing where nothing is kept."""
+    hands takes half a second. `captured`: it is kept beside the one that was retimed from it. Does nothing
+    where nothing is kept."""
     if not kept_here():
         return
     data = take.to_bytes(compact=True) if data is None else data
@@ -99,10 +100,13 @@ def keeping_take(
         fingerprint.update(chunk)
         texts.append(base64.b64encode(chunk).decode("ascii"))
         yield
+    text, digest = "".join(texts), fingerprint.hexdigest()[:32]
     collection.manient.is_capture = True
-    collection.manient.take = "".join(texts)
-    collection.manient.digest = fingerprint.hexdigest()[:32]
-    _remember(collection.manient.digest, take)
+    if captured:
+        collection.manient.source_take, collection.manient.source_digest = text, digest
+    else:
+        collection.manient.take, collection.manient.digest = text, digest
+    _remember(digest, take)
 
 
 def keep_take(collection: bpy.types.Collection, take: Take) -> None:
@@ -117,14 +121,16 @@ def kept_take(collection: bpy.types.Collection) -> Take:
             f"the collection {collection.name} keeps no take, so its hands cannot be refined; import the "
             "take file, or capture again"
         )
-    digest = collection.manient.digest
-    found = _cache.get(digest)
-    if found is None:
-        found = _decoded(collection, digest)
-        _remember(digest, found)
-    if isinstance(found, TakeError):
-        raise found
-    return found
+    return _read(collection, collection.manient.take, collection.manient.digest)
+
+
+def captured_take(collection: bpy.types.Collection) -> Take:
+    """The take as it was captured, at the clip's own rate: the kept one, unless that is retimed. Hands that
+    were added or mirrored since are in the kept one alone. Raises TakeError."""
+    kept = collection.manient
+    if kept_here() and kept.source_digest:
+        return _read(collection, kept.source_take, kept.source_digest)
+    return kept_take(collection)
 
 
 def captured_hands(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -180,6 +186,20 @@ def active_hand(context: bpy.types.Context) -> CapturedHand | None:
     return hand_of(armatures[0]) if len(armatures) == 1 else None
 
 
+def captures_of(
+    context: bpy.types.Context, kind: str, files: Sequence[str]
+) -> Iterator[bpy.types.Collection]:
+    """The scene's captures of a source: that of the active hand before others, newer ones before older ones.
+    Raises TakeError."""
+    hand = active_hand(context)
+    first = [hand.collection] if hand is not None else []
+    for capture in [*first, *reversed(context.scene.collection.children_recursive)]:
+        if capture.manient.is_capture:
+            took = kept_take(capture).source
+            if took.kind == kind and set(took.files) <= set(files):
+                yield capture
+
+
 def hung_on(hand: CapturedHand) -> list[bpy.types.Object]:
     """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own."""
     armature = hand.armature
@@ -208,6 +228,17 @@ def timing_of(collection: bpy.types.Collection) -> Timing:
     return Timing(offset, scale) if scale and farthest < _BEYOND else Timing()
 
 
+def clip_timing(collection: bpy.types.Collection) -> Timing:
+    """Where the frames of the captured clip lie in its scene's time; between whole frames, where it is
+    retimed. Raises TakeError."""
+    rows, take, captured = timing_of(collection), kept_take(collection), captured_take(collection)
+    if captured is take:
+        return rows
+    scale, number = take.fps / captured.fps, int(captured.frame_numbers[0])
+    first = float(rows.scene_frames(take.frame_numbers[:1])[0])
+    return Timing(first - scale * number, scale)
+
+
 def scene_frames(collection: bpy.types.Collection, take: Take) -> np.ndarray:
     """(T,) scene frames of the take's rows; they may lie between whole ones."""
     return timing_of(collection).scene_frames(take.frame_numbers)
@@ -219,13 +250,15 @@ def kept_here() -> bool:
 
 
 def describe_capture(
-    collection: bpy.types.Collection, camera: bpy.types.Object | None, timing: Timing
+    collection: bpy.types.Collection, camera: bpy.types.Object | None, timing: Timing, rate: float = 0.0
 ) -> None:
-    """Note on a collection where its take lies in the scene, and which camera saw it."""
+    """Note on a collection where its take lies in the scene, which camera saw it, and at how many frames per
+    second of the scene it plays as fast as it was filmed (0: it has no rate)."""
     if kept_here():
         collection.manient.camera = camera
         collection.manient.frame_offset = timing.offset
         collection.manient.frame_scale = timing.scale
+        collection.manient.scene_rate = rate
 
 
 def describe_hand(
@@ -281,10 +314,20 @@ def _moved_by(obj: bpy.types.Object, armature: bpy.types.Object) -> bool:
     return any(m.type == "ARMATURE" and m.object == armature for m in obj.modifiers)
 
 
-def _decoded(collection: bpy.types.Collection, digest: str) -> Take | TakeError:
+def _read(collection: bpy.types.Collection, text: str, digest: str) -> Take:
+    found = _cache.get(digest)
+    if found is None:
+        found = _decoded(collection, text, digest)
+        _remember(digest, found)
+    if isinstance(found, TakeError):
+        raise found
+    return found
+
+
+def _decoded(collection: bpy.types.Collection, text: str, digest: str) -> Take | TakeError:
     where = f"the take in the collection {collection.name}"
     try:
-        data = base64.b64decode(collection.manient.take, validate=True)
+        data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError):
         data = b""
     if hashlib.sha256(data).hexdigest()[:32] != digest:

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import TakeError
+from handfit_core.retiming import check_rate, is_other_rate, retimed
 from handfit_core.take import Take
 
 LAST_FRAME = 1_048_574
@@ -41,6 +42,11 @@ def check_range(take: Take, timing: Timing) -> None:
         )
 
 
+def has_rate(take: Take) -> bool:
+    """Whether the take's pictures have times of their own; photos and image sequences have none."""
+    return take.source.kind in ("video", "data")
+
+
 def frame_rate(scene: bpy.types.Scene) -> float:
     """The scene's frames per second."""
     return scene.render.fps / scene.render.fps_base
@@ -59,12 +65,34 @@ def timing_in(scene: bpy.types.Scene, take: Take, frame: float | None = None) ->
 
     Photos and image sequences have no rate of their own: each of their pictures is a scene frame.
     """
-    scale = frame_rate(scene) / take.fps if take.source.kind in ("video", "data") else 1.0
-    if abs(scale - 1.0) < 1e-4:
-        scale = 1.0
+    scale = frame_rate(scene) / take.fps if has_rate(take) and is_retimed(scene, take.fps) else 1.0
     return Timing(
         (scene.frame_current if frame is None else frame) - scale * float(take.frame_numbers[0]), scale
     )
+
+
+def in_scene(scene: bpy.types.Scene, take: Take, frame: float | None = None) -> tuple[Take, Timing, Timing]:
+    """The take in the scene's own time, as `timing_in` says, with a row on each of the scene's whole frames
+    where the clip has another rate. Returns it, where its rows lie, and where the clip's own frames lie.
+
+    Raises OptionError for rates that no clip is retimed to.
+    """
+    clip = timing_in(scene, take, frame)
+    if clip.scale == 1.0:
+        return take, clip, clip
+    check_rate(frame_rate(scene))
+    number = int(take.frame_numbers[0])
+    first = round(float(clip.scene_frames(np.array([number]))[0]))
+    return (
+        retimed(take, clip.scale),
+        Timing(float(first - number)),
+        Timing(first - clip.scale * number, clip.scale),
+    )
+
+
+def is_retimed(scene: bpy.types.Scene, fps: float) -> bool:
+    """Whether a clip of that rate is retimed in a scene that keeps its own."""
+    return is_other_rate(frame_rate(scene), fps)
 
 
 def nearest_rate(fps: float) -> tuple[int, float]:

@@ -20,6 +20,8 @@ from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
 log = logging.getLogger("handfit")
 
 MAX_FPS: Final = 1000.0
+_UNSTEADY: Final = 1.5
+"""frames by which a frame of a video may lie before or behind its time"""
 _WORTH_JUMPING: Final = 500
 """frames of a video: shorter ones are read as fast as jumped in"""
 
@@ -86,6 +88,20 @@ class Video(Media):
         self._reading: tuple[Any, int] | None = None
         """Where somebody has read a part: OpenCV's, and the number of the frame that it gave last"""
         self.source = Source(kind="video", files=(str(path.resolve()),))
+
+    def check_steady(self) -> None:
+        """Raise InputError for a video whose frames are not evenly spaced in time: its n-th frame does not
+        lie where the rate says. Reads the whole file, and decodes nothing."""
+        times = _times(self._name) / 1000.0
+        if len(times) < 2:
+            return
+        even = np.linspace(times[0], times[-1], len(times))
+        away = float(np.abs(times - even).max() * (len(times) - 1) / max(times[-1] - times[0], 1e-9))
+        if away > _UNSTEADY:
+            raise InputError(
+                f"{self._path}: its frame rate changes on the way (by {away:.0f} frames), so it cannot be "
+                "retimed; convert it to a constant rate, or match the scene to the clip"
+            )
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
         """As `Media.numbers`."""

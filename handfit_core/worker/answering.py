@@ -68,6 +68,8 @@ def capture(
         if not isinstance(flag, bool):
             raise OptionError(f"a capture's {name} must be true or false, not {flag!r}")
     options = CaptureOptions.of_message(message.get("options") or {})
+    if message.get("retimed") is not None:
+        _check_retimed(source, options, message["retimed"])
     stopped = False
 
     def asked() -> bool:
@@ -80,6 +82,20 @@ def capture(
 
     done = capture_to_file(source, output, options, report, asked, **flags, parts=parts)
     return {**done, "stopped": stopped}
+
+
+def _check_retimed(source: Any, options: Any, rate: Any) -> None:
+    """Raise what keeps a clip from being retimed to a scene's rate, before anything is looked for in it."""
+    if isinstance(rate, bool) or not isinstance(rate, int | float):
+        raise OptionError(f"what a clip is retimed to must be frames per second, not {shortly(rate)}")
+    from handfit_core.interchange.opening import open_input
+    from handfit_core.media.videos import Video
+    from handfit_core.retiming import check_rate, is_other_rate
+
+    media = open_input(source, options)
+    if isinstance(media, Video) and is_other_rate(rate, media.fps):
+        check_rate(rate)
+        media.check_steady()
 
 
 def detect(

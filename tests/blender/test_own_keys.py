@@ -10,11 +10,12 @@ import pytest
 
 from blender_manient.operators.refit_range import MANIENT_OT_refit_range, replaced, suggested_range
 from blender_manient.rigs import rig_of
-from blender_manient.scene import corrections
+from blender_manient.scene import build, corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, write_pose_keys
 from blender_manient.scene.own_keys import keyed_by_hand, note_fitted
 from blender_manient.scene.store import hand_of
+from blender_manient.scene.timing import timing_in
 from handfit_core.edit.corrections import changed_quats
 from handfit_core.media.source import Source
 from handfit_core.skeleton import NUM_JOINTS
@@ -30,9 +31,11 @@ ROW = 2
 PINS = [{8: (1.0, 2.0)}]
 
 
-@pytest.fixture(params=["matched", "retimed"])
-def armature(request, make_take, picture):
-    """On its own frames, and as a clip of 30 frames per second in a shot of 24 that begins at 1001."""
+@pytest.fixture(params=["matched", "between"])
+def armature(request, make_take, picture, monkeypatch):
+    """On its own frames, and between whole ones, as older versions built a clip of 30 frames per second in a
+    shot of 24 that begins at 1001."""
+    monkeypatch.setattr(build, "in_scene", lambda *args: (args[1], *[timing_in(*args)] * 2))
     bpy.context.scene.frame_set(1001)
     made = make_take(sides=("right",), source=Source("video", (str(picture),)), fps=30.0)
     built = build_take(made.take, match_scene=request.param == "matched", picture=False)

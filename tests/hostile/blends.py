@@ -42,7 +42,9 @@ RAW: dict[str, Any] = {
 }
 
 HAND = "is_hand side capture mesh track betas corrections locked show_confidence own_colors".split()
-CAPTURE = "is_capture take digest camera frame_offset frame_scale".split()
+CAPTURE = (
+    "is_capture take digest camera frame_offset frame_scale source_take source_digest scene_rate".split()
+)
 
 
 def _blend(name: str, *changes: tuple[str, str, Any], known: bool = False) -> Case:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from handfit_core.errors import InputError
 from handfit_core.media import videos
 from handfit_core.media.source import Wanted
 from handfit_core.media.videos import Video
@@ -62,3 +63,39 @@ def test_behind_the_end_there_is_none(video: Video) -> None:
     first, second = video.pictures([count, count + 5], count)
     assert first is not None
     assert second is None
+
+
+def with_delays(data: bytes, delays: list[tuple[int, int]]) -> bytes:
+    """An MP4, its index behind its pictures, whose frames follow each other after other times: (frames,
+    factor of the first one's delay)."""
+    boxes, at, end = [], 0, len(data)
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
+        while data[at + 4 : at + 8] != name:
+            at += int.from_bytes(data[at : at + 4], "big")
+            assert at < end
+        boxes.append(at)
+        at += 8
+    (size, delay) = (int.from_bytes(data[a : a + 4], "big") for a in (boxes[-1], at + 12))
+    table = b"".join(n.to_bytes(4, "big") + (delay * by).to_bytes(4, "big") for n, by in delays)
+    new = bytearray(data[: at + 4] + len(delays).to_bytes(4, "big") + table + data[boxes[-1] + size :])
+    for box in boxes:
+        old = int.from_bytes(new[box : box + 4], "big")
+        new[box : box + 4] = (old + 16 + len(table) - size).to_bytes(4, "big")
+    return bytes(new)
+
+
+@pytest.mark.parametrize(("delays", "steady"), [([(40, 1)], True), ([(20, 1), (20, 2)], False)])
+def test_a_changing_rate_is_noticed(tmp_path, delays, steady):
+    path = tmp_path / "clip.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (64, 48))
+    for number in range(40):
+        writer.write(np.full((48, 64, 3), 6 * number, dtype=np.uint8))
+    writer.release()
+    path.write_bytes(with_delays(path.read_bytes(), delays))
+    media = Video(path, Wanted())
+    if steady:
+        media.check_steady()
+        assert media.fps == pytest.approx(30.0)
+        return
+    with pytest.raises(InputError, match="frame rate changes"):
+        media.check_steady()

@@ -1,0 +1,141 @@
+"""Takes at another frame rate: poses between pictures, gaps, and what was measured in the nearest picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import OptionError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.media.source import Source
+from handfit_core.retiming import check_rate, moments, retimed, sampled, shown_numbers, shown_rows
+from handfit_core.take import HandTrack, Take
+
+RATE = 0.3
+"""radians per source frame"""
+
+
+def clip(numbers, absent=(), fps=30.0) -> Take:
+    """A hand that turns about x at `RATE`, opens about z, and moves along x by 1 cm a frame."""
+    numbers = np.asarray(numbers)
+    count = len(numbers)
+    there = ~np.isin(numbers, absent)
+    nan = np.where(there, 1.0, np.nan)
+    turned = np.zeros((count, 3))
+    turned[:, 0] = RATE * numbers
+    pose = np.zeros((count, 15, 3))
+    pose[..., 2] = 0.01 * numbers[:, None]
+    places = np.zeros((count, 21, 2)) + numbers[:, None, None]
+    track = HandTrack(
+        side="right",
+        betas=np.zeros(10),
+        global_orient=turned * nan[:, None],
+        hand_pose=pose.reshape(count, 45) * nan[:, None],
+        transl=np.stack([0.01 * numbers, 0 * numbers, 0 * numbers + 0.5], axis=-1) * nan[:, None],
+        joints_3d=np.ones((count, 21, 3)) * nan[:, None, None],
+        keypoints_2d=places * nan[:, None, None],
+        reprojection_error=numbers * nan,
+        detected=there,
+        score=0.9 * nan,
+    )
+    camera = Intrinsics(100.0, 100.0, 32.0, 24.0)
+    source = Source("video", ("clip.mp4",))
+    return Take(source, fps, numbers, 64, 48, camera, "fast", "open-hand", {}, (track,))
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 23.976, 60.0, 12.0, 1.0, 120.0])
+def test_poses_are_those_of_the_moment(rate):
+    take = clip(np.arange(5, 96))
+    scale = rate / take.fps
+    new = retimed(take, scale)
+    assert new.fps == pytest.approx(rate)
+    assert new.frame_numbers.tolist() == list(range(5, 5 + len(new.frame_numbers)))
+    times = moments(take, scale)
+    assert times[0] == 5
+    assert times[-1] <= 95 + 1e-6 < times[-1] + 1 / scale + 2e-6
+    (track,) = new.hands
+    assert track.present.all()
+    turns = np.zeros((len(times), 3))
+    turns[:, 0] = RATE * times
+    np.testing.assert_allclose(rotvec_to_rotmat(track.global_orient), rotvec_to_rotmat(turns), atol=1e-9)
+    np.testing.assert_allclose(track.hand_pose[:, 2], 0.01 * times, atol=1e-9)
+    np.testing.assert_allclose(track.transl[:, 0], 0.01 * times, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 23.976, 60.0, 20.0])
+def test_measurements_are_those_of_the_shown_picture(rate):
+    take = clip(np.arange(1, 61))
+    (track,) = retimed(take, rate / 30.0).hands
+    times = moments(take, rate / 30.0)
+    pictures = shown_numbers(times)
+    assert np.abs(pictures - times).max() <= 0.5
+    np.testing.assert_array_equal(track.keypoints_2d[:, 0, 0], pictures)
+    np.testing.assert_array_equal(track.reprojection_error, pictures)
+
+
+def test_same_rate_changes_nothing():
+    take = clip(np.arange(3, 40), absent=(7, 8))
+    (track,), (same,) = take.hands, retimed(take, 1.0).hands
+    for name in ("global_orient", "hand_pose", "transl", "keypoints_2d", "detected", "score"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(track, name))
+    assert same.filled is None
+
+
+@pytest.mark.parametrize("rate", [24.0, 60.0])
+def test_gaps_stay_gaps(rate):
+    gap = tuple(range(20, 30))
+    take = clip(np.arange(1, 61), absent=gap)
+    (track,) = retimed(take, rate / 30.0).hands
+    times = moments(take, rate / 30.0)
+    np.testing.assert_array_equal(track.present, ~np.isin(shown_numbers(times), gap))
+    # The last pose before the gap holds: nothing is turned towards what lies behind it.
+    last = np.flatnonzero(shown_numbers(times) == 19)[-1]
+    held = track.global_orient[last, 0] % (2 * np.pi)
+    assert held == pytest.approx(RATE * min(times[last], 19) % (2 * np.pi))
+    track.check(len(times))
+
+
+def test_every_second_frame():
+    """Poses are interpolated across the frames that were left out, and not called detected there."""
+    take = clip(np.arange(1, 60, 2))
+    (track,) = retimed(take, 24 / 30).hands
+    times = moments(take, 24 / 30)
+    assert track.present.all()
+    np.testing.assert_allclose(track.transl[:, 0], 0.01 * times, atol=1e-9)
+    near = np.abs(times[:, None] - take.frame_numbers).min(axis=1) <= 0.501
+    np.testing.assert_array_equal(track.detected, near)
+    np.testing.assert_array_equal(track.filled, ~near)
+    track.check(len(times))
+
+
+def test_shortest_way():
+    """A turn past half a circle goes on, and does not come back the long way round."""
+    take = clip(np.arange(1, 61))
+    (track,) = take.hands
+    signs = np.where(np.arange(60)[:, None] % 2, 1.0, -1.0)
+    other = replace(track, global_orient=signs * np.array([np.pi - 1e-3, 0.0, 0.0]))
+    new = sampled(other, np.asarray(take.frame_numbers), np.array([1.5]))
+    matrix = rotvec_to_rotmat(new.global_orient[0])
+    np.testing.assert_allclose(matrix, np.diag([1.0, -1.0, -1.0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [24.0, 60.0])
+def test_back_to_pictures(rate):
+    take = clip(np.arange(11, 71))
+    new = retimed(take, rate / 30.0)
+    rows, numbers = shown_rows(new, take.frame_numbers, rate / 30.0)
+    assert len(numbers) == (48 if rate == 24 else 60)
+    assert np.all(np.diff(numbers) > 0)
+    assert np.isin(numbers, take.frame_numbers).all()
+    assert np.abs(moments(take, rate / 30.0)[rows] - numbers).max() <= 0.5
+    if rate == 60:
+        np.testing.assert_allclose(moments(take, 2.0)[rows], numbers)
+
+
+@pytest.mark.parametrize("fps", [0.1, 240.0, 0.999, float("nan")])
+def test_absurd_rates_are_refused(fps):
+    with pytest.raises(OptionError, match="frames per second"):
+        check_rate(fps)
