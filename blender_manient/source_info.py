@@ -192,7 +192,7 @@ def of_dropped(settings, path: Path) -> Footage | None:
         return None
     try:
         size = (0, 0) if settings.camera == "ACTIVE" else tuple(clip.size)
-        return Footage(clip.fps, 1, clip.frame_duration, *size) if clip.size[0] else None
+        return Footage(clip.fps, 1, clip.frame_duration, size[0], size[1]) if clip.size[0] else None
     finally:
         bpy.data.movieclips.remove(clip)
 
