@@ -57,7 +57,7 @@ def label(hand: CapturedHand, errors: Errors, frame: float) -> str:
 
 def shown_hands(scene: bpy.types.Scene) -> list[CapturedHand]:
     """The hands whose graph is switched on, by name, and that have anything to show."""
-    found = [hand_of(o) for o in captured_hands(scene) if o.manient.show_error]
+    found = [hand_of(o) for o in captured_hands(scene, shown=True) if o.manient.show_error]
     return [hand for hand in found if hand is not None and errors_of(hand).mean is not None]
 
 

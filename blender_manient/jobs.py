@@ -30,6 +30,7 @@ from .cache import folder_path, temporary_take
 from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import BuildOptions, building
+from .scene.captures import comes_in_front
 from .scene.controls import add_controls
 from .scene.matching import Choice, Footage, matches, said
 from .scene.store import hand_of
@@ -89,6 +90,8 @@ class Job:
     warnings: list[str] = field(default_factory=list)
     matched: bool = False
     """Whether the scene was given the footage's rate, range, size and camera"""
+    in_front: bool = False
+    """Whether it became the active capture, whose camera the scene looks through"""
     scene_said: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
     stopped: bool = False
@@ -347,8 +350,10 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     footage = Footage.of_take(take, own_camera=plan.camera is not None)
     frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
     job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
+    job.in_front = scene is not None and comes_in_front(scene, plan.matching, job.matched)
     how = BuildOptions(
         data=data,
+        in_front=job.in_front,
         pose_correctives=plan.pose_correctives,
         match_scene=job.matched,
         frame=frame,
@@ -362,7 +367,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     warnings += built.warnings
     if not job.bare:
         job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
-    if job.matched and plan.camera is None:
+    if (job.matched or job.in_front) and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))
 

@@ -30,6 +30,7 @@ _KINDS = (
     bpy.types.PropertyGroup,
     bpy.types.Operator,
     bpy.types.Panel,
+    bpy.types.UIList,
     bpy.types.Menu,
     bpy.types.FileHandler,
 )

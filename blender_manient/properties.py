@@ -26,6 +26,7 @@ from handfit_core.solvers import SOLVERS
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
 from .hand_table import ManientHandTable
+from .scene import captures
 from .scene.matching import CHOICES
 from .scene.poses import pose_items
 from .scene.simplify import PARTS
@@ -97,6 +98,17 @@ def of_option(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
     if math.isfinite(option.most):
         shown |= {"min": option.least * units, "max": option.most * units}
     return shown
+
+
+def _capture_index(settings: Any) -> int:
+    active = captures.active_capture(settings.id_data)
+    return -1 if active is None else bpy.data.collections.find(active.name)
+
+
+def _show_capture(settings: Any, index: int) -> None:
+    chosen = bpy.data.collections[index] if 0 <= index < len(bpy.data.collections) else None
+    if chosen in captures.captures(settings.id_data):
+        captures.show(settings.id_data, chosen)
 
 
 class ManientSettings(bpy.types.PropertyGroup):
@@ -242,6 +254,20 @@ class ManientSettings(bpy.types.PropertyGroup):
 
     captured: StringProperty(  # type: ignore
         description="Keys of the listed captures that are in this scene: undo and redo take them along",
+        options={"HIDDEN"},
+    )
+
+    capture: PointerProperty(  # type: ignore
+        type=bpy.types.Collection,
+        description="The capture that was chosen last (scene/captures.py)",
+        options={"HIDDEN"},
+    )
+    capture_index: IntProperty(  # type: ignore
+        name="Active Capture",
+        description="The capture whose picture and camera are shown, among all collections of the file. "
+        "Click one to show it",
+        get=_capture_index,
+        set=_show_capture,
         options={"HIDDEN"},
     )
 
@@ -490,6 +516,9 @@ class ManientCapture(bpy.types.PropertyGroup):
     take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
     digest: StringProperty()  # type: ignore
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore
+    rendered: BoolProperty(  # type: ignore
+        default=True, description="Whether renders showed it before it was hidden (scene/captures.py)"
+    )
     frame_offset: FloatProperty(default=0.0)  # type: ignore
     frame_scale: FloatProperty(  # type: ignore
         default=1.0, description="Scene frame = frame_offset + frame_scale * the take's frame number"

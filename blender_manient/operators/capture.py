@@ -124,7 +124,7 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
             if job.finished and id(job) not in self._seen:
                 self._seen.add(id(job))
                 self._report(job)
-                if job.state == "done" and job.matched:
+                if job.state == "done" and (job.matched or job.in_front):
                     screen.look_through_camera(context)
                 if job.crowd and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")

@@ -10,6 +10,7 @@ from handfit_core.take import Take
 from .. import screen
 from ..properties import MATCHING, POSE_CORRECTIVES
 from ..scene.build import build_take
+from ..scene.captures import comes_in_front
 from ..scene.matching import Footage, matches, said
 from ..scene.surroundings import clear_view
 from ..section import sentence
@@ -62,16 +63,18 @@ class MANIENT_OT_import_take(Refuses, bpy.types.Operator, ImportHelper):
         take = Take.load(self.filepath)
         footage, frame = Footage.of_take(take), context.scene.frame_current
         matched = matches(context.scene, self.matching, footage)
+        in_front = comes_in_front(context.scene, self.matching, matched)
         built = build_take(
             take,
             scene=context.scene,
             pose_correctives=self.pose_correctives,
             picture=self.picture,
             match_scene=matched,
+            in_front=in_front,
             render_setup=self.render_setup,
         )
         warnings = list(built.warnings)
-        if matched:
+        if matched or in_front:
             warnings += clear_view(built.camera, built.collection, context.view_layer)
             screen.look_through_camera(context)
         for warning in warnings:

@@ -1,4 +1,4 @@
-"""Result: how good the captured hands are, and where to look."""
+"""Result: the captures of the scene, how good their hands are, and where to look."""
 
 from __future__ import annotations
 
@@ -6,12 +6,42 @@ import bpy
 
 from handfit_core.fit_quality import NOT_KNOWN
 
-from ..scene import corrections, markers
+from ..scene import captures, corrections, markers
 from ..scene.confidence import errors_of
 from ..scene.plate import missing_picture
 from ..scene.store import captured_hands, hand_of
 from ..section import Section, fitted, sentence
 from ..wording import capitalised, counted
+
+_ROWS = 5
+"""of the list that are seen at once"""
+
+
+class MANIENT_UL_captures(bpy.types.UIList):
+    """The captures among all collections of the file."""
+
+    bl_idname = "MANIENT_UL_captures"
+
+    def filter_items(self, context, data, propname):
+        """Those of the scene whose name has what is typed."""
+        items = getattr(data, propname)
+        here = {capture.session_uid for capture in captures.captures(context.scene)}
+        flags = bpy.types.UI_UL_list.filter_items_by_name(
+            self.filter_name, self.bitflag_filter_item, items, "name"
+        ) or [self.bitflag_filter_item] * len(items)
+        return [flag if item.session_uid in here else 0 for flag, item in zip(flags, items, strict=True)], []
+
+    def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
+        """The source's name, frames and rate, and how many hands were built."""
+        shown = captures.is_shown(item, context.view_layer)
+        split = layout.split(factor=0.5)
+        split.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")
+        row = split.row(align=True)
+        row.active = shown
+        row.label(text=captures.facts(item), translate=False)
+        hands = sum(hand.manient.capture == item for hand in captured_hands(context.scene))
+        row.label(text=str(hands), icon="VIEW_PAN", translate=False)
+        row.operator("manient.remove_capture", text="", icon="X", emboss=False).capture = item.name
 
 
 class MANIENT_PT_result(Section, bpy.types.Panel):
@@ -20,13 +50,26 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
     bl_order = 4
 
     def draw(self, context):
-        """One block per hand."""
+        """The captures, and one block per hand of those that are shown."""
         layout = self.layout
-        armatures = captured_hands(context.scene)
+        self._captures(context)
+        armatures = captured_hands(context.scene, shown=True)
         if not armatures:
             sentence(layout, context, "No hands captured in this scene yet", "INFO")
         for armature in armatures:
             self._hand(context, armature)
+
+    def _captures(self, context) -> None:
+        layout, settings, found = self.layout, context.scene.manient, captures.captures(context.scene)
+        if not found:
+            return
+        rows = min(len(found), _ROWS)
+        names = MANIENT_UL_captures.bl_idname, "", bpy.data, "collections", settings, "capture_index"
+        layout.template_list(*names, rows=rows, maxrows=max(rows, 2), sort_lock=True)
+        if len(found) > 1:
+            hide = captures.others_shown(context.scene)
+            button = layout.operator("manient.hide_captures", text="Hide Others" if hide else "Show All")
+            button.hide = hide
 
     def _hand(self, context, armature: bpy.types.Object) -> None:
         hand = hand_of(armature)

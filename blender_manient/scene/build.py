@@ -28,6 +28,7 @@ from handfit_core.take import HandTrack, Take
 
 from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, named_after, shortened_name
+from . import captures
 from .animation import CURVES, animating, computing_keys, describe
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
@@ -84,8 +85,11 @@ class BuildOptions:
     match_scene: bool = True
     """Whether the scene gets the take's frame rate, frame range, picture size and camera; else it stays as it
     is, and the take starts at `frame`, at its rate"""
+    in_front: bool = False
+    """Whether this becomes the active capture (`captures.show`), which hides the others"""
     render_setup: bool = True
-    """Whether a matched scene gets lights and the picture in its renders too"""
+    """Whether a scene that is matched, or shows this in front, gets lights and the picture in its renders
+    too"""
     wrist: Wrist = "forearm"
     """How the meshes end"""
     frame: float | None = None
@@ -190,7 +194,7 @@ def _steps(
         keep(camera.data)
         collection.objects.link(camera)
     stage = []
-    if how.render_setup and how.match_scene and how.camera is None:
+    if how.render_setup and (how.match_scene or how.in_front) and how.camera is None:
         stage = set_up(scene, camera, take, plate)
         for thing in stage:
             keep(thing)
@@ -219,6 +223,8 @@ def _steps(
     if how.camera is not None and plate is not None:
         warnings += _show_behind_own(how.camera, plate, take, scene)
     scene.collection.children.link(collection)
+    if how.in_front:
+        captures.show(scene, collection)
     if how.match_scene:
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
@@ -226,8 +232,9 @@ def _steps(
         if how.camera is None:
             frame_scene(scene, take)
             scene.camera = camera
-            put_in_force(scene, stage)
         note_matched(scene, Footage.of_take(take, own_camera=how.camera is not None))
+    if stage:
+        put_in_force(scene, stage)
     for hand in hands:
         yield None
         collection.objects.link(hand.armature)

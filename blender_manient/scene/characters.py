@@ -13,7 +13,7 @@ from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand, troubles
-from .store import CapturedHand, captured_hands, hand_of, kept_here
+from .store import CapturedHand, captured_hands, hand_of, is_put_away, kept_here
 
 _REMEMBERED = 32
 """hands"""
@@ -165,8 +165,8 @@ def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
 
 def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context) -> CapturedHand | None:
     """Which captured hand a character's hand follows: the chosen one, else a selected one of that side, else
-    the scene's only one of it; None for none. Raises OptionError where there are several, and where the
-    chosen one has lost its take."""
+    the only one of it that is shown, else the scene's only one; None for none. Raises OptionError where there
+    are several, and where the chosen one has lost its take."""
     chosen = getattr(armature.manient.character, side).source
     if chosen is not None:
         hand = hand_of(chosen)
@@ -178,6 +178,7 @@ def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context
         return hand
     hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
     own = [hand for hand in hands if hand.side == side]
+    own = [hand for hand in own if not is_put_away(hand.armature)] or own
     own = [hand for hand in own if hand.armature.select_get()] or own
     if len(own) > 1:
         names = ", ".join(hand.armature.name for hand in own[:4])

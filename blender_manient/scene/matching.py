@@ -93,7 +93,7 @@ def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
     A scene that has the footage's rate, range and size already loses nothing by it.
     """
     camera = scene.camera
-    if camera is not None and not is_untouched(camera) and not _is_of_a_capture(camera):
+    if camera is not None and not is_untouched(camera) and not is_of_a_capture(camera):
         return f"its camera is {camera.name}"
     if footage is not None and footage.is_that_of(scene):
         return ""
@@ -155,6 +155,16 @@ def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:
         scene.manient.matched_size = _settings(scene, _SIZE)
 
 
+def has_matched_size(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's picture size is still what footage has given to it."""
+    return kept_here() and _settings(scene, _SIZE) == scene.manient.matched_size
+
+
+def has_matched_time(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's rate and range are still what footage has given to it."""
+    return kept_here() and _settings(scene, _TIME) == scene.manient.matched_time
+
+
 def _untouched(scene: bpy.types.Scene) -> bool:
     matched = (scene.manient.matched_time, scene.manient.matched_size) if kept_here() else ("", "")
     return all(
@@ -174,7 +184,7 @@ def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
     return " ".join(found)
 
 
-def _is_of_a_capture(camera: bpy.types.Object) -> bool:
+def is_of_a_capture(camera: bpy.types.Object) -> bool:
     """Whether a capture built it: one of the artist's own lies in no capture's collection."""
     return kept_here() and any(c.manient.camera == camera for c in camera.users_collection)
 

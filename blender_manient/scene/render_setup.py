@@ -25,7 +25,7 @@ from .surroundings import is_untouched
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
 """Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""
-_OURS = "hand_render_setup"
+OURS = "hand_render_setup"
 """Custom property of the cards and suns, by which they are found again"""
 _CARD_PLACE = 0.9
 """of the camera's far clip distance"""
@@ -52,7 +52,7 @@ def set_up(
         card.visible_volume_scatter = card.visible_shadow = False
         made.append(card)
     for thing in made:
-        thing[_OURS] = True
+        thing[OURS] = True
         put_before(thing, camera)
     return made
 
@@ -73,15 +73,16 @@ def follow_camera(scene: bpy.types.Scene) -> None:
     """Have renders show the card and the suns that hang on the scene's camera instead of those of other
     captures, each kind for itself.
 
-    Before a camera of the artist's own, those that renders have shown so far stay; where these were deleted,
-    the latest of the others take their place. As long as no other camera's turn comes, nothing is changed: a
-    card that the artist has hidden stays hidden.
+    Before a camera of the artist's own they are those of the capture that was chosen last, else those that
+    renders have shown so far; where these were deleted, the latest of the others take their place. As long as
+    no other camera's turn comes, nothing is changed: a card that the artist has hidden stays hidden.
     """
     objects = list(scene.objects)
-    ours = [thing for thing in objects if _OURS in thing]
+    ours = [thing for thing in objects if OURS in thing]
     cameras = [thing.parent for thing in ours if thing.parent in objects]
     shown = scene.manient.rendered_camera if kept_here() else None
-    chosen = next((c for wanted in (scene.camera, shown) for c in cameras if c == wanted), None)
+    active = scene.manient.capture.manient.camera if kept_here() and scene.manient.capture else None
+    chosen = next((c for wanted in (scene.camera, active, shown) for c in cameras if c == wanted), None)
     chosen = chosen or (cameras[-1] if cameras else None)
     if chosen is None or chosen == shown:
         return
@@ -135,7 +136,7 @@ def sun(name: str, right: float, up: float, strength: float) -> bpy.types.Object
 def _is_lit(scene: bpy.types.Scene) -> bool:
     """Whether the artist has seen to light: with a lamp that renders show, or a sky or a picture as world."""
     lamps = (o for layer in scene.view_layers for o in _rendered(layer.layer_collection) if o.type == "LIGHT")
-    if any(not (_OURS in o or is_untouched(o)) for o in lamps):
+    if any(not (OURS in o or is_untouched(o)) for o in lamps):
         return True
     tree = scene.world.node_tree if scene.world is not None else None
     return tree is not None and any(n.type in ("TEX_ENVIRONMENT", "TEX_SKY") for n in tree.nodes)

@@ -133,12 +133,23 @@ def captured_take(collection: bpy.types.Collection) -> Take:
     return kept_take(collection)
 
 
-def captured_hands(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The armatures of a scene's captured hands, by name. Decodes nothing."""
+def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.types.Object]:
+    """The armatures of a scene's captured hands, by the names of their captures and their own; with `shown`
+    without those of hidden captures. Decodes nothing."""
     if not kept_here():
         return []
     hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
-    return sorted(hands, key=lambda o: o.name)
+    return sorted((o for o in hands if not (shown and is_put_away(o))), key=_place)
+
+
+def is_put_away(obj: bpy.types.Object) -> bool:
+    """Whether an object is in hidden captures only (`captures.hide_others`)."""
+    return all(c.manient.is_capture and c.hide_viewport for c in obj.users_collection)
+
+
+def _place(armature: bpy.types.Object) -> tuple[str, str]:
+    capture = armature.manient.capture
+    return capture.name if capture is not None else "", armature.name
 
 
 def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
@@ -177,12 +188,12 @@ def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
 
 
 def active_hand(context: bpy.types.Context) -> CapturedHand | None:
-    """The captured hand that the artist works on: the active object's, else the only one there is."""
+    """The captured hand that the artist works on: the active object's, else the only one that is shown."""
     if context.active_object is not None:
         hand = hand_of(context.active_object)
         if hand is not None:
             return hand
-    armatures = captured_hands(context.scene)
+    armatures = captured_hands(context.scene, shown=True)
     return hand_of(armatures[0]) if len(armatures) == 1 else None
 
 

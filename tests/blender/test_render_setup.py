@@ -192,7 +192,7 @@ def registered(start_up):
 
 def shown_of(built) -> set[bool]:
     """Whether renders show a capture's card and suns."""
-    ours = [o for o in built.collection.all_objects if render_setup._OURS in o]
+    ours = [o for o in built.collection.all_objects if render_setup.OURS in o]
     assert len(ours) == 1 + len(render_setup.SUNS)
     return {not o.hide_render for o in ours}
 
@@ -217,7 +217,7 @@ def test_renders_follow_the_scenes_camera(make_take, registered):
     bpy.ops.ed.undo_push(message="before its turn has come")
     layer.update()
     bpy.ops.ed.undo_push(message="afterwards")
-    names = [o.name for o in first.collection.all_objects if render_setup._OURS in o]
+    names = [o.name for o in first.collection.all_objects if render_setup.OURS in o]
     bpy.ops.ed.undo()
     assert not any(bpy.data.objects[name].hide_render for name in names)
 

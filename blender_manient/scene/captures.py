@@ -1,0 +1,294 @@
+"""The captures of a scene: which there are, which one is active, what of them is shown, and their removal.
+
+A capture is the collection that keeps its take, wherever in the scene it lies and whatever it is called now.
+The active one is that whose own camera the scene has; before a camera of the artist's it is the one that was
+chosen last. A capture is hidden by its collection's two switches, "Disable in Viewports" and "Disable in
+Renders": what the artist has hidden or excluded object by object, or in one view layer, stays as it is,
+and nothing that is hidden is evaluated. What the artist has put into another collection as well stays
+visible there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator
+
+import bpy
+
+from handfit_core.errors import TakeError
+from handfit_core.take import Take
+
+from ..wording import counted
+from .camera import frame_scene
+from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
+from .render_setup import OURS, follow_camera
+from .simplify import DENSE
+from .store import captured_hands, kept_here, kept_take, timing_of
+from .timing import Timing, set_timing
+
+_facts: dict[str, str] = {}
+"""Digest of a take -> what lists say of it"""
+
+
+def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """The collections of a scene that keep a take, by name."""
+    if not kept_here():
+        return []
+    found = dict.fromkeys(c for c in scene.collection.children_recursive if c.manient.is_capture)
+    return sorted(found, key=_name)
+
+
+def active_capture(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The capture that the scene looks at; None where there is none."""
+    found = captures(scene)
+    seen = [c for c in found if scene.camera is not None and own_camera(c) == scene.camera]
+    for choice in (seen, found):
+        if scene.manient.capture in choice:
+            return scene.manient.capture
+        if seen:
+            return seen[0]
+    return next((c for c in found if not c.hide_viewport), found[0] if found else None)
+
+
+def own_camera(capture: bpy.types.Collection) -> bpy.types.Object | None:
+    """The camera that was built with a capture; None where it has the artist's, or the camera was deleted or
+    moved to another collection."""
+    camera = capture.manient.camera
+    return camera if camera is not None and camera.name in capture.objects else None
+
+
+def in_view(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's camera is one that a capture has built."""
+    return kept_here() and scene.camera is not None and is_of_a_capture(scene.camera)
+
+
+def comes_in_front(scene: bpy.types.Scene, choice: Choice, matched: bool) -> bool:
+    """Whether a new capture becomes the active one, with its own camera: in a scene that is matched to it,
+    and in one that looks through another capture's camera, unless the artist keeps that, or is at work on an
+    object in another mode."""
+    looked_at = matched or (choice == "AUTO" and in_view(scene))
+    return looked_at and bpy.context.mode == "OBJECT"
+
+
+def is_shown(capture: bpy.types.Collection, layer: bpy.types.ViewLayer) -> bool:
+    """Whether viewports of a view layer show the collection."""
+    return any(part.collection == capture and seen for part, seen in _parts(layer.layer_collection))
+
+
+def others_shown(scene: bpy.types.Scene, capture: bpy.types.Collection | None = None) -> bool:
+    """Whether captures other than the active one, and than `capture`, are shown."""
+    active, layer = active_capture(scene), _layer_of(scene)
+    return any(is_shown(c, layer) for c in captures(scene) if c not in (active, capture))
+
+
+def hide_others(scene: bpy.types.Scene, hide: bool = True) -> None:
+    """Hide all captures but the active one in viewports and renders, or show them all again."""
+    active = active_capture(scene)
+    for capture in captures(scene):
+        if hide and capture != active:
+            _hide(capture)
+        else:
+            _show(capture, scene)
+    _follow_selection(scene, active)
+
+
+def show(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    """Make a capture the active one: show it, and hide the others if those beside the active one are hidden.
+
+    The scene looks through the capture's camera, unless it has a camera of the artist's. Picture size, rate
+    and range follow as long as they are what other footage has given to the scene.
+    """
+    alone = not others_shown(scene, capture)
+    scene.manient.capture = capture
+    _show(capture, scene)
+    camera = own_camera(capture)
+    if camera is not None and (scene.camera is None or in_view(scene)):
+        scene.camera = camera
+        _frame(scene, capture)
+    follow_camera(scene)
+    if alone:
+        for other in captures(scene):
+            if other != capture:
+                _hide(other)
+    _follow_selection(scene, capture)
+
+
+def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    """Take a capture out of the scene, with its hands, their actions, its camera, lights and picture.
+
+    What the artist has put into its collection moves to the scene's own, and stands where it stood. Hands
+    that another collection holds as well stay there and keep their take. A collection that another scene
+    has, too, or that is linked from a file, only leaves this scene.
+    """
+    was_active = active_capture(scene) == capture
+    elsewhere = any(capture in s.collection.children_recursive for s in bpy.data.scenes if s != scene)
+    if scene.manient.capture == capture:
+        scene.manient.capture = None
+    if elsewhere or not capture.is_editable:
+        _unlink(scene, capture)
+    else:
+        _delete(scene, capture)
+    left = captures(scene)
+    if was_active and left:
+        show(scene, next((c for c in left if is_shown(c, _layer_of(scene))), left[-1]))
+
+
+def facts(capture: bpy.types.Collection) -> str:
+    """Frames and rate of a capture, for a list; empty where its take is damaged."""
+    digest = capture.manient.digest
+    if digest not in _facts:
+        try:
+            take = kept_take(capture)
+        except TakeError:
+            return ""
+        _facts[digest] = _facts_of(take)
+    return _facts[digest]
+
+
+def _facts_of(take: Take) -> str:
+    count = len(take.frame_numbers)
+    return counted(count, "frame") + (f", {take.fps:.4g} fps" if count > 1 else "")
+
+
+def _name(block: bpy.types.ID) -> str:
+    return block.name
+
+
+def _layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
+    """The view layer of a scene that the window shows, else its first."""
+    return bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+
+
+def _parts(
+    part: bpy.types.LayerCollection, seen: bool = True
+) -> Iterator[tuple[bpy.types.LayerCollection, bool]]:
+    """All below a layer's collection, and whether viewports show it."""
+    for child in part.children:
+        hidden = child.exclude or child.hide_viewport or child.collection.hide_viewport
+        yield child, seen and not hidden
+        yield from _parts(child, seen and not hidden)
+
+
+def _hide(capture: bpy.types.Collection) -> None:
+    if capture.is_editable and not capture.hide_viewport:
+        capture.manient.rendered = not capture.hide_render
+        capture.hide_viewport = capture.hide_render = True
+
+
+def _show(capture: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    if capture.is_editable and capture.hide_viewport:
+        capture.hide_viewport = False
+        capture.hide_render = not capture.manient.rendered
+    for part, _ in list(_parts(_layer_of(scene).layer_collection)):
+        if part.collection == capture:
+            part.exclude = part.hide_viewport = False
+
+
+def _frame(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    """Give the scene the capture's size, and the time of one that lies on its own frames, where these are
+    other footage's now."""
+    try:
+        take = kept_take(capture)
+    except TakeError:
+        return
+    numbers = take.frame_numbers
+    timed = has_matched_time(scene) and timing_of(capture) == Timing() and len(numbers) > 1
+    sized = has_matched_size(scene)
+    if sized:
+        frame_scene(scene, take)
+    if timed:
+        set_timing(scene, take)
+        if not scene.frame_start <= scene.frame_current <= scene.frame_end:
+            scene.frame_set(scene.frame_start)
+    footage = Footage.of_take(take, own_camera=not sized)
+    note_matched(scene, footage if timed else Footage(width=footage.width, height=footage.height))
+
+
+def _follow_selection(scene: bpy.types.Scene, capture: bpy.types.Collection | None) -> None:
+    """Have a hand of this capture be the active object, where that is none of it nor a visible one of the
+    artist's."""
+    layer = _layer_of(scene)
+    active = layer.objects.active
+    if capture is None or (active is not None and capture in active.users_collection):
+        return
+    of_capture = active is not None and any(c.manient.is_capture for c in active.users_collection)
+    if active is not None and not of_capture and active.visible_get(view_layer=layer):
+        return
+    if active is not None and active.mode != "OBJECT" and bpy.context.scene == scene:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    hand = next((h for h in captured_hands(scene) if capture in h.users_collection), None)
+    for thing in list(layer.objects.selected):
+        thing.select_set(False, view_layer=layer)
+    layer.objects.active = hand
+    if hand is not None:
+        hand.select_set(True, view_layer=layer)
+
+
+def _unlink(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    for parent in (scene.collection, *scene.collection.children_recursive):
+        if capture in parent.children.values() and parent.is_editable:
+            parent.children.unlink(capture)
+
+
+def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    own = [thing for thing in capture.objects if _is_own(thing, capture)]
+    kept = [thing for thing in capture.objects if thing not in own]
+    shared = {thing for thing in own if len(thing.users_collection) > 1}
+    gone = [thing for thing in own if not {thing, thing.parent} & shared]
+    active = _layer_of(scene).objects.active
+    if active in gone and active.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    for thing in kept:
+        if thing.parent in gone:
+            place = thing.matrix_world.copy()
+            thing.parent = None
+            thing.matrix_world = place
+    for thing in (*kept, *own):
+        if thing not in gone and len(thing.users_collection) == 1:
+            home = thing.parent.users_collection if thing.parent in shared else (scene.collection,)
+            next(c for c in home if c != capture).objects.link(thing)
+    for child in capture.children:
+        if child not in scene.collection.children.values():
+            scene.collection.children.link(child)
+    _unlink(scene, capture)
+    blocks: list[bpy.types.ID] = list(gone)
+    if any(thing.type == "ARMATURE" for thing in shared):  # their take is here
+        for thing in list(capture.objects):
+            capture.objects.unlink(thing)
+    else:
+        blocks.append(capture)
+    bpy.data.batch_remove([*blocks, *_left_behind(blocks)])
+
+
+def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:
+    """Whether a capture has made an object of its collection: a hand, a mesh, the camera, lights, card."""
+    hand = thing if thing.manient.is_hand else thing.parent
+    return (
+        thing == capture.manient.camera
+        or OURS in thing
+        or (hand is not None and hand.manient.capture == capture and thing in (hand, hand.manient.mesh))
+    )
+
+
+def _left_behind(blocks: Iterable[bpy.types.ID]) -> list[bpy.types.ID]:
+    """What nobody but these data-blocks uses, however deep: actions, meshes, materials, pictures."""
+    users = {block: set(them) for block, them in bpy.data.user_map().items()}
+    simplified = {action.get(DENSE) for action in bpy.data.actions}  # kept by a fake user of ours
+    gone, found = set(blocks), []
+    while True:
+        more = [
+            block
+            for block, them in users.items()
+            if block not in gone and them and them <= gone and _may_go(block, simplified)
+        ]
+        if not more:
+            return [block for block in found if not isinstance(block, bpy.types.Key)]  # go with their meshes
+        gone.update(more)
+        found += more
+
+
+def _may_go(block: bpy.types.ID, simplified: Container[bpy.types.ID]) -> bool:
+    if isinstance(block, (bpy.types.Collection, bpy.types.Scene)):
+        return False
+    if isinstance(block, bpy.types.Object) and block.users_collection:
+        return False
+    return not block.use_fake_user or block in simplified
