@@ -222,9 +222,7 @@ def _steps(
         _keep_pins(hand.armature, take, take.hands[index])
     if how.camera is not None and plate is not None:
         warnings += _show_behind_own(how.camera, plate, take, scene)
-    scene.collection.children.link(collection)
-    if how.in_front:
-        captures.show(scene, collection)
+    captures.add(scene, collection, in_front=how.in_front)
     if how.match_scene:
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)

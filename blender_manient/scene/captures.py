@@ -31,7 +31,7 @@ _facts: dict[str, str] = {}
 
 def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     """The collections of a scene that keep a take, by name."""
-    if not kept_here():
+    if not kept_here():  # scripts may build hands without the add-on
         return []
     found = dict.fromkeys(c for c in scene.collection.children_recursive if c.manient.is_capture)
     return sorted(found, key=_name)
@@ -40,13 +40,15 @@ def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 def active_capture(scene: bpy.types.Scene) -> bpy.types.Collection | None:
     """The capture that the scene looks at; None where there is none."""
     found = captures(scene)
+    if not found:
+        return None
     seen = [c for c in found if scene.camera is not None and own_camera(c) == scene.camera]
     for choice in (seen, found):
         if scene.manient.capture in choice:
             return scene.manient.capture
         if seen:
             return seen[0]
-    return next((c for c in found if not c.hide_viewport), found[0] if found else None)
+    return next((c for c in found if not c.hide_viewport), found[0])
 
 
 def own_camera(capture: bpy.types.Collection) -> bpy.types.Object | None:
@@ -74,10 +76,10 @@ def is_shown(capture: bpy.types.Collection, layer: bpy.types.ViewLayer) -> bool:
     return any(part.collection == capture and seen for part, seen in _parts(layer.layer_collection))
 
 
-def others_shown(scene: bpy.types.Scene, capture: bpy.types.Collection | None = None) -> bool:
-    """Whether captures other than the active one, and than `capture`, are shown."""
+def others_shown(scene: bpy.types.Scene) -> bool:
+    """Whether captures other than the active one are shown."""
     active, layer = active_capture(scene), _layer_of(scene)
-    return any(is_shown(c, layer) for c in captures(scene) if c not in (active, capture))
+    return any(is_shown(c, layer) for c in captures(scene) if c != active)
 
 
 def hide_others(scene: bpy.types.Scene, hide: bool = True) -> None:
@@ -91,13 +93,24 @@ def hide_others(scene: bpy.types.Scene, hide: bool = True) -> None:
     _follow_selection(scene, active)
 
 
+def add(scene: bpy.types.Scene, capture: bpy.types.Collection, *, in_front: bool) -> None:
+    """Link a new capture to a scene, `in_front` as the active one, as `show` makes it."""
+    alone = not others_shown(scene)
+    scene.collection.children.link(capture)
+    if in_front:
+        _activate(scene, capture, alone)
+
+
 def show(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     """Make a capture the active one: show it, and hide the others if those beside the active one are hidden.
 
     The scene looks through the capture's camera, unless it has a camera of the artist's. Picture size, rate
     and range follow as long as they are what other footage has given to the scene.
     """
-    alone = not others_shown(scene, capture)
+    _activate(scene, capture, not others_shown(scene))
+
+
+def _activate(scene: bpy.types.Scene, capture: bpy.types.Collection, alone: bool) -> None:
     scene.manient.capture = capture
     _show(capture, scene)
     camera = own_camera(capture)
