@@ -49,7 +49,7 @@ def photo(stage, source):
 
 
 def of_another_program(stage, source, size):
-    """Keypoints whose pictures' size nobody has told: the panel asks for it, and knows no error of the hand."""
+    """Keypoints whose pictures' size is not told: the panel asks for it, and knows no error of the hand."""
     yield from stage.open_sidebar()
     settings = bpy.context.scene.manient
     settings.source = source
