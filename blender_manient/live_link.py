@@ -24,12 +24,13 @@ from . import screen
 from .remembered import Remembered
 from .scene.characters import hands_to_move
 from .scene.editable import check_unlayered
+from .scene.hand_motion import BoneKeys, without_own
 from .scene.keys import nearest, remove_pose_keys, set_pose
 from .scene.onto_character import (
-    BoneKeys,
     Motion,
     Onto,
     computing,
+    noting,
     reading_motion,
     told_by_keys,
     writing,
@@ -156,7 +157,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
                 f"{hand.armature.name} is moved by more than its keys (layers, constraints or controls), so "
                 "that the link only shows its pose: press Apply to Character to key the motion"
             )
-    onto = Onto("NEW", character.wrist, character.reference, character.contacts)
+    onto = Onto.of(armature, into="NEW")
     keys: list[BoneKeys] = []
     for number, (hand_map, hand) in enumerate(hands):
         before, share = _COMPUTED * number / len(hands), _COMPUTED / len(hands)
@@ -175,9 +176,17 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
         for number, one in enumerate(keys):
             old = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
             share = (1.0 - _COMPUTED) / len(keys)
-            steps = writing([one if old is None else _changed(old, one)])
+            wanted = without_own(armature, one)
+            steps = _written(armature, wanted if old is None else _changed(old, wanted))
             yield from _part(steps, _COMPUTED + number * share, share)
     link.written, character.linked = keys, _digest(keys)
+
+
+def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None, None]:
+    """Write and note keys; a hand itself has one bone, so that a stop cannot come between the two."""
+    for done in writing([one]):
+        noting(armature, [one])
+        yield done
 
 
 def _part(steps: Generator[float, None, _T], before: float, share: float) -> Generator[float, None, _T]:

@@ -11,6 +11,7 @@ import bpy
 from . import (
     cache,
     error_graph,
+    hand_adjusting,
     hand_table,
     jobs,
     key_preview,
@@ -103,6 +104,7 @@ _MODULES = (
     shared_worker,
     jobs,
     live_link,
+    hand_adjusting,
     source_info,
     *_files_of(operators),
     *_files_of(panels),

@@ -30,6 +30,7 @@ from .scene import captures
 from .scene.matching import CHOICES
 from .scene.poses import pose_items
 from .scene.simplify import PARTS
+from .scene.spans import SCOPES
 
 PRESETS = (
     ("FAST", "Fast", "One look per frame"),
@@ -276,11 +277,15 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
     )
     pose_blend: FloatProperty(**BLEND)  # type: ignore
+    pose_scope: EnumProperty(**SCOPES, update=told("pose_scope"))  # type: ignore
+    pose_first: IntProperty(name="First", description="First scene frame of the range", default=1)  # type: ignore
+    pose_last: IntProperty(name="Last", description="Last scene frame of the range", default=250)  # type: ignore
 
     # Refine
     spread: IntProperty(  # type: ignore
         name="Spread",
-        description="A correction fades out over so many frames before and after",
+        description="A correction fades out over so many frames before and after; so does a pose that is put "
+        "on a range",
         default=6,
         min=0,
         soft_max=50,
@@ -362,6 +367,14 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         update=told("character"),
         override=_OVERRIDABLE,
     )
+    offset: PointerProperty(  # type: ignore
+        name="Offset",
+        description="The empty by whose location this hand's whole motion is moved",
+        type=bpy.types.Object,
+        poll=lambda _group, obj: obj.type == "EMPTY",
+        update=told("hand_motion"),
+        override=_OVERRIDABLE,
+    )
     hand_map: StringProperty(  # type: ignore
         description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
         "that are recognised",
@@ -405,8 +418,29 @@ class ManientCharacter(bpy.types.PropertyGroup):
         name="Marked Frame",
         description="The scene frame in which the character's hand is as it is to be in the captured pose",
         default=1,
-        update=told("character"),
+        update=told("hand_motion"),
         override=_OVERRIDABLE,
+    )
+    travel: FloatProperty(  # type: ignore
+        name="Travel",
+        description="How far the hand goes from where it is in the marked frame: 1 as far as the captured "
+        "one, 0 not at all",
+        default=1.0,
+        min=0.0,
+        max=2.0,
+        override=_OVERRIDABLE,
+        update=told("hand_motion"),
+    )
+    smoothing: IntProperty(  # type: ignore
+        name="Smoothing",
+        description="Smooth how the hand itself turns and moves over so many frames before and after; "
+        "fingers stay as they are",
+        default=0,
+        min=0,
+        soft_max=20,
+        max=1000,
+        override=_OVERRIDABLE,
+        update=told("hand_motion"),
     )
     contacts: BoolProperty(  # type: ignore
         name="Keep Contacts",

@@ -109,14 +109,8 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     def _work(self, context) -> Generator[float, None, list[Applied]]:
         armature = active_character(context)
         assert armature is not None
-        settings = armature.manient.character
         posing = self.mode == "POSE"
-        onto = Onto(
-            into="ACTION" if posing else settings.into,
-            wrist="FINGERS" if posing else settings.wrist,
-            reference=settings.reference,
-            contacts=settings.contacts,
-        )
+        onto = Onto.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
         hands = hands_to_move(armature, context)
         return (
             yield from putting(armature, hands, onto, [context.scene.frame_current_final] if posing else None)

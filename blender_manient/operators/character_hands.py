@@ -27,7 +27,7 @@ _OPPOSITE = 0.02
 distance from the middle"""
 
 
-class _OnCharacter(Refuses):
+class OnCharacter(Refuses):
     """An operator, in its first part, that works on the selected character."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
@@ -41,7 +41,7 @@ class _OnCharacter(Refuses):
         return why_not_reachable(armature)
 
 
-class MANIENT_OT_recognise_hand(_OnCharacter, bpy.types.Operator):
+class MANIENT_OT_recognise_hand(OnCharacter, bpy.types.Operator):
     bl_idname = "manient.recognise_hand"
     bl_label = "Recognise Again"
     bl_description = "Let go of the table and look for this hand's bones anew"
@@ -56,7 +56,7 @@ class MANIENT_OT_recognise_hand(_OnCharacter, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_copy_hand_table(_OnCharacter, bpy.types.Operator):
+class MANIENT_OT_copy_hand_table(OnCharacter, bpy.types.Operator):
     bl_idname = "manient.copy_hand_table"
     bl_label = "Copy to Other Side"
     bl_description = "Have the other hand's table name the bones that lie opposite to those of this one"
@@ -73,7 +73,7 @@ class MANIENT_OT_copy_hand_table(_OnCharacter, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_save_hand_preset(_OnCharacter, bpy.types.Operator, ExportHelper):
+class MANIENT_OT_save_hand_preset(OnCharacter, bpy.types.Operator, ExportHelper):
     bl_idname = "manient.save_hand_preset"
     bl_label = "Save Preset"
     bl_description = "Write which bones are this character's hands to a file, for others of its kind"
@@ -95,7 +95,7 @@ class MANIENT_OT_save_hand_preset(_OnCharacter, bpy.types.Operator, ExportHelper
         return {"FINISHED"}
 
 
-class MANIENT_OT_load_hand_preset(_OnCharacter, bpy.types.Operator, ImportHelper):
+class MANIENT_OT_load_hand_preset(OnCharacter, bpy.types.Operator, ImportHelper):
     bl_idname = "manient.load_hand_preset"
     bl_label = "Load Preset"
     bl_description = "Read which bones are this character's hands from a file that was saved here"
@@ -119,7 +119,7 @@ class MANIENT_OT_load_hand_preset(_OnCharacter, bpy.types.Operator, ImportHelper
         return {"FINISHED"}
 
 
-class MANIENT_OT_mark_frame(_OnCharacter, bpy.types.Operator):
+class MANIENT_OT_mark_frame(OnCharacter, bpy.types.Operator):
     bl_idname = "manient.mark_frame"
     bl_label = "Mark"
     bl_description = (

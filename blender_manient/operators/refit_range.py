@@ -14,12 +14,12 @@ from handfit_core.slices import slice_clock
 
 from .. import details, screen, shared_worker
 from ..refiner import Refiner, why_not
+from ..scene import spans
 from ..scene.build import Watch
 from ..scene.corrections import corrections_of
-from ..scene.markers import doubtful_ranges
 from ..scene.own_keys import keyed_by_hand
-from ..scene.store import active_hand, scene_frames, timing_of
-from ..scene.timing import frame_rate, span_of
+from ..scene.store import active_hand, scene_frames
+from ..scene.timing import span_of
 from ..section import sentence
 from ..wording import counted
 from . import edit_keypoints
@@ -276,25 +276,8 @@ class MANIENT_OT_refit_range(FitsRange, bpy.types.Operator):
 
 
 def suggested_range(context: bpy.types.Context) -> tuple[int, int]:
-    """First and last scene frame that are likely meant: the preview range; else the doubtful stretch, or the
-    reach of the correction, that the current frame is in; else half a second around it. Raises HandfitError.
-    """
-    hand, scene = active_hand(context), context.scene
-    assert hand is not None
-    frames = scene_frames(hand.collection, hand.take)
-    now = min(max(scene.frame_current, int(np.ceil(frames[0]))), int(frames[-1]))
-    around = max(1, round(_MARGIN * frame_rate(scene)))
-    wanted = now - around, now + around
-    timing, field = timing_of(hand.collection), corrections_of(hand.armature)
-    reach = {g: max(1.0, field.corrections[g].spread) for g in field.corrected}
-    near = [tuple(timing.scene_frames(np.array([g - s, g + s])).tolist()) for g, s in reach.items()]
-    for first, last in [*near, *doubtful_ranges(hand)]:
-        if first <= now <= last:
-            wanted = round(first), round(last)
-    if scene.use_preview_range:
-        wanted = span_of(scene)
-    first, last = max(wanted[0], int(np.ceil(frames[0]))), min(wanted[1], int(frames[-1]))
-    return (first, last) if first <= last else (now, now)
+    """First and last scene frame that are likely meant on the active hand. Raises HandfitError."""
+    return spans.suggested_range(context.scene, active_hand(context))
 
 
 def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bool]:

@@ -10,7 +10,7 @@ from handfit_core.errors import HandfitError, HandModelError
 from handfit_core.retarget.hand_map import PALM_FINGERS
 from handfit_core.skeleton import FINGERS, SIDES, Side, other_side
 
-from .. import live_link
+from .. import hand_adjusting, live_link
 from ..rigs import troubles
 from ..scene.characters import (
     active_character,
@@ -87,6 +87,15 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             row.operator("manient.mark_frame", text="", icon="MARKER_HLT")
             text = "Pose the character's hand as it is to be in this frame"
             sentence(column, context, text, "INFO")
+            if character.wrist == "PLACED":
+                column.prop(character, "travel", slider=True)
+            column.prop(character, "smoothing")
+            if character.wrist == "PLACED":
+                self._offsets(column, character)
+            told = hand_adjusting.said(armature)
+            if told is not None:
+                text, alert = told
+                sentence(column, context, capitalised(text), "ERROR" if alert else "INFO", alert=alert)
         column.prop(character, "contacts")
         row = layout.row(align=True)
         row.scale_y = 1.3
@@ -99,6 +108,14 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
             sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
+
+    def _offsets(self, layout, character) -> None:
+        row = layout.row(align=True, heading="Offset")
+        for side in SIDES:
+            if getattr(character, side).use:
+                row.operator(
+                    "manient.add_hand_offset", text=side.capitalize(), icon="EMPTY_ARROWS"
+                ).side = side
 
 
 class MANIENT_PT_character_bones(Section, bpy.types.Panel):

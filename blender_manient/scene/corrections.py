@@ -159,7 +159,7 @@ def correct_frames(
     bone's axes; bones that are NaN stay as they are. Frames without keys get them. The corrections replace
     the frames' earlier ones, of which pins and touches stay where none are given. Corrections that are
     `displaced` are forgotten. `posed`: the poses do not come from pins, so that pins which come and go later
-    leave them as they are.
+    leave them as they are; they are one, which begins with the first frame.
     Raises TakeError and what `check_writable` does, and then changes nothing.
     """
     rig, chosen = rig_of(armature), [kept_frame(frame) for frame in frames]
@@ -176,8 +176,9 @@ def correct_frames(
     there = np.abs(places[:, None] - present.frames) <= SAME_FRAME
     rotated, located = there @ present.rotation_keyed, there @ present.location_keyed
     turns, moves = np.isfinite(quats[..., 0]), np.asarray(np.isfinite(locations).all(axis=1))
-    if is_smooth(rig):
-        _key_ends(armature, chosen, max(spread, 1.0), np.any(turns, axis=0), bool(moves.any()))
+    if is_smooth(rig) or (posed and len(chosen) > 1):
+        ends = {chosen[0], chosen[-1]} if posed else chosen
+        _key_ends(armature, sorted(ends), max(spread, 1.0), np.any(turns, axis=0), bool(moves.any()))
     write_pose_keys(rig, PoseKeys(places, now_quats, now_locations, turns & ~rotated, moves & ~located))
     quats = np.where(turns[..., None], quats, now_quats)
     locations = np.where(moves[:, None], locations, now_locations)
@@ -206,6 +207,7 @@ def correct_frames(
             keyed=here_now is not None and here_now.keyed,
             posed=posed or (before is not None and before.posed),
             touches=old.touching(frame) if touches is None else touches[at],
+            begins=at == 0 if posed else before is not None and before.begins,
         )
     change_field(armature, old.having(new))
 

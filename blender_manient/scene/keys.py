@@ -79,7 +79,7 @@ def read_pose_keys(
     names = _bones(rig)
     own = [_frames_of(curves.rotation(name)) for name in names]
     placed = _frames_of(curves.location(names[0]))
-    frames = _union([*own, placed])
+    frames = union([*own, placed])
     frames = frames[(frames >= first - SAME_FRAME) & (frames <= last + SAME_FRAME)]
     quats, locations = pose_at(rig, frames, holder=holder)
     keyed = np.stack([_contains(mine, frames) for mine in own], axis=-1)
@@ -182,6 +182,19 @@ def replace_keys(
     for i, curve in enumerate(kind(name, make=True)):
         data = _plain(frames, values[:, i], kinds)
         _rebuild(curve, data | {"handle_left": before[:, i], "handle_right": behind[:, i]})
+    curves.tag()
+
+
+def level_handles(rig: PosedBones, joints: list[int], first: float, last: float) -> None:
+    """Have the rotation curves of these bones not swing beyond their keys from frame `first` to `last`."""
+    curves, names = _Curves(rig.armature), _bones(rig)
+    level = _kind("handle_left_type", "AUTO_CLAMPED")
+    for curve in filter(None, (c for j in joints for c in curves.rotation(names[j]))):
+        data = _read(curve, ("co", "handle_left_type", "handle_right_type"))
+        at = np.abs(data["co"][:, 0] - np.clip(data["co"][:, 0], first, last)) <= SAME_FRAME
+        for name in ("handle_left_type", "handle_right_type"):
+            data[name][at] = level
+        _rebuild(curve, data)
     curves.tag()
 
 
@@ -384,10 +397,10 @@ class _Curves:
 
 def _frames_of(parts: list[Any]) -> np.ndarray:
     """The frames on which any of the curves has a key."""
-    return _union([_read(c, ("co",))["co"][:, 0].astype(np.float64) for c in parts if c is not None])
+    return union([_read(c, ("co",))["co"][:, 0].astype(np.float64) for c in parts if c is not None])
 
 
-def _union(lists: list[np.ndarray]) -> np.ndarray:
+def union(lists: list[np.ndarray]) -> np.ndarray:
     """All frames, increasing, without those that are the same key."""
     frames = np.unique(np.concatenate([np.empty(0), *lists]))
     return frames[np.append(True, np.diff(frames) > SAME_FRAME)[: len(frames)]]

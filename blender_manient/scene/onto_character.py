@@ -8,8 +8,8 @@ stood, so that one frame has to say it (`Onto.reference`).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import bpy
@@ -22,8 +22,14 @@ from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.retarget.transfer import SourceHand, TargetHand, mirrored_turns, target_hand
-from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.retarget.transfer import (
+    SourceHand,
+    TargetHand,
+    mirrored_turns,
+    smoothed_travel,
+    target_hand,
+)
+from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 from handfit_core.slices import result_of, retold
 from handfit_core.take import HandTrack, Take
 
@@ -37,11 +43,13 @@ from .animation import computing_keys
 from .characters import why_not_reachable
 from .controls import shown_on
 from .editable import check_unlayered, is_layered, is_tweaked
+from .hand_motion import BoneKeys, note, noted, without_own
 from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
     frames_between,
+    nearest,
     own_action,
     pose_at,
     read_pose_keys,
@@ -55,6 +63,9 @@ from .timing import Timing, check_range, frame_rate
 
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
+
+_SAID = ("into", "wrist", "reference", "contacts", "travel", "smoothing")
+"""What of `Onto` the panel's properties say"""
 
 APART = 0.002
 """metres of the captured hand's scale: what is less, nobody sees"""
@@ -90,6 +101,10 @@ class Motion:
         source = SourceHand.of(hand.shaped(), hand.side)
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
 
+    def on(self, side: Side) -> Motion:
+        """That of a hand of that side: mirrored for the other one."""
+        return self if self.source.side == side else self.mirrored()
+
     def mirrored(self) -> Motion:
         """The other hand's, as a mirror at x = 0 shows it."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
@@ -106,6 +121,19 @@ class Onto:
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
     contacts: bool = True
     """Whether fingertips that touch do so on the character, too"""
+    travel: float = 1.0
+    """How far a placed hand goes, as a share of the captured way"""
+    smoothing: float = 0.0
+    """frames before and after that are averaged in how the hand itself turns and moves"""
+    offsets: Mapping[Side, np.ndarray] = field(default_factory=dict)
+    """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
+
+    @classmethod
+    def of(cls, armature: bpy.types.Object, **fields: Any) -> Onto:
+        """As the character's panel says, but for these fields."""
+        character = armature.manient.character
+        said = {name: getattr(character, name) for name in _SAID}
+        return cls(**{**said, "offsets": offsets_of(armature), **fields})
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,16 +263,6 @@ def applying(
 
 
 @dataclass(frozen=True, eq=False)
-class BoneKeys:
-    """Keys that are to be written."""
-
-    rig: CharacterBones
-    keys: PoseKeys
-    keyed: np.ndarray
-    """(B,) bool: the bones that get them"""
-
-
-@dataclass(frozen=True, eq=False)
 class Computed:
     """What hands are to do, before any of it is written."""
 
@@ -258,7 +276,7 @@ def computing(
     """What `applying` writes, and raises; nothing is changed."""
     keys, applied = [], []
     for hand_map, captured in hands:
-        motion = captured if captured.source.side == hand_map.side else captured.mirrored()
+        motion = captured.on(hand_map.side)
         fingers_only = onto.wrist == "FINGERS"
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
         kept = None
@@ -276,8 +294,7 @@ def computing(
         fingers = CharacterBones(armature, target.bones)
         keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
         if not fingers_only:
-            placed = yield from _moving(armature, target, motion, onto)
-            keys.append(BoneKeys(CharacterBones(armature, [hand_map.moved_by]), placed, np.array([True])))
+            keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
         worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
@@ -295,6 +312,14 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
         located = bool(one.keys.location_keyed.any())
         remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
     result_of(writing(keys))
+    noting(armature, keys)
+
+
+def noting(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
+    """Note what was written into the present action."""
+    data = armature.animation_data
+    for one in keys:
+        note(armature, data.action, action_slot(data), one)
 
 
 def writing_anew(
@@ -308,6 +333,8 @@ def writing_anew(
         yield from writing(keys, channels(action, slot, make=True))
         _give(armature, action, slot, into)
         given = True
+        for one in keys:
+            note(armature, action, slot, one)
     finally:
         if not given:
             with contextlib.suppress(ReferenceError):  # an undo has taken it away already
@@ -350,13 +377,14 @@ def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.nda
 
 def _moving(
     armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: Onto
-) -> Generator[float, None, PoseKeys]:
+) -> Generator[float, None, BoneKeys]:
     """Keys of the bone that moves the whole hand, in steps.
 
     Let the captured wrist be turned by O and lie at p, and the character's hand bone, in the armature's
     space, be turned by Q from its rest and lie at x. In the marked frame the two are to look alike, which
     makes K = Q A O^T the rotation from the capture's space to the armature's. Then Q(t) = K O(t) A^T, and
-    x(t) = x + s K (p(t) - p), with the palms' ratio s.
+    x(t) = x + d + s K (p(t) - p), with the palms' ratio s times the travel, and the offset d. What is in keys
+    that were written with an offset before has that taken out of x.
     """
     control = target.hand_map.moved_by
     why = why_not_turned(armature, control)
@@ -383,22 +411,90 @@ def _moving(
             yield 0.5 * start / len(parents)
     rest = np.array(armature.data.bones[own].matrix_local, dtype=np.float64)
     turned = rotations_of(marked[0]) @ rotations_of(rest).T
-    space = turned @ target.aligned @ motion.turns[at, 0].T
-    turns = space @ motion.turns[:, 0] @ target.aligned.T
-    moved = target.scale * (motion.places - motion.places[at]) @ space.T
+    places, wrist = smoothed_travel(motion.frames, motion.places, motion.turns[:, 0], onto.smoothing)
+    space = turned @ target.aligned @ wrist[at].T
+    turns = space @ wrist @ target.aligned.T
+    located = onto.wrist == "PLACED" and not bone.use_connect
+    offset, before = np.zeros(3), noted(armature, target.hand_map.side)
+    if located:
+        offset = np.asarray(onto.offsets.get(target.hand_map.side, offset), dtype=np.float64)
+    moved = onto.travel * target.scale * (places - places[at]) @ space.T
+    moved += offset - (before.offset if before is not None else 0.0)
     own_rest = np.array(bone.matrix_local, dtype=np.float64)
     wanted = np.broadcast_to(np.eye(4), (len(turns), 4, 4)).copy()
     wanted[:, :3, :3] = turns @ own_rest[:3, :3]
     wanted[:, :3, 3] = marked[0][:3, 3] + moved + turns @ (own_rest[:3, 3] - rest[:3, 3])
-    quats, places = np.empty((len(turns), 1, 4)), np.empty((len(turns), 3))
+    quats, locations = np.empty((len(turns), 1, 4)), np.empty((len(turns), 3))
     for row, matrix in enumerate(wanted):
         above = {}
         if parent is not None:
             above = {"parent_matrix": Matrix(parents[row]), "parent_matrix_local": parent.matrix_local}
         basis = bone.convert_local_to_pose(Matrix(matrix), bone.matrix_local, invert=True, **above)
-        quats[row, 0], places[row] = basis.to_quaternion(), basis.to_translation()
-    located = onto.wrist == "PLACED" and not bone.use_connect
-    return PoseKeys.everywhere(motion.frames, quats, places if located else None)
+        quats[row, 0], locations[row] = basis.to_quaternion(), basis.to_translation()
+    keys = PoseKeys.everywhere(motion.frames, quats, locations if located else None)
+    rig = CharacterBones(armature, [control])
+    settings = onto.travel, onto.smoothing, onto.reference
+    return BoneKeys(rig, keys, np.array([True]), target.hand_map.side, offset, settings)
+
+
+def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:
+    """(3,) how far the artist has dragged each hand's offset, in the armature's space and units; nothing for
+    hands without one."""
+    found: dict[Side, np.ndarray] = {}
+    for side in SIDES:
+        handle = getattr(armature.manient.character, side).offset
+        if handle is not None and handle.users_collection:  # deleted ones live on
+            found[side] = np.array(handle.location, dtype=np.float64)
+    return found
+
+
+def is_adjusted(armature: bpy.types.Object) -> bool:
+    """Whether the keys that were written for its hands themselves are as the panel's settings are now."""
+    onto = Onto.of(armature)
+    for side in SIDES:
+        found = noted(armature, side)
+        if found is None:
+            continue
+        offset = onto.offsets.get(side, np.zeros(3)) if found.placed else np.zeros(3)
+        if found.settings != (onto.travel, onto.smoothing, onto.reference) or np.any(found.offset != offset):
+            return False
+    return True
+
+
+def adjusting(
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, CapturedHand]]
+) -> Generator[float, None, int]:
+    """Write the keys of the hands themselves anew that were written for them, as the panel's settings are
+    now. Returns how many frames keep keys that the artist has made of them since. Raises HandfitError, before
+    anything is changed."""
+    onto, computed, kept = Onto.of(armature), [], 0
+    for hand_map, hand in hands:
+        found = noted(armature, hand_map.side)
+        if found is None or found.bone != hand_map.moved_by or found.placed != (onto.wrist == "PLACED"):
+            continue
+        if not found.action.is_editable:
+            raise OptionError(f"the action {found.action.name!r} is linked from another file")
+        motion = (yield from retold(reading_motion(hand), lambda: 0.0)).on(hand_map.side)
+        target, _, _ = prepared(armature, hand_map, motion.source, fingers_only=False)
+        one = yield from _moving(armature, target, motion, onto)
+        there = nearest(found.table[:, 0], one.keys.frames)[1]
+        whole = replace(
+            one.keys,
+            rotation_keyed=one.keys.rotation_keyed & there[:, None],
+            location_keyed=one.keys.location_keyed & there,
+        )
+        own = without_own(armature, replace(one, keys=whole))
+        kept += int((whole.rotation_keyed & ~own.keys.rotation_keyed).sum())
+        if not own.keys.rotation_keyed.any():
+            raise OptionError(
+                f"all keys of the bone {found.bone} were changed since: press Apply to Character to replace "
+                "them"
+            )
+        computed.append((found, own))
+    for found, one in computed:
+        result_of(writing([one], channels(found.action, found.slot)))
+        note(armature, found.action, found.slot, one)
+    return kept
 
 
 def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:

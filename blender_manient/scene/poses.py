@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -23,7 +24,7 @@ from handfit_core.hand_model.poses import Pose, ready_poses
 from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.hand_map import HandMap, empty_map
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES, other_side
 from handfit_core.slices import result_of
 
 from ..blender_versions import property_group
@@ -34,15 +35,46 @@ from .characters import character_of, table_of, why_not_reachable
 from .controls import rotations_now
 from .corrections import correct_frames, corrections_of, timing_of
 from .editable import why_not_keyable, why_not_readable
-from .keys import PoseKeys, check_unlocked, displayed_pose, keyed_bones, set_pose, write_pose_keys
+from .keys import (
+    PoseKeys,
+    check_unlocked,
+    displayed_pose,
+    frames_between,
+    keyed_bones,
+    level_handles,
+    pose_at,
+    read_pose_keys,
+    set_pose,
+    union,
+    write_pose_keys,
+)
 from .onto_character import Motion, Onto, check_own_keys, computing
 from .sampling import rotations_of
-from .store import CapturedHand, active_hand, hand_of
+from .spans import Asked, Span, next_begun, next_key, span_asked
+from .store import CapturedHand, active_hand, captured_hands, hand_of
+from .timing import span_of
 
 PROPERTY = "manient_pose"
 """What a pose asset's metadata keeps the pose under"""
 _PREVIEW = 128
 """pixels of a side of an asset's picture"""
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A pose on the way to its frames."""
+
+    frames: np.ndarray
+    """(N,) scene frames, increasing"""
+    quats: np.ndarray
+    """(N, B, 4); NaN for bones that stay"""
+    span: Span | None
+    """None: it is for the current frame alone"""
+
+    @property
+    def moved(self) -> np.ndarray:
+        """(B,) bool: the bones that do not stay."""
+        return np.isfinite(self.quats[0, :, 0])
 
 
 class PosableHand(ABC):
@@ -57,15 +89,33 @@ class PosableHand(ABC):
     def read(self) -> Pose:
         """The pose that it shows."""
 
-    def towards(self, context: bpy.types.Context, pose: Pose, blend: float) -> np.ndarray:
-        """(B, 4) what brings the fingers of selected bones, of none all fingers, towards a pose: by `blend`,
-        0..1, of the way from where they are; NaN for bones that stay. Changes nothing. Raises HandModelError
-        and OptionError."""
-        chosen = self._chosen(context)
-        before = displayed_pose(self.rig)
-        way = correction_between(before, self._quats(pose))
-        quats = changed_quats(before, np.zeros_like(way), blend * way)
-        return np.where(chosen[:, None], quats, np.nan)
+    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: Asked) -> Posed:
+        """What brings the fingers of selected bones, of none all fingers, towards a pose (None: the rest
+        pose) on the frames that are asked for: by `blend`, 0..1, of the way from where they are. Changes
+        nothing. Raises HandModelError, OptionError and TakeError."""
+        asked.check()
+        wanted = self._rest() if pose is None else self._quats(pose)
+        wanted = np.where(self._chosen(context)[:, None], wanted, np.nan)
+        span, frames = None, np.array([context.scene.frame_current_final])
+        before, share = displayed_pose(self.rig)[None], np.array([blend])
+        if asked.scope != "HERE":
+            span, frames = self._frames(context, asked, np.isfinite(wanted[:, 0]))
+            before, share = pose_at(self.rig, frames)[0], blend * span.weights(frames)
+        way = share[:, None, None] * correction_between(before, wanted)
+        return Posed(frames, changed_quats(before, np.zeros_like(way), way), span)
+
+    @abstractmethod
+    def opposite(self, context: bpy.types.Context) -> PosableHand:
+        """The other side's hand, whose pose this one gets mirrored. Raises OptionError for none."""
+
+    @abstractmethod
+    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+        """The span, RANGE or HOLD, and the (N,) scene frames on which the bones that are moved (B,) get keys
+        for it. Raises HandfitError."""
+
+    def _rest(self) -> np.ndarray:
+        """(B, 4) the bones' rotations at rest."""
+        return np.tile([1.0, 0.0, 0.0, 0.0], (len(self.rig.bones), 1))
 
     def is_selected(self, context: bpy.types.Context) -> bool:
         """Whether any bone of it is, in Pose mode."""
@@ -76,8 +126,8 @@ class PosableHand(ABC):
         """(B, 4) the bones' rotations in the pose; NaN for bones that cannot be keyed."""
 
     @abstractmethod
-    def put(self, context: bpy.types.Context, quats: np.ndarray) -> None:
-        """Key at the current frame, and show, what `towards` returned. Raises OptionError and TakeError."""
+    def put(self, context: bpy.types.Context, posed: Posed) -> None:
+        """Key, and at the current frame show, what `towards` returned. Raises OptionError and TakeError."""
 
     def _selected(self, context: bpy.types.Context) -> set[str]:
         if context.mode != "POSE":
@@ -116,30 +166,67 @@ class _Captured(PosableHand):
             0
         ]
 
-    def put(self, context: bpy.types.Context, quats: np.ndarray) -> None:
-        """Bones that are animated get a key, others only with Auto Keying."""
-        armature, moved = self._hand.armature, np.isfinite(quats[:, 0])
-        keyed = moved & (keyed_bones(self.rig) | context.scene.tool_settings.use_keyframe_insert_auto)
+    def opposite(self, context: bpy.types.Context) -> PosableHand:
+        """Of the same capture, else the scene's only one."""
+        others = [o for o in captured_hands(context.scene) if o.manient.side != self._hand.side]
+        others = [o for o in others if o.manient.capture == self._hand.collection] or others
+        found = [hand for hand in map(hand_of, others) if hand is not None]
+        if len(found) != 1:
+            raise OptionError(
+                f"there are {len(found)} captured {other_side(self._hand.side)} hands whose pose this one "
+                "could mirror, and not one: select the other hand and save its pose as an asset"
+            )
+        return _Captured(found[0])
+
+    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+        """A key on every frame of the captured motion."""
+        keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
+        if len(keys.frames) == 0 or not keys.rotation_keyed[:, moved].any():
+            raise OptionError(f"{self._hand.armature.name!r} has no keys: put the pose on this frame alone")
+        first, last = float(keys.frames[0]), float(keys.frames[-1])
+        scale = timing_of(self._hand.armature).scale  # a spread counts source frames
+        span = span_asked(
+            replace(asked, spread=asked.spread * scale),
+            now,
+            next_key(self._hand, now) if asked.scope == "HOLD" else None,
+            last,
+        )
+        inside = keys.frames[(keys.frames >= span.first) & (keys.frames <= span.last)]
+        ends = [min(max(end, first), last) for end in (span.first, span.last)]
+        if span.first > last or span.last < first:
+            raise OptionError(
+                f"none of the frames {span.first:g} to {span.last:g} has a hand: its keys are on {first:g} "
+                f"to {last:g}"
+            )
+        return span, frames_between(union([inside, np.array(ends)]))
+
+    def put(self, context: bpy.types.Context, posed: Posed) -> None:
+        """Bones that are animated get keys, others one on the current frame with Auto Keying."""
+        armature, moved = self._hand.armature, posed.moved
+        auto = posed.span is None and context.scene.tool_settings.use_keyframe_insert_auto
+        keyed = moved & (keyed_bones(self.rig) | auto)
         if keyed.any():
-            (frame,) = timing_of(armature).source_frames(np.array([context.scene.frame_current_final]))
-            field = corrections_of(armature)
+            timing, field = timing_of(armature), corrections_of(armature)
+            frames = timing.source_frames(posed.frames).tolist()
+            spread = context.scene.manient.spread
             # Points that hold other fingers go on holding them.
             free = {f for f, name in enumerate(FINGERS) if moved[list(FINGER_JOINTS[name])].any()}
-            pins = {p: at for p, at in field.pins(frame).items() if (p - 1) // 4 not in free}
-            touches = {
-                a: b for a, b in field.touching(frame).items() if not {(a - 1) // 4, (b - 1) // 4} & free
-            }
+            holding = [(field.pins(frame), field.touching(frame)) for frame in frames]
             correct_frames(
                 armature,
-                [frame],
-                np.where(keyed[:, None], quats, np.nan)[None],
-                np.full((1, 3), np.nan),
-                context.scene.manient.spread,
-                pins=[pins],
-                touches=[touches],
+                frames,
+                np.where(keyed[:, None], posed.quats, np.nan),
+                np.full((len(frames), 3), np.nan),
+                spread if posed.span is None else posed.span.spread / timing.scale,
+                pins=[{p: at for p, at in pins.items() if (p - 1) // 4 not in free} for pins, _ in holding],
+                touches=[
+                    {a: b for a, b in touches.items() if not {(a - 1) // 4, (b - 1) // 4} & free}
+                    for _, touches in holding
+                ],
                 posed=True,
             )
-        set_pose(self.rig, quats)
+        if posed.span is None:
+            set_pose(self.rig, posed.quats[0])
 
 
 class _OfCharacter(PosableHand):
@@ -170,23 +257,54 @@ class _OfCharacter(PosableHand):
         (found,) = result_of(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
-    def towards(self, context: bpy.types.Context, pose: Pose, blend: float) -> np.ndarray:
+    def _rest(self) -> np.ndarray:
+        """Its own, for the bones that a pose would key."""
+        unkeyed = np.isnan(self._quats(Pose(self._source.side, np.zeros(3 * (NUM_JOINTS - 1)))))
+        return np.where(unkeyed, np.nan, super()._rest())
+
+    def opposite(self, context: bpy.types.Context) -> PosableHand:  # noqa: ARG002
+        """The character's own."""
+        side = other_side(self._source.side)
+        table = table_of(self._armature, side)
+        if table == empty_map(side):
+            raise OptionError(
+                f"the {side} hand of {self._armature.name!r} is not known: see Character > Bones"
+            )
+        return _OfCharacter(self._armature, table)
+
+    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: Asked) -> Posed:
         """The same; raises OptionError also where `put` could not key it."""
         check_own_keys(self._armature, "ACTION")
-        quats = super().towards(context, pose, blend)
-        moved = np.flatnonzero(np.isfinite(quats[:, 0])).tolist()
-        check_unlocked(self.rig, joints=moved, location=False)
-        return quats
+        posed = super().towards(context, pose, blend, asked)
+        check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)
+        return posed
 
-    def put(self, context: bpy.types.Context, quats: np.ndarray) -> None:
-        """All of them get a key."""
-        frames = np.array([context.scene.frame_current_final])
-        moved = np.isfinite(quats[:, 0])
+    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+        """The keys that are there, the span's ends, and where its blending does."""
+        keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
+        own = keys.frames[keys.rotation_keyed[:, moved].any(axis=1)]
+        upcoming = next_begun(own, now)
+        span = span_asked(asked, now, upcoming, max([span_of(context.scene)[1], *own]))
+        reach = max(span.spread, 1.0)
+        begin, end = span.first - reach, np.inf if span.is_open else span.last + reach
+        ends = [begin, span.first, span.last] + ([] if span.is_open else [end])
+        return span, union([own[(own > begin) & (own < end)], np.array(ends)])
+
+    def put(self, context: bpy.types.Context, posed: Posed) -> None:  # noqa: ARG002
+        """All of them get keys."""
+        count, moved = len(posed.frames), posed.moved
         keys = PoseKeys(
-            frames, np.nan_to_num(quats)[None], np.zeros((1, 3)), moved[None], np.zeros(1, dtype=bool)
+            posed.frames,
+            np.nan_to_num(posed.quats),
+            np.zeros((count, 3)),
+            np.tile(moved, (count, 1)),
+            np.zeros(count, dtype=bool),
         )
         write_pose_keys(self.rig, keys)
-        set_pose(self.rig, quats)
+        if posed.span is None:
+            set_pose(self.rig, posed.quats[0])
+        else:
+            level_handles(self.rig, np.flatnonzero(moved).tolist(), posed.span.first, posed.span.last)
 
 
 def posed_by(context: bpy.types.Context) -> CapturedHand | bpy.types.Object | None:

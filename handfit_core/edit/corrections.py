@@ -84,6 +84,8 @@ class Correction:
     """Whether the artist gave the frame a pose before any pin: then pins are measured against that pose"""
     touches: Touches = field(default_factory=dict)
     """Keypoints that were made to touch"""
+    begins: bool = False
+    """Whether a pose begins here that the frames after it may go on with"""
 
     @property
     def is_anchor(self) -> bool:
@@ -268,6 +270,7 @@ class CorrectionField:
                 "added_key": c.added_key,
                 **({"keyed": True} if c.keyed else {}),
                 **({"posed": True} if c.posed else {}),
+                **({"begins": True} if c.begins else {}),
                 **({"touches": {str(k): other for k, other in c.touches.items()}} if c.touches else {}),
                 **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
             }
@@ -351,6 +354,7 @@ def _correction(content: Mapping[str, Any]) -> Correction:
         added_key=bool(content.get("added_key", False)),
         keyed=bool(content.get("keyed", False)),
         posed=bool(content.get("posed", False)),
+        begins=bool(content.get("begins", False)),
         touches={int(k): int(other) for k, other in content.get("touches", {}).items()},
         **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
     )

@@ -22,6 +22,7 @@ from handfit_core.geometry.rotations import (
     rotmat_to_rotvec,
     rotvec_to_rotmat,
     skew,
+    unflip_quats,
 )
 from handfit_core.hand_model.axes import MIRROR_X, points_to_rest
 from handfit_core.hand_model.data import ShapedHand
@@ -67,6 +68,31 @@ class SourceHand:
         last = [FINGER_JOINTS[finger][2] for finger in FINGERS]
         reach = np.einsum("tfab,fb->tfa", whole[:, last], self.tips - self.joints[last])
         return joints, joints[:, last] + reach
+
+
+def smoothed_travel(
+    frames: np.ndarray, places: np.ndarray, turns: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a hand is (T, 3), and how it is turned (T, 3, 3), on frames (T,), increasing, without what
+    shakes: a straight line through the frames less than `reach` before and after each one, which count the
+    less the farther they are. Even motion stays as it is, up to its ends, and nothing is late.
+    """
+    if reach <= 0.0 or len(frames) < 2:
+        return places, turns
+    values = np.concatenate([places, unflip_quats(rotmat_to_quat(turns))], axis=1)
+    found = np.empty_like(values)
+    low = np.searchsorted(frames, frames - reach, side="right")
+    high = np.searchsorted(frames, frames + reach)
+    for row, (first, end) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+        away = frames[first:end] - frames[row]
+        weights = (1.0 - (away / reach) ** 2) ** 2
+        total, mean = weights.sum(), weights @ away / weights.sum()
+        slopes = weights * (away - mean)
+        spread = slopes @ away
+        # The line's value here, `mean` before the middle of what was seen.
+        gain = weights / total - (mean / spread * slopes if spread > 0.0 else 0.0)
+        found[row] = gain @ values[first:end]
+    return found[:, :3], quat_to_rotmat(found[:, 3:])
 
 
 def mirrored_turns(turns: np.ndarray) -> np.ndarray:

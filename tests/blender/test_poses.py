@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.panels.poses import MANIENT_PT_poses
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
@@ -20,6 +21,7 @@ from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, 
 from handfit_core.hand_model.poses import Pose, ready_poses
 from handfit_core.media.source import Source
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, other_side
+from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed
 from .conftest import action_curves
@@ -273,6 +275,157 @@ def test_a_pose_that_is_not_there(hand):
         bpy.ops.manient.apply_pose(pose="Vulcan")
 
 
+# On ranges, and held
+
+
+def is_pose(armature, side, name, frames):
+    wanted = rotvec_to_rotmat(ready_poses()[name].pose.on(side).reshape(15, 3))
+    found = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        found.append(angles_between(finger_rotations(armature, side), wanted).max() < 1e-3)
+    return found
+
+
+def test_a_range_gets_a_pose_and_clear_takes_it_back(hand):
+    armature, side, _ = hand
+    bpy.context.scene.manient.spread = 3
+    before = read_pose_keys(rig_of(armature))
+    bpy.context.scene.frame_set(20)  # outside
+    ranged = {"pose": "Fist", "scope": "RANGE", "first": 8, "last": 12}
+    assert bpy.ops.manient.apply_pose(**ranged) == {"FINISHED"}
+    assert is_pose(armature, side, "Fist", range(6, 15)) == [False] * 2 + [True] * 5 + [False] * 2
+    change = turned(before, read_pose_keys(rig_of(armature)))
+    np.testing.assert_array_equal(change.max(axis=1) > 1e-4, (before.frames > 5) & (before.frames < 15))
+    assert change[:, 0].max() == 0.0
+    assert corrections.corrected_frames(armature) == [8, 9, 10, 11, 12]
+    bpy.context.scene.use_preview_range = True
+    bpy.context.scene.frame_preview_start, bpy.context.scene.frame_preview_end = 8, 12
+    assert bpy.ops.manient.clear_corrections(scope="RANGE") == {"FINISHED"}
+    assert turned(before, read_pose_keys(rig_of(armature))).max() < 1e-5
+
+
+def test_a_held_pose_ends_where_the_next_one_begins(hand):
+    """Captured frames are no keys of the artist's; poses one after the other are, whatever their order."""
+    armature, side, _ = hand
+    scene = bpy.context.scene
+    scene.manient.spread = 0
+    last = int(read_pose_keys(rig_of(armature)).frames[-1])
+    scene.frame_set(14)
+    bpy.ops.manient.apply_pose(pose="Fist", scope="HOLD")
+    assert all(is_pose(armature, side, "Fist", range(14, last + 1)))
+    scene.frame_set(6)
+    bpy.ops.manient.apply_pose(pose="Flat", scope="HOLD")
+    assert all(is_pose(armature, side, "Flat", range(6, 14)))
+    assert all(is_pose(armature, side, "Fist", range(14, last + 1)))
+    scene.frame_set(9)
+    bpy.ops.manient.apply_pose(pose="Point", scope="HOLD")
+    assert all(is_pose(armature, side, "Flat", range(6, 9)))
+    assert all(is_pose(armature, side, "Point", range(9, 14)))
+    assert all(is_pose(armature, side, "Fist", range(14, last + 1)))
+    scene.frame_set(16)
+    bpy.ops.manient.apply_pose(pose="Horns", scope="HOLD")
+    assert all(is_pose(armature, side, "Horns", range(16, last + 1)))
+
+
+def test_a_held_pose_leads_into_a_key_of_ones_own(hand):
+    armature, side, _ = hand
+    scene = bpy.context.scene
+    scene.manient.spread = 4
+    rig, joint = rig_of(armature), FINGER_JOINTS["index"][0]
+    bone = armature.pose.bones[bone_names(side)[joint]]
+    scene.frame_set(14)
+    bone.rotation_quaternion = (0.8, 0.6, 0.0, 0.0)
+    bone.keyframe_insert("rotation_quaternion", frame=14)
+    own = pose_at(rig, np.array([14.0]))[0]
+    scene.frame_set(6)
+    bpy.ops.manient.apply_pose(pose="Fist", scope="HOLD")
+    assert is_pose(armature, side, "Fist", range(5, 12)) == [False] + [True] * 5 + [False]
+    np.testing.assert_allclose(pose_at(rig, np.array([14.0]))[0], own, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["captured", "character"])
+def test_a_range_that_runs_backwards_changes_nothing(hand, kind):
+    armature = hand[0] if kind == "captured" else character("right")
+    bpy.ops.manient.apply_pose(pose="Flat")
+    before = {c.data_path: [tuple(p.co) for p in c.keyframe_points] for c in curves_of(armature)}
+    kept = armature.manient.corrections
+    with pytest.raises(RuntimeError, match="range runs backwards, from frame 12 to 8"):
+        bpy.ops.manient.apply_pose(pose="Fist", scope="RANGE", first=12, last=8)
+    assert {c.data_path: [tuple(p.co) for p in c.keyframe_points] for c in curves_of(armature)} == before
+    assert armature.manient.corrections == kept
+
+
+def curves_of(armature):
+    return list(action_curves(armature.animation_data.action))
+
+
+def test_a_range_without_a_hand_is_refused(hand):
+    armature, _, _ = hand
+    with pytest.raises(RuntimeError, match="none of the frames 400 to 410 has a hand"):
+        bpy.ops.manient.apply_pose(pose="Fist", scope="RANGE", first=400, last=410)
+    assert armature.manient.corrections == ""
+
+
+def test_a_range_on_few_keys_stays_within_its_spread(hand):
+    """Between keys that lie far apart, the curves before and after the range stay what they were."""
+    armature, side, _ = hand
+    rig = rig_of(armature)
+    keys = read_pose_keys(rig)
+    first, last = keys.frames[[0, -1]]
+    remove_pose_keys(rig, first + 1, last - 1)
+    bpy.context.scene.manient.spread = 2
+    around = np.array([first + 1, last - 1])
+    before = pose_at(rig, around)[0]
+    middle = round((first + last) / 2)
+    ranged = {"scope": "RANGE", "first": middle - 1, "last": middle + 1}
+    bpy.ops.manient.apply_pose(pose="Fist", **ranged)
+    assert all(is_pose(armature, side, "Fist", range(middle - 1, middle + 2)))
+    assert np.linalg.norm(correction_between(before, pose_at(rig, around)[0]), axis=-1).max() < 1e-3
+
+
+def test_this_pose_is_held_and_reset_is_rest(hand):
+    armature, side, _ = hand
+    scene = bpy.context.scene
+    scene.manient.spread = 0
+    scene.frame_set(7)
+    own = finger_rotations(armature, side)
+    bpy.ops.manient.apply_pose(source="OWN", scope="HOLD")
+    for frame in (7, 12, 18):
+        scene.frame_set(frame)
+        np.testing.assert_allclose(finger_rotations(armature, side), own, atol=1e-4)
+    bpy.ops.manient.apply_pose(source="REST", scope="RANGE", first=9, last=10)
+    scene.frame_set(10)
+    np.testing.assert_allclose(finger_rotations(armature, side), np.tile(np.eye(3), (15, 1, 1)), atol=1e-4)
+
+
+def test_mirrored_is_the_other_hands_pose(make_take, model):
+    built = build_take(make_take(sides=SIDES, model=model).take)
+    hands = {one.armature.manient.side: one.armature for one in built.hands}
+    bpy.context.view_layer.objects.active = hands["left"]
+    bpy.context.scene.frame_set(6)
+    bpy.ops.manient.apply_pose(pose="Horns")
+    bpy.context.view_layer.objects.active = hands["right"]
+    bpy.ops.manient.apply_pose(source="OTHER", scope="RANGE", first=10, last=14)
+    assert all(is_pose(hands["right"], "right", "Horns", range(10, 15)))
+    bpy.data.objects.remove(hands["left"])
+    with pytest.raises(RuntimeError, match="there are 0 captured left hands"):
+        bpy.ops.manient.apply_pose(source="OTHER")
+
+
+def test_the_range_is_suggested(hand):
+    settings, scene = bpy.context.scene.manient, bpy.context.scene
+    scene.use_preview_range = True
+    scene.frame_preview_start, scene.frame_preview_end = 7, 9
+    settings.pose_scope = "RANGE"
+    assert (settings.pose_first, settings.pose_last) == (7, 9)
+    assert "Mirrored Reset" in drawn(MANIENT_PT_poses).said
+    settings.pose_scope = "HERE"
+    settings.pose_first = 3
+    settings.pose_scope = "RANGE"
+    assert settings.pose_first == 7
+
+
 # Characters
 
 
@@ -304,6 +457,75 @@ def expected_segments(pose: Pose, side):
     points = axes.points_to_rest(model.posed(None, still, pose.on(side), still).joints)
     steps = np.array([points[b] - points[a] for js in FINGER_JOINTS.values() for a, b in (js[:2], js[1:])])
     return steps / np.linalg.norm(steps, axis=1, keepdims=True)
+
+
+def bent(armature, side, frame):
+    """(15, 4) the character's finger bones on a frame, by their channels."""
+    bpy.context.scene.frame_set(frame)
+    names = [joint_name(j, side) for j in range(1, 16)]
+    return np.array([armature.pose.bones[name].rotation_quaternion for name in names])
+
+
+@pytest.mark.parametrize("kind", ["CONSTANT", "BEZIER"])
+def test_a_characters_range_holds_between_its_own_keys(kind):
+    armature = character("right")
+    scene = bpy.context.scene
+    scene.manient.spread = 4
+    for frame, name in ((1, "Flat"), (12, "Point"), (40, "Flat")):
+        scene.frame_set(frame)
+        bpy.ops.manient.apply_pose(pose=name)
+    for curve in curves_of(armature):
+        for point in curve.keyframe_points:
+            point.interpolation = kind
+            point.handle_left_type = point.handle_right_type = "ALIGNED"
+    outside = [bent(armature, "right", frame) for frame in (1, 3, 30, 40)]
+    scene.frame_set(20)
+    bpy.ops.manient.apply_pose(pose="Fist")
+    fist = bent(armature, "right", 20)
+    bpy.ops.ed.undo_push(message="x")
+    assert bpy.ops.manient.apply_pose(pose="Fist", scope="RANGE", first=10, last=20) == {"FINISHED"}
+    for frame in range(10, 21):
+        np.testing.assert_allclose(
+            np.abs(np.sum(bent(armature, "right", frame) * fist, axis=1)), 1, atol=1e-4
+        )
+    after = [bent(armature, "right", frame) for frame in (1, 3, 30, 40)]
+    np.testing.assert_allclose(after[0], outside[0], atol=1e-5)
+    np.testing.assert_allclose(after[3], outside[3], atol=1e-5)
+
+
+def test_a_characters_pose_is_held_to_its_next_key_and_mirrored_to_its_other_hand():
+    armature = two_hands()
+    armature.manient.character.contacts = False
+    scene = bpy.context.scene
+    scene.manient.spread, scene.frame_end = 5, 60
+    select_bones(armature, [joint_name(0, "left")])
+    scene.frame_set(40)
+    bpy.ops.manient.apply_pose(pose="Flat")
+    flat = bent(armature, "left", 40)
+    scene.frame_set(10)
+    bpy.ops.manient.apply_pose(pose="Fist", scope="HOLD")
+    fist = bent(armature, "left", 10)
+    np.testing.assert_allclose(bent(armature, "left", 35), fist, atol=1e-5)
+    assert np.abs(bent(armature, "left", 37) - fist).max() > 1e-3
+    np.testing.assert_allclose(bent(armature, "left", 40), flat, atol=1e-5)
+    scene.frame_set(20)
+    bpy.ops.pose.select_all(action="DESELECT")
+    select_bones(armature, [joint_name(0, "right")])
+    bpy.ops.manient.apply_pose(source="OTHER", scope="HOLD")
+    keyed = {p.co[0] for c in curves_of(armature) if "_r" in c.data_path for p in c.keyframe_points}
+    assert keyed == {15.0, 20.0, 60.0}
+    (shown,) = posable_hands(bpy.context)
+    scene.frame_set(50)
+    read = rotvec_to_rotmat(shown.read().on("right").reshape(15, 3))
+    wanted = rotvec_to_rotmat(ready_poses()["Fist"].pose.on("right").reshape(15, 3))
+    assert angles_between(read, wanted).max() < 0.01
+
+
+def test_reset_gives_a_character_its_own_rest(make_take):
+    armature = character("right")
+    bpy.ops.manient.apply_pose(pose="Fist")
+    bpy.ops.manient.apply_pose(source="REST")
+    np.testing.assert_allclose(bent(armature, "right", 1), np.tile([1, 0, 0, 0], (15, 1)), atol=1e-6)
 
 
 def target_of(armature):

@@ -19,6 +19,7 @@ from handfit_core.retarget.transfer import (
     globally,
     mirrored_turns,
     palm_frame,
+    smoothed_travel,
     swing,
     target_hand,
 )
@@ -375,3 +376,34 @@ def test_sources_keep_their_side():
     assert isinstance(own, SourceHand)
     assert own.mirrored().mirrored().side == "left"
     np.testing.assert_array_equal(own.mirrored().mirrored().tips, own.tips)
+
+
+def test_smoothed_travel_keeps_even_motion_and_takes_out_what_shakes():
+    frames = np.concatenate([np.arange(30.0), [30.4, 33.0, 34.5]])
+    even = frames[:, None] * [0.01, -0.02, 0.005]
+    turns = rotvec_to_rotmat(frames[:, None] * [0.0, 0.03, 0.0])
+    places, turned = smoothed_travel(frames, even, turns, 4.0)
+    np.testing.assert_allclose(places, even, atol=1e-12)
+    np.testing.assert_allclose(turned, turns, atol=1e-3)
+    rng = np.random.default_rng(2)
+    shaken = even + rng.normal(scale=0.01, size=even.shape)
+    noise = smoothed_travel(frames, shaken, turns, 6.0)[0] - even
+    assert np.abs(noise[3:-3]).mean() < 0.5 * np.abs(shaken - even)[3:-3].mean()
+    assert smoothed_travel(frames, shaken, turns, 0.0)[0] is shaken
+
+
+def test_smoothed_travel_is_not_late():
+    """A bump stays where it was, and is as wide before as after."""
+    frames = np.arange(41.0)
+    bump = np.exp(-0.5 * ((frames - 20) / 3) ** 2)[:, None] * [1.0, 0.0, 0.0]
+    places, _ = smoothed_travel(frames, bump, np.tile(np.eye(3), (41, 1, 1)), 5.0)
+    np.testing.assert_allclose(places[:, 0], places[::-1, 0], atol=1e-12)
+    assert np.argmax(places[:, 0]) == 20
+
+
+def test_smoothed_travel_of_hands_that_turn_over():
+    """Quaternions of both signs are the same turn."""
+    frames = np.arange(60.0)
+    turns = rotvec_to_rotmat(frames[:, None] * [0.12, 0.0, 0.0])
+    turned = smoothed_travel(frames, np.zeros((60, 3)), turns, 3.0)[1]
+    np.testing.assert_allclose(turned, turns, atol=2e-2)

@@ -39,6 +39,23 @@ def library(stage, take):
     yield from stage.undo()
     undone = _read()
     yield from stage.redo()
+    bpy.context.scene.manient.pose_scope = "RANGE"
+    yield 0.5
+    yield from stage.screenshot("poses-range")
+    bpy.context.scene.manient.pose_scope = "HOLD"
+    yield 0.5
+    button = yield from stage.find_button("bpy.ops.manient.apply_pose", along=0.7)
+    yield from stage.click(button)
+    yield 0.5
+    held = []
+    for frame in (10, 20):
+        bpy.context.scene.frame_set(frame)
+        held.append(_read())
+    yield from stage.screenshot("poses-held")
+    yield from stage.undo()
+    bpy.context.scene.frame_set(20)
+    released = _read()
+    bpy.context.scene.frame_set(1)
     yield from stage.invoke("manient.save_pose_asset")
     yield 0.5
     yield from stage.screenshot("poses-save")
@@ -53,6 +70,8 @@ def library(stage, take):
         "before": before,
         "applied": applied,
         "undone": undone,
+        "held": held,
+        "released": released,
         "fist": part("scene.poses").pose_named("Fist").hand_pose.tolist(),
         "own": part("scene.poses").pose_named("Hand Pose").hand_pose.tolist(),
         "icons": [icon for _, _, _, icon, _ in items],

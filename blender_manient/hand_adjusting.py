@@ -1,0 +1,162 @@
+"""Changes of how a character's hand itself moves, carried at once into keys that are there.
+
+Settings and dragged offsets count after a short rest. With Live Link on the link writes its keys itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+
+import bpy
+
+from handfit_core.errors import HandfitError
+from handfit_core.skeleton import SIDES
+from handfit_core.slices import slice_clock
+
+from . import live_link
+from .remembered import Remembered
+from .scene.characters import hands_to_move
+from .scene.onto_character import adjusting, is_adjusted, offsets_of
+from .wording import counted
+
+_TICK = 1 / 60
+"""seconds between two looks while something is to be done"""
+_CALM = 0.1
+"""seconds without a change after which keys are written"""
+
+
+class _Change:
+    """A character whose keys are to be written anew."""
+
+    def __init__(self, armature: bpy.types.Object) -> None:
+        self.armature = Remembered.of("objects", armature)
+        self.since = time.monotonic()
+        self.steps: Generator[float, None, int] | None = None
+
+
+_changes: dict[int, _Change] = {}
+"""By the armatures' session_uid"""
+_offsets: dict[int, tuple[Remembered, dict]] = {}
+"""Characters with an offset in the scene, by their session_uid, and where it was seen last"""
+_said: dict[int, tuple[str, bool]] = {}
+"""What came of the last change, and whether it could not be done"""
+
+
+def said(armature: bpy.types.Object) -> tuple[str, bool] | None:
+    """What an artist is to know of the last change, and whether it could not be done; None for nothing."""
+    return _said.get(armature.session_uid)
+
+
+def step() -> float | None:
+    """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
+    None where nothing is to be done."""
+    if bpy.app.is_job_running("RENDER"):
+        return _CALM
+    is_over = slice_clock()
+    windows = bpy.context.window_manager.windows
+    for uid, change in list(_changes.items()):
+        armature = change.armature.find()
+        if armature is None:
+            del _changes[uid]
+        elif change.steps is not None or time.monotonic() - change.since >= _CALM:
+            with bpy.context.temp_override(window=bpy.context.window or windows[0]):  # timers have none
+                _step(uid, change, armature, is_over)
+    return _TICK if _changes else None
+
+
+def _step(uid: int, change: _Change, armature: bpy.types.Object, is_over) -> None:
+    try:
+        if change.steps is None:
+            change.steps = adjusting(armature, hands_to_move(armature, bpy.context))
+        while not is_over():
+            next(change.steps)
+        return
+    except StopIteration as stop:
+        _said.pop(uid, None)
+        if stop.value:
+            stay = f"{counted(stop.value, 'frame')} with keys of your own stay as they are"
+            _said[uid] = f"{stay}: Apply to Character replaces them", False
+    except (HandfitError, ReferenceError) as error:
+        gone = "the captured hand that this character follows was deleted"
+        _said[uid] = (gone if isinstance(error, ReferenceError) else str(error)), True
+    _changes.pop(uid, None)
+
+
+def followed(group: bpy.types.PropertyGroup) -> None:
+    """A setting of how a character's hand moves has changed."""
+    armature = group.id_data
+    _look(armature)
+    if armature.manient.character.live:
+        live_link.followed(armature.manient.character)
+    else:
+        _wait(armature)
+
+
+def _wait(armature: bpy.types.Object) -> None:
+    if not is_adjusted(armature):
+        _changes[armature.session_uid] = _Change(armature)
+        if not bpy.app.timers.is_registered(step):
+            bpy.app.timers.register(step, first_interval=0.0, persistent=True)
+
+
+def _look(armature: bpy.types.Object) -> None:
+    """Remember where its offsets are."""
+    character = armature.manient.character
+    if any(getattr(character, side).offset is not None for side in SIDES):
+        _offsets[armature.session_uid] = Remembered.of("objects", armature), _places(armature)
+    else:
+        _offsets.pop(armature.session_uid, None)
+
+
+def _places(armature: bpy.types.Object) -> dict:
+    return {side: tuple(place) for side, place in offsets_of(armature).items()}
+
+
+@bpy.app.handlers.persistent
+def _on_update(*_args) -> None:
+    """Something in the scene has changed: perhaps an offset was dragged, or deleted."""
+    for uid, (remembered, places) in list(_offsets.items()):
+        armature = remembered.find()
+        if armature is None:
+            del _offsets[uid]
+        elif _places(armature) != places:
+            followed(armature.manient.character)
+
+
+@bpy.app.handlers.persistent
+def _on_file(*_args) -> None:
+    """Another file is open."""
+    _changes.clear()
+    _offsets.clear()
+    _said.clear()
+    for armature in bpy.data.objects:
+        if armature.type == "ARMATURE":
+            _look(armature)
+
+
+@bpy.app.handlers.persistent
+def _on_time_travel(*_args) -> None:
+    """An undo or a redo: the keys need not be those of the settings that are back."""
+    _on_file()
+    for armature in bpy.data.objects:
+        if armature.type == "ARMATURE" and not armature.manient.character.live:
+            _wait(armature)
+
+
+HANDLERS = {
+    "depsgraph_update_post": _on_update,
+    "load_post": _on_file,
+    "undo_post": _on_time_travel,
+    "redo_post": _on_time_travel,
+}
+FOLLOWS = {"hand_motion": followed}
+
+
+def unregister() -> None:
+    """Follow nobody any more."""
+    _changes.clear()
+    _offsets.clear()
+    _said.clear()
+    if bpy.app.timers.is_registered(step):
+        bpy.app.timers.unregister(step)

@@ -1,0 +1,150 @@
+"""Which keys of a character's hand itself were written, so that they can be written anew.
+
+An action notes the keys of the bone that moves the whole hand, and the offset that is in them. Keys that are
+not as they were written are the artist's own by now: they stay, and those that were moved or deleted stay so.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.skeleton import Side
+
+from ..blender_versions import action_slot, channels, property_group
+from ..rigs.character import CharacterBones
+from .keys import PoseKeys, nearest, read_pose_keys
+
+MARK = "manient_hand_motion"
+"""An action's custom property: slot handle (0 before Blender 4.4) and side -> bone, keys and offset"""
+_SAME = 1e-4
+"""Parts of quaternions, and of locations as shares of the largest, that differ by less are the same"""
+
+
+@dataclass(frozen=True, eq=False)
+class BoneKeys:
+    """Keys that are to be written."""
+
+    rig: CharacterBones
+    keys: PoseKeys
+    keyed: np.ndarray
+    """(B,) bool: the bones that get them"""
+    side: Side | None = None
+    """The hand that the only bone moves as a whole; None for fingers"""
+    offset: np.ndarray | None = None
+    """(3,) what is added to where that hand is, in the armature's space and units"""
+    settings: tuple[float, ...] = ()
+    """Travel, smoothing and marked frame of that hand"""
+
+
+@dataclass(frozen=True, eq=False)
+class Noted:
+    """What was written for a hand itself."""
+
+    action: bpy.types.Action
+    slot: Any
+    bone: str
+    table: np.ndarray
+    """(N, 8) scene frame, increasing, rotation (w, x, y, z), location; NaN where no location was written"""
+    offset: np.ndarray
+    """(3,) as `BoneKeys.offset`"""
+    settings: tuple[float, ...]
+    """As `BoneKeys.settings`"""
+
+    @property
+    def placed(self) -> bool:
+        """Whether the hand was moved, too."""
+        return bool(np.isfinite(self.table[:, 5:]).all())
+
+    def is_as_written(self, rig: CharacterBones) -> np.ndarray:
+        """(N,) bool: the frames whose keys are as they were written."""
+        present = read_pose_keys(rig, holder=channels(self.action, self.slot))
+        if len(present.frames) == 0:
+            return np.zeros(len(self.table), dtype=bool)
+        at, there = nearest(present.frames, self.table[:, 0])
+        keyed = present.rotation_keyed[at, 0] & (present.location_keyed[at] | (not self.placed))
+        quats, written = present.quats[at, 0], self.table[:, 1:5]
+        turned = np.min([np.abs(quats - sign * written).max(axis=-1) for sign in (1.0, -1.0)], axis=0)
+        size = max(float(np.abs(np.nan_to_num(self.table[:, 5:])).max(initial=0.0)), _SAME)
+        moved = np.abs(present.locations[at] - self.table[:, 5:]).max(axis=-1) / size
+        return there & keyed & (turned < _SAME) & (~(moved >= _SAME) | (not self.placed))
+
+
+def users(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.Action, Any]]:
+    """The actions of an armature with their slots: the present one, then those of its strips from the top."""
+    data = armature.animation_data
+    strips = [strip for track in data.nla_tracks for strip in track.strips] if data is not None else []
+    for user in (*([data] if data is not None else []), *reversed(strips)):
+        if user.action is not None:
+            yield user.action, action_slot(user)
+
+
+def noted(armature: bpy.types.Object, side: Side) -> Noted | None:
+    """What was written for a hand into the topmost action that has any of it; None for none, and for what a
+    damaged file holds."""
+    for action, slot in users(armature):
+        content = property_group(action, MARK).get(_key(slot, side))
+        if content is None:
+            continue
+        try:
+            data = base64.b64decode(content["keys"], validate=True)
+            table = np.frombuffer(data, dtype="<f4").reshape(-1, 8).astype(np.float64)
+            offset = np.array([float(value) for value in content["offset"]])
+            settings = tuple(float(value) for value in content["settings"])
+        except (LookupError, TypeError, ValueError, binascii.Error):
+            return None
+        if len(table) == 0 or offset.shape != (3,) or content.get("bone") not in armature.pose.bones:
+            return None
+        return Noted(action, slot, content["bone"], table, offset, settings)
+    return None
+
+
+def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: BoneKeys) -> None:
+    """Note on an action what was just written into it for a hand itself; nothing for fingers. What was noted
+    of frames that were not written stays."""
+    if one.side is None or one.offset is None:
+        return
+    rows, keys = one.keys.rotation_keyed[:, 0] | one.keys.location_keyed, one.keys
+    locations = np.where(keys.location_keyed[:, None], keys.locations, np.nan)
+    table = np.column_stack([keys.frames, keys.quats[:, 0], locations])[rows]
+    before = noted(armature, one.side)
+    if before is not None and before.action == action and before.bone == one.rig.bones[0] and len(table):
+        old = before.table
+        old = old[~nearest(table[:, 0], old[:, 0])[1]]
+        table = np.concatenate([old, table])
+        table = table[np.argsort(table[:, 0])]
+    content = {
+        "bone": one.rig.bones[0],
+        "keys": base64.b64encode(table.astype("<f4").tobytes()).decode("ascii"),
+        "offset": one.offset.tolist(),
+        "settings": list(one.settings),
+    }
+    action[MARK] = {**property_group(action, MARK), _key(slot, one.side): content}
+
+
+def without_own(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
+    """The keys of a hand itself without those of frames on which the artist has changed, moved or deleted
+    what was written; fingers as they are."""
+    found = noted(armature, one.side) if one.side is not None else None
+    if found is None or found.bone != one.rig.bones[0]:
+        return one
+    own = found.table[~found.is_as_written(one.rig), 0]
+    if len(own) == 0:
+        return one
+    stays = nearest(own, one.keys.frames)[1]
+    keys = replace(
+        one.keys,
+        rotation_keyed=one.keys.rotation_keyed & ~stays[:, None],
+        location_keyed=one.keys.location_keyed & ~stays,
+    )
+    return replace(one, keys=keys)
+
+
+def _key(slot: Any, side: Side) -> str:
+    return f"{slot.handle if slot is not None else 0}/{side}"
