@@ -79,6 +79,22 @@ def test_several_captures_queue(blender, photo, make_clip):
     assert len(played["hands"]) == 3
 
 
+def test_a_queue_into_one_scene_is_a_list_of_captures(blender, photo, make_clip):
+    sources = [str(make_clip(12)), str(photo), shutil.copy(photo, photo.with_name("second.jpg"))]
+    queued, first, undone, shown, again, removed, back = blender.play(
+        "capture.several", sources=[str(source) for source in sources]
+    ).value
+    names = sorted(queued)
+    assert len(names) == 3
+    gone, seen = [False] * 3, [True] * 3
+    assert queued == dict.fromkeys(names, gone) | {"second": seen}, "the last one is active"
+    assert first == again == dict.fromkeys(names, gone) | {names[0]: seen}
+    assert undone == queued
+    assert shown == {name: [name == names[0], True, True] for name in names}
+    assert removed == dict.fromkeys(names[1:], gone) | {names[-1]: seen}
+    assert back == first
+
+
 def test_a_killed_worker_is_one_sentence_and_the_next_capture_works(blender, make_clip):
     played = blender.play("capture.worker_killed", source=make_clip(LONG_CLIP), timeout=180).value
     assert played["state"] == "failed"

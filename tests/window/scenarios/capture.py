@@ -12,6 +12,7 @@ import bpy
 from stage import ADDON
 
 from scenarios.capturing import begin, capture, done, finish, hands, jobs, part, press_capture, summary
+from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
 
@@ -170,6 +171,56 @@ def queued(stage, sources):
         done(job)
     yield from stage.screenshot("queue-done")
     return {"seen": sorted(seen), "hands": [hand["name"] for hand in summary()]}
+
+
+def several(stage, sources):
+    """A queue into one scene; in the list of captures the first row is clicked, all are shown, one removed."""
+    with opened_by_default("MANIENT_PT_result"):
+        yield from stage.open_sidebar()
+        for source in sources:
+            bpy.context.scene.manient.source = source
+            with stage.override():
+                bpy.ops.manient.capture("INVOKE_DEFAULT")
+        yield from finish(stage, *jobs(), timeout=150.0)
+        yield 0.3
+        yield from stage.look_through_camera()
+        yield from stage.screenshot("captures-queued")
+        seen = [_shown()]
+        row = yield from stage.find_button(".capture_index", along=0.6)
+        assert row is not None, "there is no list of captures"
+        yield from stage.click(row)
+        yield 0.5
+        yield from stage.screenshot("captures-first")
+        seen.append(_shown())
+        yield from stage.undo()
+        yield 0.5
+        seen.append(_shown())
+        yield from stage.redo()
+        yield 0.5
+        button = yield from stage.find_button("bpy.ops.manient.hide_captures(")
+        yield from stage.click(button)
+        yield 0.5
+        yield from stage.screenshot("captures-all")
+        seen.append(_shown())
+        yield from stage.click(button)
+        yield 0.5
+        seen.append(_shown())
+        cross = yield from stage.find_button("bpy.ops.manient.remove_capture(", along=0.88)
+        assert cross is not None, "no row has an X"
+        yield from stage.click(cross)
+        yield 0.5
+        yield from stage.screenshot("captures-removed")
+        seen.append(_shown())
+        yield from stage.undo()
+        yield 0.5
+        seen.append(_shown())
+    return seen
+
+
+def _shown():
+    """The captures by name: whether the scene looks through its camera, viewports and renders show it."""
+    scene, found = bpy.context.scene, part("scene.captures").captures(bpy.context.scene)
+    return {c.name: [scene.camera == c.manient.camera, not c.hide_viewport, not c.hide_render] for c in found}
 
 
 def worker_killed(stage, source):
