@@ -24,7 +24,7 @@ from . import (
     source_info,
 )
 from .panels import preferences as preferences_panel
-from .scene import confidence, controls, render_setup, reshape, see_through
+from .scene import captures, confidence, controls, render_setup, reshape, see_through
 
 _KINDS = (
     bpy.types.AddonPreferences,
@@ -100,6 +100,7 @@ _MODULES = (
     error_graph,
     see_through,
     render_setup,
+    captures,
     key_preview,
     shared_worker,
     jobs,

@@ -26,7 +26,6 @@ from handfit_core.solvers import SOLVERS
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
 from .hand_table import ManientHandTable
-from .scene import captures
 from .scene.matching import CHOICES
 from .scene.poses import pose_items
 from .scene.simplify import PARTS
@@ -99,17 +98,6 @@ def of_option(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
     if math.isfinite(option.most):
         shown |= {"min": option.least * units, "max": option.most * units}
     return shown
-
-
-def _capture_index(settings: Any) -> int:
-    active = captures.active_capture(settings.id_data)
-    return -1 if active is None else bpy.data.collections.find(active.name)
-
-
-def _show_capture(settings: Any, index: int) -> None:
-    chosen = bpy.data.collections[index] if 0 <= index < len(bpy.data.collections) else None
-    if chosen in captures.captures(settings.id_data):
-        captures.show(settings.id_data, chosen)
 
 
 class ManientSettings(bpy.types.PropertyGroup):
@@ -261,14 +249,6 @@ class ManientSettings(bpy.types.PropertyGroup):
     capture: PointerProperty(  # type: ignore
         type=bpy.types.Collection,
         description="The capture that was chosen last (scene/captures.py)",
-        options={"HIDDEN"},
-    )
-    capture_index: IntProperty(  # type: ignore
-        name="Active Capture",
-        description="The capture whose picture and camera are shown, among all collections of the file. "
-        "Click one to show it",
-        get=_capture_index,
-        set=_show_capture,
         options={"HIDDEN"},
     )
 

@@ -50,9 +50,14 @@ def shortened_name(text: str, most: int) -> str:
 
 
 def named_after(stem: str, part: str) -> str:
-    """The name of one part of a capture, as "clip left hand", with room for what is named after that, such
+    """The name of one part of a capture, as "left hand of clip", with room for what is named after that, such
     as its mesh, and for the number with which Blender tells equal names apart."""
-    return f"{shortened_name(stem, NAME_BYTES - len(' right hand mesh.001'))} {part}"
+    return f"{part} of {shortened_name(stem, NAME_BYTES - len('mesh of right hand 99 of .001'))}"
+
+
+def hand_part(side: str, others: int) -> str:
+    """A hand as a part of its capture, beside so many others of its side: "right hand 2"."""
+    return f"{side} hand {others + 1}" if others else f"{side} hand"
 
 
 def with_note(name: str, note: str) -> str:

@@ -25,6 +25,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
 from handfit_core.hand_model.length import tell_of_odd_shapes
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
+from handfit_core.interchange.readers import program_of
 from handfit_core.interchange.recording import LEAST_POINTS, PosedHand, Recording
 from handfit_core.interchange.taking import (
     before_camera,
@@ -222,6 +223,7 @@ def capture_with(
         _without_hands(media, options, intrinsics, numbers),
         model_digests={side: hand_model.digest for side, hand_model in models.items()},
         hands=tuple(fitted),
+        program="" if recording is None else program_of(recording),
     )
 
 
@@ -330,6 +332,7 @@ def _posed_take(
         solver=recording.format,
         model_digests=digests,
         hands=tuple(hands),
+        program=program_of(recording),
     )
 
 

@@ -243,6 +243,8 @@ class Take:
     model_digests: Mapping[str, str]
     """side -> HandModel.digest of the model that was fitted"""
     hands: tuple[HandTrack, ...]
+    program: str = ""
+    """The program that found the hands, as people call it; empty: a detector of this one"""
 
     def __post_init__(self) -> None:
         numbers = np.asarray(self.frame_numbers)
@@ -297,6 +299,8 @@ class Take:
             "model_digests": dict(self.model_digests),
             "sides": [track.side for track in self.hands],
         }
+        if self.program:
+            header["program"] = self.program
         arrays: dict[str, Any] = {
             "header": np.array(json.dumps(header, ensure_ascii=False)),
             "frame_numbers": np.asarray(self.frame_numbers, dtype=np.int64),
@@ -420,6 +424,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
         "height": whole("height", header.get("height")),
         "intrinsics": Intrinsics(**{name: number(name, value) for name, value in camera.items()}),
         "solver": text("solver", header.get("solver"), 100),
+        "program": text("program", header.get("program", ""), 100),
         "model": path("model", header.get("model")),
         "model_digests": {
             side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES

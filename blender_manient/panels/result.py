@@ -34,10 +34,10 @@ class MANIENT_UL_captures(bpy.types.UIList):
     def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
         """The source's name, frames and rate, and how many hands were built."""
         shown = captures.is_shown(item, context.view_layer)
-        split = layout.split(factor=0.5)
+        split = layout.split(factor=0.4)
         split.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")
         row = split.row(align=True)
-        row.active = shown
+        row.active, row.alignment = shown, "RIGHT"
         row.label(text=captures.facts(item), translate=False)
         hands = sum(hand.manient.capture == item for hand in captured_hands(context.scene))
         row.label(text=str(hands), icon="VIEW_PAN", translate=False)
@@ -60,11 +60,11 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             self._hand(context, armature)
 
     def _captures(self, context) -> None:
-        layout, settings, found = self.layout, context.scene.manient, captures.captures(context.scene)
+        layout, found = self.layout, captures.captures(context.scene)
         if not found:
             return
         rows = min(len(found), _ROWS)
-        names = MANIENT_UL_captures.bl_idname, "", bpy.data, "collections", settings, "capture_index"
+        names = MANIENT_UL_captures.bl_idname, "", bpy.data, "collections", context.scene, "manient_capture"
         layout.template_list(*names, rows=rows, maxrows=max(rows, 2), sort_lock=True)
         if len(found) > 1:
             hide = captures.others_shown(context.scene)

@@ -27,7 +27,7 @@ from handfit_core.slices import result_of, retold, slice_clock
 from handfit_core.take import HandTrack, Take
 
 from ..rigs.captured_hand import build_rig
-from ..wording import NAME_BYTES, named_after, shortened_name
+from ..wording import NAME_BYTES, hand_part, named_after, shortened_name
 from . import captures
 from .animation import CURVES, animating, computing_keys, describe
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
@@ -175,7 +175,8 @@ def _steps(
         made.append(block)  # type: ignore[arg-type]
         return block
 
-    stem = shortened_name(take.source.name, NAME_BYTES - len(".001"))
+    program = f" ({take.program})" if take.program else ""
+    stem = shortened_name(take.source.name + program, NAME_BYTES - len(".001"))
     collection = keep(bpy.data.collections.new(stem))
     name = collection.name
     yield None
@@ -195,7 +196,7 @@ def _steps(
         collection.objects.link(camera)
     stage = []
     if how.render_setup and (how.match_scene or how.in_front) and how.camera is None:
-        stage = set_up(scene, camera, take, plate)
+        stage = set_up(scene, name, camera, take, plate)
         for thing in stage:
             keep(thing)
             keep(thing.data)
@@ -204,7 +205,8 @@ def _steps(
 
     hands = []
     for track, shaped in zip(take.hands, shapes, strict=True):
-        hand = yield from _hand(made, work, track, shaped, name, units, timing, how.camera)
+        named = named_after(name, hand_part(track.side, sum(h.side == track.side for h in hands)))
+        hand = yield from _hand(made, work, track, shaped, named, units, timing, how.camera)
         hands.append(hand)
 
     if take is captured:
@@ -257,7 +259,7 @@ def _hand(
 ) -> Generator[float | None, None, BuiltHand]:
     """One hand's rig, mesh and keys in steps, linked nowhere; `camera`: one that it hangs on."""
     model = work.models[track.side]
-    rig = build_rig(named_after(name, f"{track.side} hand"), shaped, track.side)
+    rig = build_rig(name, shaped, track.side)
     armature = rig.armature
     made += [armature, armature.data]
     armature.scale = (units, units, units)
@@ -266,7 +268,7 @@ def _hand(
     describe(armature, work.take, track)
     rest = rig.rest
     yield work.done(1)
-    mesh = build_mesh(f"{armature.name} mesh", model, shaped, rig)
+    mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
     made += [mesh, mesh.data, *mesh.data.materials]
     yield work.done(1)
     if work.has_correctives(track):
@@ -295,13 +297,13 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     camera = collection.manient.camera
     if camera is not None and camera.name in collection.objects and not is_moved(camera):
         camera = None
+    others = sum(hand.side == track.side for hand in take.hands[:-1])
+    name = named_after(collection.name, hand_part(track.side, others))
     made: list[bpy.types.ID] = []
     work = _Work(replace(take, hands=(track,)), {track.side: model}, True)
     units = 1.0 / bpy.context.scene.unit_settings.scale_length
     try:
-        hand = result_of(
-            _hand(made, work, track, model.shaped(track.betas), collection.name, units, timing, camera)
-        )
+        hand = result_of(_hand(made, work, track, model.shaped(track.betas), name, units, timing, camera))
     except BaseException:
         _remove(made)
         raise

@@ -17,7 +17,6 @@ import bpy
 from handfit_core.errors import TakeError
 from handfit_core.take import Take
 
-from ..wording import counted
 from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
 from .render_setup import OURS, follow_camera
@@ -159,7 +158,7 @@ def facts(capture: bpy.types.Collection) -> str:
 
 def _facts_of(take: Take) -> str:
     count = len(take.frame_numbers)
-    return counted(count, "frame") + (f", {take.fps:.4g} fps" if count > 1 else "")
+    return f"{count} fr, {take.fps:.4g} fps" if count > 1 else "1 frame"
 
 
 def _name(block: bpy.types.ID) -> str:
@@ -305,3 +304,31 @@ def _may_go(block: bpy.types.ID, simplified: Container[bpy.types.ID]) -> bool:
     if isinstance(block, bpy.types.Object) and block.users_collection:
         return False
     return not block.use_fake_user or block in simplified
+
+
+def _index(scene: bpy.types.Scene) -> int:
+    active = active_capture(scene)
+    return -1 if active is None else bpy.data.collections.find(active.name)
+
+
+def _choose(scene: bpy.types.Scene, index: int) -> None:
+    chosen = bpy.data.collections[index] if 0 <= index < len(bpy.data.collections) else None
+    if chosen in captures(scene):
+        show(scene, chosen)
+
+
+def register() -> None:
+    """Add what the list of captures needs, and keeps nowhere: the active one's place among collections."""
+    bpy.types.Scene.manient_capture = bpy.props.IntProperty(
+        name="Active Capture",
+        description="The capture whose picture and camera are shown, among all collections of the file. "
+        "Click one to show it",
+        get=_index,
+        set=_choose,
+        options={"HIDDEN"},
+    )
+
+
+def unregister() -> None:
+    """Take it away again."""
+    del bpy.types.Scene.manient_capture

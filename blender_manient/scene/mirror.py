@@ -18,7 +18,7 @@ from handfit_core.take import HandTrack
 from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig
-from ..wording import named_after
+from ..wording import hand_part, named_after
 from .animation import describe
 from .editable import check_unlayered
 from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
@@ -50,7 +50,9 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     present_place = np.array(source.pose.bones[own.bones[0]].location)
     plane = _plane(hand, source_model, betas, keys.quats, keys.locations, present, present_place)
 
-    rig = build_rig(named_after(hand.collection.name, f"{side} hand"), shaped, side)
+    others = [o.manient for o in hand.collection.objects if o.manient.is_hand]
+    part = hand_part(side, sum(other.side == side for other in others))
+    rig = build_rig(named_after(hand.collection.name, part), shaped, side)
     armature = rig.armature
     armature.manient.origin = source.manient.origin
     for collection in source.users_collection:
@@ -121,7 +123,7 @@ def _plane(
 
 def _add_mesh(source: bpy.types.Object, rig: Rig, model: HandModel, betas: np.ndarray) -> None:
     armature = rig.armature
-    mesh = build_mesh(f"{armature.name} mesh", model, model.shaped(betas), rig)
+    mesh = build_mesh(f"mesh of {armature.name}", model, model.shaped(betas), rig)
     for collection in armature.users_collection:
         collection.objects.link(mesh)
     # The artist's own materials, on both hands.

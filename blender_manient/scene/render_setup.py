@@ -18,6 +18,7 @@ from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
 from ..blender_versions import use_nodes
+from ..wording import named_after
 from .camera import put_before
 from .plate import Plate
 from .store import kept_here
@@ -34,18 +35,19 @@ _BEYOND = 0.05
 
 
 def set_up(
-    scene: bpy.types.Scene, camera: bpy.types.Object, take: Take, plate: Plate | None
+    scene: bpy.types.Scene, name: str, camera: bpy.types.Object, take: Take, plate: Plate | None
 ) -> list[bpy.types.Object]:
-    """Lights and a card with the picture, hung on the capture's camera; linked to no collection yet.
+    """Lights and a card with the picture, hung on the camera of the capture of that name; linked to no
+    collection yet.
 
     There are no lights where the scene has its own, and no card without a plate. Call `put_in_force` for the
     scene that gets them.
     """
     made = []
     if not _is_lit(scene):
-        made = [sun(f"{camera.name} light", *placed) for placed in SUNS]
+        made = [sun(named_after(name, "light"), *placed) for placed in SUNS]
     if plate is not None:
-        card = picture_card(f"{camera.name} picture", plate, take, _CARD_PLACE * camera.data.clip_end)
+        card = picture_card(named_after(name, "picture"), plate, take, _CARD_PLACE * camera.data.clip_end)
         card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
         # It is a picture, not a thing: it neither lights the hands nor stands in a light's way.
         card.visible_diffuse = card.visible_glossy = card.visible_transmission = False

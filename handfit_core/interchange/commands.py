@@ -131,6 +131,7 @@ def _info(args: argparse.Namespace) -> int:
             ("frames", _frames(take.frame_numbers, take.fps)),
             ("picture", f"{take.width}x{take.height} pixels"),
             ("hands", ", ".join(_hand(hand) for hand in take.hands) or "none"),
+            *([("program", take.program)] if take.program else []),
         ]
     elif is_recording(args.input):
         recording = read_recording(args.input, CaptureOptions.of_arguments(args))

@@ -80,3 +80,9 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
         f"{shown(document.path)}: these are no hands or keypoints of a program that is known "
         f"({document.found}). Known are {formats}"
     )
+
+
+def program_of(recording: Recording) -> str:
+    """What people call the program whose hands these are: its format's title, else the format's name."""
+    reader = READERS.all().get(recording.format)
+    return recording.format if reader is None else reader.title

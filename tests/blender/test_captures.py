@@ -46,7 +46,7 @@ def imported(make_take, picture, tmp_path):
 
 def chosen(capture) -> None:
     """Click a row of the list."""
-    bpy.context.scene.manient.capture_index = bpy.data.collections.find(capture.name)
+    bpy.context.scene.manient_capture = bpy.data.collections.find(capture.name)
 
 
 def seen(*found) -> list[bool]:
@@ -76,7 +76,7 @@ def test_a_click_shows_one_and_hides_the_other(imported):
     chosen(a)
     assert seen(a, b) == [True, False]
     assert scene.camera == a.manient.camera
-    assert bpy.data.collections[scene.manient.capture_index] == a
+    assert bpy.data.collections[scene.manient_capture] == a
     assert bpy.context.active_object in a.objects.values()
     assert bpy.ops.manient.hide_captures(hide=False) == {"FINISHED"}
     assert seen(a, b) == [True, True]
@@ -274,7 +274,7 @@ def test_old_and_odd_captures_raise_nothing(imported, how, tmp_path):
     for capture in list(found):
         bpy.ops.manient.remove_capture(capture=capture.name)
     assert captures.captures(scene) == []
-    assert scene.manient.capture_index == -1
+    assert scene.manient_capture == -1
 
 
 @pytest.mark.parametrize("how", ["applied", "linked"])

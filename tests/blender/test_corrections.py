@@ -307,7 +307,7 @@ def test_another_name_while_keys_are_written(armature):
     writing = corrections.replacing_poses(armature, frames, quats, locations)
     next(writing)
     armature.name = "My Hand"
-    bpy.data.objects.new("photo of a hand right hand", None)
+    bpy.data.objects.new("right hand of photo of a hand", None)
     assert list(writing)[-1] == 1.0
     found, _ = pose_at(rig_of(armature), np.array(frames, dtype=float))
     assert same_rotations(found, quats) < 1e-5

@@ -104,7 +104,7 @@ def test_the_picture_moves_with_the_clip(make_take, start_up, tmp_path):
 
 def test_the_card_is_in_nobodys_way(make_take, start_up):
     built = build_take(make_take().take)
-    (card,) = [o for o in own(built.collection, "MESH") if o.name.endswith("picture")]
+    (card,) = [o for o in own(built.collection, "MESH") if o.name.startswith("picture")]
     assert card.hide_viewport
     assert card.hide_select
     assert not card.visible_shadow
@@ -145,7 +145,7 @@ def test_an_artists_light_stays_alone(make_take, start_up, what):
     assert own(built.collection, "LIGHT") == []
     assert {o.name: o.data.energy for o in start_up.objects if o.type == "LIGHT"} == lamps
     assert start_up.world == world_
-    assert any(o.name.endswith("picture") for o in own(built.collection, "MESH"))
+    assert any(o.name.startswith("picture") for o in own(built.collection, "MESH"))
 
 
 @pytest.mark.parametrize("how", ["opted out", "not matched", "own camera"])
@@ -176,7 +176,7 @@ def test_without_a_picture_there_is_light_alone(make_take, start_up):
 
 def test_a_later_capture_shows_its_own_picture(make_take, start_up):
     first, second = (build_take(make_take(seed=seed).take) for seed in (1, 2))
-    cards = [[o for o in own(b.collection, "MESH") if o.name.endswith("picture")] for b in (first, second)]
+    cards = [[o for o in own(b.collection, "MESH") if o.name.startswith("picture")] for b in (first, second)]
     assert [[card.hide_render for card in each] for each in cards] == [[True], [False]]
     lights = [own(b.collection, "LIGHT") for b in (first, second)]
     assert [len(each) for each in lights] == [len(render_setup.SUNS)] * 2, "each can stand alone"

@@ -79,11 +79,20 @@ def test_both_hands_of_a_long_name_can_be_told_apart(registered, make_take, tmp_
         assert built.collection.name.startswith("entrevista")
         for hand in built.hands:
             assert f"{hand.side} hand" in hand.armature.name
-            assert hand.mesh.name.startswith(hand.armature.name[:30])
-            assert "mesh" in hand.mesh.name
+            assert hand.mesh.name == f"mesh of {hand.armature.name}"
             assert "izquierda" in hand.armature.name
         assert "camera" in built.camera.name
-    assert len(named_after(LONG, "right hand mesh").encode()) <= NAME_BYTES
+    assert len(f"mesh of {named_after(LONG, 'right hand 12')}.001".encode()) <= NAME_BYTES
+
+
+def test_hands_are_named_after_their_capture_and_its_program(make_take):
+    take = make_take(sides=("left", "right")).take
+    take = replace(take, hands=(*take.hands, take.hands[1]), program="SAM 3D Body")
+    built = build_take(take, picture=False)
+    assert built.collection.name == "photo of a hand (SAM 3D Body)"
+    parts = [hand.armature.name.partition(" of ")[0] for hand in built.hands]
+    assert parts == ["left hand", "right hand", "right hand 2"]
+    assert built.hands[0].armature.name == "left hand of photo of a hand (SAM 3D Body)"
 
 
 def a_job(name: str) -> Job:

@@ -15,6 +15,7 @@ from handfit_core.errors import InputError, OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES, Side
+from handfit_core.take import Take
 from tests.conftest import ROOT
 from tests.core.interchange.known_hands import (
     FRAMES,
@@ -313,6 +314,7 @@ def test_a_take_is_made_of_it(tmp_path: Path) -> None:
     take = capture(path, picture_size=(1280, 720), fps=25)
     assert [hand.side for hand in take.hands] == ["left", "right"]
     assert (take.fps, take.solver, take.width) == (25.0, "hamer", 1280)
+    assert take.program == Take.from_bytes(take.to_bytes()).program == "HaMeR or WiLoR"
     assert take.intrinsics.fx == pytest.approx(FOCAL)
     np.testing.assert_allclose(take.hands[1].transl, HANDS["right"].transl, atol=1e-6)
 

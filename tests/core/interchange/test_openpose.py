@@ -111,6 +111,7 @@ def test_a_folder_alone_is_fitted_by_the_size_that_is_told(
     take = capture(path, picture_size=(WIDTH, HEIGHT), fps=25)
     assert (take.width, take.height, take.source.kind) == (WIDTH, HEIGHT, "data")
     assert take.frame_numbers.tolist() == list(range(FRAMES))
+    assert take.program == "OpenPose"
     assert sorted(hand.side for hand in take.hands) == list(SIDES)
     for hand in take.hands:
         # The hand's size in the picture is about 190 pixels.

@@ -174,7 +174,7 @@ def queued(stage, sources):
 
 
 def several(stage, sources):
-    """A queue into one scene; in the list of captures the first row is clicked, all are shown, one removed."""
+    """A queue into one scene; in the list of captures one is clicked, all are shown, one is removed."""
     with opened_by_default("MANIENT_PT_result"):
         yield from stage.open_sidebar()
         for source in sources:
@@ -186,7 +186,7 @@ def several(stage, sources):
         yield from stage.look_through_camera()
         yield from stage.screenshot("captures-queued")
         seen = [_shown()]
-        row = yield from stage.find_button(".capture_index", along=0.6)
+        row = yield from stage.find_button(".manient_capture", along=0.6)
         assert row is not None, "there is no list of captures"
         yield from stage.click(row)
         yield 0.5
@@ -205,7 +205,7 @@ def several(stage, sources):
         yield from stage.click(button)
         yield 0.5
         seen.append(_shown())
-        cross = yield from stage.find_button("bpy.ops.manient.remove_capture(", along=0.88)
+        cross = yield from stage.find_button("bpy.ops.manient.remove_capture(", along=0.8)
         assert cross is not None, "no row has an X"
         yield from stage.click(cross)
         yield 0.5
