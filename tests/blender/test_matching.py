@@ -144,7 +144,7 @@ def test_a_second_clip_leaves_the_first_ones_time_alone(clip, make_take, picture
     scene.frame_set(10)
     before = state()
     other = make_take(sides=("left",), source=Source("video", (str(picture),)), fps=50.0).take
-    assert "right hand is animated" in why_kept(scene, Footage.of_take(other))
+    assert "right hand of photo of a hand is animated" in why_kept(scene, Footage.of_take(other))
     armature = brought_in(other, tmp_path)
     assert state()[:2] == before[:2]
     assert scene.camera == armature.manient.capture.manient.camera, "it is looked at, the first one is hidden"
