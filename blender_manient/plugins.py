@@ -1,29 +1,56 @@
-"""Plug-ins: a file in their folder is all that adds one."""
+"""Plug-ins: a file in their folder is all that adds one.
+
+The user's own folders lie with Blender's data files: an update or a removal of the add-on leaves them alone,
+while the folder that Blender keeps for an extension goes with it.
+"""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
 import sys
+from pathlib import Path
 from typing import Any
+
+import bpy
 
 from handfit_core.files import shown
 
-_named: set[str] = set()
-"""What the console has been told already"""
+KINDS = ("exporters", "rigs")
+"""The folders, called as the packages that they belong to"""
+
+_named: dict[str, None] = {}
+"""What the console has been told already, in order"""
+
+
+def folder() -> Path:
+    """The user's folder of plug-ins, which need not be there."""
+    return Path(bpy.utils.user_resource("DATAFILES", path="manient"))
+
+
+def troubles() -> list[str]:
+    """What was wrong with plug-ins since the add-on was enabled, a sentence each."""
+    return list(_named)
 
 
 def found_in(
     package: str, kind: type, needed: tuple[str, ...] = (), first: tuple[str, ...] = ()
 ) -> list[Any]:
-    """The concrete classes of that kind that a package's modules define: those of the modules `first`, in
-    this order, then the others by their modules' names.
+    """The concrete classes of that kind that a package's modules, and those in the user's folder of its name,
+    define: those of the modules `first`, in this order, then the others by their modules' names.
 
     A module that cannot be imported, and a class that lacks what is `needed`, are named in the console and
     left out: one bad file takes none of the others away.
     """
-    found = []
-    there = {module.name for module in pkgutil.iter_modules(sys.modules[package].__path__)}
+    found, path = [], sys.modules[package].__path__
+    own = str(folder() / package.rpartition(".")[2])
+    ours = {module.name for module in pkgutil.iter_modules(path)}
+    added = {module.name for module in pkgutil.iter_modules([own])}
+    for name in sorted(ours & added):
+        tell_once(f"{shown(name)}.py is left out: the add-on has a file of this name, choose another one")
+    if own not in path:
+        path.append(own)
+    there = ours | added
     for name in (*first, *sorted(there - {*first})):
         try:
             content = vars(importlib.import_module(f"{package}.{name}"))
@@ -53,5 +80,5 @@ def failed(plugin: type, error: BaseException) -> str:
 def tell_once(sentence: str) -> None:
     """Say something on the console, the first time that it is to be said."""
     if sentence not in _named:
-        _named.add(sentence)
+        _named[sentence] = None
         print(f"Hand Capture: {sentence}", file=sys.stderr)

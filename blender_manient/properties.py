@@ -323,6 +323,9 @@ class ManientSettings(bpy.types.PropertyGroup):
     export_preset: EnumProperty(  # type: ignore
         name="For", items=PROGRAMS, default="PLAIN"
     )
+    export_meshes: BoolProperty(  # type: ignore
+        name="Meshes", description="Write also what the character deforms or carries", default=True
+    )
 
 
 _OVERRIDABLE: Any = {"LIBRARY_OVERRIDABLE"}

@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 import bpy
 
+from handfit_core.errors import OptionError
 from handfit_core.files import check_room
 
 from .exporter import Exporter, HandObjects, Preset, blank
@@ -21,11 +22,14 @@ class AlembicExporter(Exporter):
     label = "Alembic"
     description = "Baked mesh cache"
     suffix = ".abc"
+    bakes = False
     operator = "wm.alembic_export"
 
-    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write it where there is room for it."""
         scene = bpy.context.scene
+        if not any(hand.meshes for hand in hands):
+            raise OptionError("Alembic needs a mesh to hold, and there is none: choose another format")
         # Where the disk is full, Alembic ends Blender.
         check_room(path, _alembic_size([mesh for hand in hands for mesh in hand.meshes]))
         bpy.ops.wm.alembic_export(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import bpy
 
@@ -21,7 +20,7 @@ class BvhExporter(Exporter):
     operator = "export_anim.bvh"
     per_hand = True
 
-    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write the one hand's bones."""
         armature = hands[0].armature
         scene = bpy.context.scene
@@ -37,13 +36,3 @@ class BvhExporter(Exporter):
             root_transform_only=hands[0].side
             is not None,  # only a hand's wrist moves; fingers have rotations alone
         )
-
-    def is_whole(self, stream: BinaryIO, _size: int, /) -> bool:
-        """As many lines as the file says, the last with a number for every channel, and ended."""
-        hierarchy, motion, frames = stream.read().partition(b"MOTION\n")
-        lines = frames.split(b"\n")
-        channels = sum(int(line.split()[1]) for line in hierarchy.splitlines() if b"CHANNELS" in line)
-        said = int(lines[0].removeprefix(b"Frames:"))
-        if not motion or lines.pop() != b"" or not lines[-1].strip():
-            return False
-        return said == len(lines) - 2 and len(lines[-1].split()) == channels

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import struct
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -69,6 +68,9 @@ class Exporter(ABC):
     it; or hands that keep their take, as the panel has them"""
     operator: ClassVar[str] = ""
     """The Blender operator that it needs, as module.name; empty for none"""
+    bakes: ClassVar[bool] = True
+    """Whether a character is given as its deforming bones with a key on every frame, in metres; else as it is
+    in the artist's file"""
     per_hand: ClassVar[bool] = False
     """Whether each hand needs a file of its own"""
     presets: ClassVar[Mapping[str, Preset]] = {}
@@ -79,13 +81,15 @@ class Exporter(ABC):
     """Endings of a name that the suffix replaces"""
 
     @abstractmethod
-    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, /) -> None:
-        """Write the file. What the format `writes` is in the open scene, at its frame range and rate."""
+    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, final: Path, /) -> None:
+        """Write the file to `path`, which is renamed to `final` once it is there. What the format `writes` is
+        in the open scene, at its frame range and rate, in metres and Blender's axes."""
 
-    @abstractmethod
-    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """Whether a file of `size` bytes, more than 0, was written to its end. Raises as reading less than
-        expected does where it was not: struct.error, ValueError, IndexError and OSError."""
+    def is_whole(self, _stream: BinaryIO, _size: int, /) -> bool:
+        """Whether a file of `size` bytes, more than 0, was written to its end. Writers that say nothing of a
+        full disk, as some of Blender's own, need it; what Python writes raises OSError. It may raise
+        struct.error, ValueError, IndexError and OSError where the file is too short."""
+        return True
 
     def why_not(self) -> str:
         """Why this Blender cannot write it, and what to do, as part of a sentence; empty if it can."""
@@ -94,18 +98,6 @@ class Exporter(ABC):
         if self.operator.startswith("wm."):
             return "missing in this build of Blender; take the one from blender.org"
         return "switched off with its add-on; enable that in Blender's preferences"
-
-
-def whole_glb(stream: BinaryIO, size: int) -> bool:
-    """Whether a binary glTF file is as long as its header says, and its chunks fill it."""
-    magic, _version, length = struct.unpack("<4sII", stream.read(12))
-    if magic != b"glTF" or length != size:
-        return False
-    place = 12
-    while place < size:
-        stream.seek(place)
-        place += 8 + struct.unpack("<I", stream.read(4))[0]
-    return place == size
 
 
 def blank(path: Path, folder: Path) -> None:

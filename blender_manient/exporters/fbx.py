@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import bpy
 import numpy as np
@@ -43,7 +41,7 @@ class FbxExporter(Exporter):
     operator = "export_scene.fbx"
     presets = _PRESETS
 
-    def write(self, path: Path, _hands: Sequence[HandObjects], preset: Preset, /) -> None:
+    def write(self, path: Path, _hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write it, and name no folder."""
         keywords = {
             "filepath": str(path),
@@ -66,10 +64,3 @@ class FbxExporter(Exporter):
         bpy.ops.export_scene.fbx(**keywords | preset.keywords)
         # It also names each texture with the folder that the file is in.
         blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
-
-    def is_whole(self, stream: BinaryIO, _size: int, /) -> bool:
-        """A mark of sixteen bytes at the end."""
-        if not stream.read(23).startswith(b"Kaydara FBX Binary"):
-            return False
-        stream.seek(-16, io.SEEK_END)
-        return stream.read() == bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")

@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import bpy
 
 from ..blender_versions import gltf_left_out
-from .exporter import Exporter, HandObjects, Preset, whole_glb
+from .exporter import Exporter, HandObjects, Preset
 
 _PRESETS = {
     # glTF itself says: metres, Y up.
@@ -29,7 +28,7 @@ class GltfExporter(Exporter):
     operator = "export_scene.gltf"
     presets = _PRESETS
 
-    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, /) -> None:
+    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write one clip with all hands."""
         # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
         for obj in (o for hand in hands for o in (hand.armature, *hand.meshes)):
@@ -59,10 +58,6 @@ class GltfExporter(Exporter):
         }
         with _own_settings_left_out():
             bpy.ops.export_scene.gltf(**keywords | preset.keywords)
-
-    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """The header tells the length of the file, and each chunk its own."""
-        return whole_glb(stream, size)
 
 
 @contextlib.contextmanager

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import cast
 
 from .exporter import Exporter, HandObjects, Preset
 
@@ -20,13 +19,9 @@ class TakeExporter(Exporter):
     writes = "captured"
     kept_endings = (".npz",)
 
-    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write the take that the hands make now."""
         from ..scene.retake import retaken
         from ..scene.store import CapturedHand
 
         path.write_bytes(retaken(cast("Sequence[CapturedHand]", hands)).to_bytes(compact=False))
-
-    def is_whole(self, stream: BinaryIO, _size: int, /) -> bool:
-        """Whether it has the table that ends every zip file."""
-        return zipfile.is_zipfile(stream)

@@ -22,7 +22,7 @@ class UsdExporter(Exporter):
     operator = "wm.usd_export"
     other_endings = (".usd",)
 
-    def write(self, path: Path, _hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+    def write(self, path: Path, _hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write it as Blender renders it."""
         bpy.ops.wm.usd_export(
             filepath=str(path),

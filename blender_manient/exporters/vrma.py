@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -23,7 +23,7 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from ..rigs import rig_of
 from ..rigs.character import bones_of
 from ..rigs.rig import Rig
-from .exporter import Exporter, HandObjects, Preset, whole_glb
+from .exporter import Exporter, HandObjects, Preset
 
 if TYPE_CHECKING:
     from ..scene.sampling import Sampled
@@ -41,8 +41,9 @@ class VrmaExporter(Exporter):
     label = "VRM"
     description = "VRM animation of the fingers, and of a character's wrists, for VRM avatars"
     suffix = ".vrma"
+    bakes = False
 
-    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, /) -> None:
+    def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write one animation, a moment for each frame."""
         found = [moving for hand in hands for moving in _hands_of(hand)]
         for side in SIDES:
@@ -51,10 +52,6 @@ class VrmaExporter(Exporter):
         if not found:
             raise OptionError("no hand was found on this character: choose its bones in the panel first")
         path.write_bytes(vrm_animation(found))
-
-    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
-        """As of any glTF."""
-        return whole_glb(stream, size)
 
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:

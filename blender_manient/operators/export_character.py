@@ -1,43 +1,60 @@
-"""Write what a character's hands do to a file for avatars."""
+"""Write a character, as it moves, to a file for other programs."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import bpy
-from bpy_extras.io_utils import ExportHelper
 
-from ..exporters import find_exporter
-from ..scene.characters import CharacterObjects, active_character
-from ..scene.export import Stage, export_hands
-from .needs_hand import Refuses, errors_reported
-
-_FORMAT = "vrma"
+from ..properties import EXPORT_FORMATS
+from ..scene.characters import CharacterObjects, active_character, why_not_written
+from .export_hand import Exports
+from .needs_hand import Refuses
 
 
-class MANIENT_OT_export_character(Refuses, bpy.types.Operator, ExportHelper):
+class MANIENT_OT_export_character(Exports, Refuses, bpy.types.Operator):
     bl_idname = "manient.export_character"
-    bl_label = "Export VRM Animation"
-    bl_description = "Write what this character's fingers and wrists do, for avatars in VRM's format"
-    bl_options = {"REGISTER"}  # noqa: RUF012
-    filename_ext = find_exporter(_FORMAT).suffix
+    bl_label = "Export Character"
+    bl_description = (
+        "Write the active character, as it moves now, to a file: the bones that deform it, without its "
+        "controls, or for avatars what its fingers and wrists do"
+    )
+    character = True
 
-    filter_glob: bpy.props.StringProperty(default=f"*{filename_ext}", options={"HIDDEN"})  # type: ignore
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS, default="vrma")  # type: ignore
+    meshes: bpy.props.BoolProperty(  # type: ignore
+        name="Meshes",
+        description="Write what the character deforms or carries and renders show",
+        default=True,
+    )
 
     @classmethod
     def lacks(cls, context):
-        """A character."""
-        if active_character(context) is None:
+        """A character that can be written."""
+        armature = active_character(context)
+        if armature is None:
             return "Select a character first: its armature, or a mesh that it deforms"
-        return None
+        return why_not_written(armature, context.scene)
 
-    @errors_reported
-    def execute(self, context):
-        """Write the scene's frame range."""
+    def _fill_in(self, context):
+        if self.properties.is_property_set(
+            "file_format"
+        ):  # scripts that name none want VRM, as they always did
+            super()._fill_in(context)
+
+    def _title(self, context):
+        return active_character(context).name
+
+    def _draw_own(self, layout):
+        if self._exporter.bakes:
+            layout.prop(self, "meshes")
+
+    def _chosen(self, context):
         character = CharacterObjects.of(active_character(context))
-        path: Any = Path(bpy.path.abspath(self.filepath))
-        name = path.name.removesuffix(self.filename_ext)
-        (file,) = export_hands([character], Stage.of_scene(context.scene), path.parent, name, _FORMAT)
-        self.report({"INFO"}, f"Wrote {file.name} to {path.parent}")
-        return {"FINISHED"}
+        return [character if self.meshes else CharacterObjects(character.armature, ())]
+
+    def _keyed(self, chosen):
+        animation = chosen[0].armature.animation_data
+        if animation is None:
+            return []
+        strips = [strip for track in animation.nla_tracks for strip in track.strips]
+        frames = [frame for strip in strips for frame in (strip.frame_start, strip.frame_end)]
+        return [*frames, *(animation.action.frame_range if animation.action is not None else ())]

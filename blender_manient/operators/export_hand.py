@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import bpy
 
 from handfit_core.errors import OptionError
 
 from ..exporters import EXPORTERS, PRESETS
-from ..exporters.exporter import Exporter
+from ..exporters.exporter import Exporter, HandObjects
 from ..properties import EXPORT_FORMATS
 from ..scene.editable import why_not_readable
 from ..scene.export import Stage, export_hands
@@ -20,17 +22,30 @@ from ..section import sentence, split
 from .needs_hand import OnHand, errors_reported, hand_in
 
 
+def why_not_written(exporter: Exporter, *, character: bool) -> str:
+    """Why a format cannot be written of a hand or a character, as part of a sentence; empty if it can."""
+    return (
+        "holds captured hands, no characters" * (character and exporter.writes == "captured")
+        or exporter.why_not()
+    )
+
+
 def format_buttons(
-    layout: bpy.types.UILayout, context: bpy.types.Context, data: bpy.types.bpy_struct, name: str
+    layout: bpy.types.UILayout,
+    context: bpy.types.Context,
+    data: bpy.types.bpy_struct,
+    name: str,
+    *,
+    character: bool = False,
 ) -> bool:
-    """A button for every format of the property `name` of `data`; those that this Blender cannot write are
-    grey, and the reason stands below. Returns whether the chosen one can be written."""
+    """A button for every format of the property `name` of `data`; those that cannot be written are grey, and
+    the reason stands below. Returns whether the chosen one can be written."""
     reasons: dict[str, list[str]] = {}
     column = layout.column(align=True)
     for start in range(0, len(EXPORT_FORMATS), 3):
         row = column.row(align=True)
         for key, label, _ in EXPORT_FORMATS[start : start + 3]:
-            reason = EXPORTERS[key].why_not()
+            reason = why_not_written(EXPORTERS[key], character=character)
             cell = row.row(align=True)
             cell.enabled = not reason
             cell.prop_enum(data, name, key)
@@ -38,39 +53,45 @@ def format_buttons(
                 reasons.setdefault(reason, []).append(label)
     for reason, labels in reasons.items():
         sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
-    return not EXPORTERS[getattr(data, name)].why_not()
+    return not why_not_written(EXPORTERS[getattr(data, name)], character=character)
 
 
-class MANIENT_OT_export_hand(OnHand, bpy.types.Operator):
-    bl_idname = "manient.export_hand"
-    bl_label = "Export Hands"
-    bl_description = "Write the active hand and the others of its capture, as they are now, to a file"
+class Exports:
+    """An operator, in its first part, that asks for a file and writes it; of what, those that have it say."""
+
     bl_options = {"REGISTER"}  # noqa: RUF012
-    why_not = staticmethod(why_not_readable)
-    anywhere = True
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
     filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})  # type: ignore
-    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)  # type: ignore
     preset: bpy.props.EnumProperty(name="For", items=PRESETS)  # type: ignore
-    active_only: bpy.props.BoolProperty(  # type: ignore
-        name="Active Hand Only", description="Leave out the other hands of the capture", default=False
-    )
     frame_range: bpy.props.EnumProperty(  # type: ignore
         name="Frames",
         items=(
             ("SCENE", "Scene", "The scene's frame range"),
-            ("KEYS", "Keys", "From the hands' first key to their last"),
+            ("KEYS", "Keys", "From the first key to the last"),
         ),
         default="SCENE",
     )
+    file_format: Any
 
-    def invoke(self, context, event):
+    def _title(self, context: bpy.types.Context) -> str:
+        """The file's name where nobody gives one."""
+        raise NotImplementedError
+
+    def _chosen(self, context: bpy.types.Context) -> Sequence[HandObjects]:
+        """What is written. Raises HandfitError."""
+        raise NotImplementedError
+
+    def _keyed(self, chosen: Sequence[HandObjects]) -> list[float]:
+        """The frames that have keys."""
+        raise NotImplementedError
+
+    def invoke(self: Any, context, _event):
         """Ask for the file, with the format of the panel."""
         self._fill_in(context)
         if not self.filepath:
-            self.filepath = bpy.path.clean_name(hand_in(context).collection.name)
+            self.filepath = bpy.path.clean_name(self._title(context))
             if bpy.data.filepath:
                 self.filepath = str(Path(bpy.data.filepath).parent / self.filepath)
         self.check(context)
@@ -86,46 +107,51 @@ class MANIENT_OT_export_hand(OnHand, bpy.types.Operator):
         self.filepath = str(path)
         return True
 
-    def draw(self, context):
+    def draw(self: Any, context):
+        """Format, preset, frames."""
         layout = self.layout
-        format_buttons(layout, context, self, "file_format")
+        format_buttons(layout, context, self, "file_format", character=self.character)
         split(layout)
         if self._exporter.presets:
             layout.prop(self, "preset")
         if self._exporter.writes == "hands":
             layout.prop(self, "frame_range")
-        layout.prop(self, "active_only")
+        self._draw_own(layout)
 
     @errors_reported
-    def execute(self, context):
+    def execute(self: Any, context):
         """Write the file or files."""
         self._fill_in(context)
         if not self.filepath:
             raise OptionError("choose a file to export to")
-        hands = self._hands(context)
-        path = self._path()
+        if reason := why_not_written(self._exporter, character=self.character):
+            raise OptionError(f"{self._exporter.label}: {reason}")
+        chosen, path = self._chosen(context), self._path()
         files = export_hands(
-            hands,
-            self._stage(context.scene, hands),
+            chosen,
+            self._stage(context.scene, chosen),
             path.parent,
             path.name.removesuffix(self._exporter.suffix),
             self.file_format,
             preset=self.preset if self._exporter.presets else "PLAIN",
         )
         wrote = f"Wrote {', '.join(f.name for f in files)} to {path.parent}"
-        others = [o.name for hand in hands for o in hung_on(hand)] if self._exporter.writes == "hands" else []
-        if others:
-            wrote += f" without {', '.join(others)}: only hands are exported, not what hangs on them"
-        self.report({"INFO"}, wrote)
+        self.report({"INFO"}, wrote + self._left_out(chosen))
         return {"FINISHED"}
 
-    def _fill_in(self, context) -> None:
+    def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
+        """What the report says of what is not in the file."""
+        return ""
+
+    def _draw_own(self, layout: bpy.types.UILayout) -> None:
+        """What only this operator has."""
+
+    def _fill_in(self: Any, context) -> None:
         """What the caller left open is as the panel says."""
         settings = context.scene.manient
-        if not self.properties.is_property_set("file_format"):
-            self.file_format = settings.export_format
-        if not self.properties.is_property_set("preset"):
-            self.preset = settings.export_preset
+        for name, value in (("file_format", settings.export_format), ("preset", settings.export_preset)):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
 
     @property
     def _exporter(self) -> Exporter:
@@ -143,7 +169,43 @@ class MANIENT_OT_export_hand(OnHand, bpy.types.Operator):
                     return path.with_name(name[: -len(ending)] + wanted.suffix)
         return path.with_name(name + wanted.suffix)
 
-    def _hands(self, context) -> list[CapturedHand]:
+    def _stage(self, scene, chosen: Sequence[HandObjects]) -> Stage:
+        if self.frame_range == "SCENE" or self._exporter.writes != "hands":
+            return Stage.of_scene(scene)
+        frames = self._keyed(chosen)
+        if not frames:
+            raise OptionError("what is exported has no keys; export the scene's frame range instead")
+        return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
+
+
+class MANIENT_OT_export_hand(Exports, OnHand, bpy.types.Operator):
+    bl_idname = "manient.export_hand"
+    bl_label = "Export Hands"
+    bl_description = "Write the active hand and the others of its capture, as they are now, to a file"
+    why_not = staticmethod(why_not_readable)
+    anywhere = True
+    character = False
+
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)  # type: ignore
+    active_only: bpy.props.BoolProperty(  # type: ignore
+        name="Active Hand Only", description="Leave out the other hands of the capture", default=False
+    )
+
+    def _title(self, context):
+        return hand_in(context).collection.name
+
+    def _draw_own(self, layout):
+        layout.prop(self, "active_only")
+
+    def _left_out(self, chosen):
+        others = (
+            [o.name for hand in chosen for o in hung_on(hand)] if self._exporter.writes == "hands" else []
+        )
+        if not others:
+            return ""
+        return f" without {', '.join(others)}: only hands are exported, not what hangs on them"
+
+    def _chosen(self, context) -> list[CapturedHand]:
         active = hand_in(context)
         if self.active_only:
             return [active]
@@ -154,10 +216,5 @@ class MANIENT_OT_export_hand(OnHand, bpy.types.Operator):
                 own.setdefault(hand.index, hand)  # copies of a hand are left out
         return [own[index] for index in sorted(own)]
 
-    def _stage(self, scene, hands: list[CapturedHand]) -> Stage:
-        if self.frame_range == "SCENE" or self._exporter.writes != "hands":
-            return Stage.of_scene(scene)
-        frames = [f for hand in hands for f in read_pose_keys(hand.rig).frames.tolist()]
-        if not frames:
-            raise OptionError("the hands have no keys; export the scene's frame range instead")
-        return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
+    def _keyed(self, chosen) -> list[float]:
+        return [f for hand in chosen for f in read_pose_keys(hand.rig).frames.tolist()]

@@ -104,7 +104,6 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         done = live_link.keyed(armature)
         text = "Live Link" if done is None else f"Live Link: Keys {done:.0%}"
         layout.prop(character, "live", text=text, icon="LINKED", toggle=True)
-        layout.operator("manient.export_character", icon="EXPORT")
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
             sentence(layout, context, capitalised(trouble), "ERROR", alert=True)

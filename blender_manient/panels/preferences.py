@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from .. import cache, preferences, shared_worker
+from .. import cache, plugins, preferences, shared_worker
 from ..operators import check_installation, check_mano
 from ..section import sentence, split
+from ..wording import capitalised
 
 
 class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
@@ -18,7 +19,7 @@ class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
         """One block per subject."""
         layout = self.layout
         split(layout)
-        for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits):
+        for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits, _draw_plugins):
             draw(self, layout.column(), context)
 
 
@@ -67,3 +68,10 @@ def _draw_habits(self, layout: bpy.types.UILayout, _context: bpy.types.Context) 
     layout.prop(self, "default_preset")
     layout.prop(self, "drop_captures")
     layout.prop(self, "hand_opacity")
+
+
+def _draw_plugins(_self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    layout.separator()
+    layout.operator("manient.open_plugins", icon="FILE_FOLDER")
+    for trouble in plugins.troubles():
+        sentence(layout, context, capitalised(trouble), "ERROR", alert=True)

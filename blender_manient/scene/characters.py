@@ -91,6 +91,20 @@ def why_not_reachable(armature: bpy.types.Object) -> str | None:
         return "This character is in Edit Mode: leave it first"
     if armature.data.pose_position == "REST":
         return "This character shows its rest position: set it to Pose Position (Object Data > Pose)"
+    return _why_mirrored(armature)
+
+
+def why_not_written(armature: bpy.types.Object, scene: bpy.types.Scene) -> str | None:
+    """Why a character cannot be written to a file: a sentence; None where it can. One that is linked can."""
+    if armature.name not in scene.objects:
+        return (
+            "This character is shown as an instance of a collection: make a library override of it (Object > "
+            "Relations > Make Library Override), or open its own file"
+        )
+    return _why_mirrored(armature)
+
+
+def _why_mirrored(armature: bpy.types.Object) -> str | None:
     size = np.array(armature.matrix_world.to_3x3(), dtype=np.float64)
     if not np.linalg.det(size) > 0.0:
         return (

@@ -1,14 +1,15 @@
-"""A plain copy of a hand's rig for programs that take files literally.
+"""A plain copy of a hand's or a character's rig for programs that take files literally.
 
-Everything that moves the rig (keys, NLA, constraints, parents, the object itself) becomes keys of its bones,
-one per frame; the object stands still with scale 1. Lengths and axes lie in the data instead of in
-the object, so that no program has a scale or a turn to undo.
+Of a character it has the bones that deform, and no controls. Everything that moves the rig (keys, NLA,
+constraints, parents, the object itself) becomes keys of its bones, one per frame; the object stands still
+with scale 1. Lengths and axes lie in the data instead of in the object, so that no program has a scale or a
+turn to undo.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -23,12 +24,13 @@ from ..exporters.exporter import HandObjects
 from ..rigs import rig_of
 from ..rigs.controls import control_bones
 from .animation import new_curve
+from .deform_bones import deforming_tree
 from .sampling import Sampled, rotations_of, sample
 
 
 @dataclass(frozen=True)
 class CleanHand:
-    """A plain copy of a hand."""
+    """A plain copy of a hand or a character."""
 
     side: Side | None
     armature: bpy.types.Object
@@ -55,13 +57,17 @@ def clean_rig(
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
     the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
     in the open scene, which has the copy instead afterwards; its names are lent to the copy. When the context
-    ends the copy is gone.
+    ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy.
     """
     scene = bpy.context.scene
     turned = np.eye(4)
     if turn is not None:
         turned[:3, :3] = turn
-    sampled = sample(hand.armature, frames, scene).without(control_bones(hand.armature).values())
+    tree, standing = deforming_tree(hand.armature) if hand.side is None else ({}, {})
+    if tree:
+        sampled = sample(hand.armature, frames, scene, tree).hung(tree)
+    else:
+        sampled = sample(hand.armature, frames, scene).without(control_bones(hand.armature).values())
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
 
@@ -78,16 +84,21 @@ def clean_rig(
         armature.data.transform(Matrix(grow))
         armature.matrix_basis = Matrix(np.linalg.inv(turned))
         for mesh, copied, own in zip(originals[1:], copies[1:], names[1:], strict=True):
-            local = np.array(hand.armature.matrix_world.inverted() @ mesh.matrix_world)
+            carrier = mesh.parent_bone if mesh.parent == hand.armature and mesh.parent_type == "BONE" else ""
+            local = _at_rest(hand.armature, mesh, carrier)
             copied.name = own
             copied.data.transform(Matrix(grow @ local), shape_keys=True)
             copied.parent = armature
             copied.matrix_parent_inverse = Matrix.Identity(4)
             copied.matrix_basis = Matrix.Identity(4)
-            _retarget(copied, hand.armature, armature)
-        if control_bones(armature):
+            _retarget(copied, hand.armature, armature, tree)
+            if carrier and not any(m.type == "ARMATURE" for m in copied.modifiers):
+                _deform_by(copied, armature, standing[carrier])
+        if not tree and control_bones(armature):
             rig_of(armature, hand.side).remove_controls()
         _plain_bones(armature)
+        if tree:
+            _hang(armature, tree)
         metres = np.diag([units * metres_per_unit] * 3 + [1.0]) @ sampled.world
         action = _bake(armature, sampled, turned @ metres, size, frames)
         for original in originals:
@@ -102,10 +113,15 @@ def clean_rig(
 
 def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:
     """A copy with data of its own, that nothing moves."""
-    obj = original.copy()
-    obj.data = original.data.copy()
+    obj, data = original.copy(), original.data.copy()
+    for copied in (obj, data):
+        if copied.override_library is not None:  # of which nothing could be taken away
+            copied.make_local(clear_liboverride=True)
+    obj.data = data
     obj.animation_data_clear()
-    obj.parent = None
+    if obj.type == "ARMATURE":
+        data.animation_data_clear()
+    obj.parent, obj.parent_type, obj.parent_bone = None, "OBJECT", ""
     for constraint in list(obj.constraints):
         obj.constraints.remove(constraint)
     obj.rotation_mode = "QUATERNION"
@@ -114,8 +130,43 @@ def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Objec
     return obj
 
 
-def _retarget(mesh: bpy.types.Object, old: bpy.types.Object, new: bpy.types.Object) -> None:
-    """Modifiers and shape keys of the copy follow the copied bones."""
+def _at_rest(armature: bpy.types.Object, mesh: bpy.types.Object, carrier: str) -> np.ndarray:
+    """(4, 4) from a mesh's space to the armature's, with the bone `carrier` that carries it at rest."""
+    local = np.array(armature.matrix_world.inverted() @ mesh.matrix_world)
+    if not carrier:
+        return local
+    posed = np.array(armature.pose.bones[carrier].matrix)
+    return np.array(armature.data.bones[carrier].matrix_local) @ np.linalg.inv(posed) @ local
+
+
+def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) -> None:
+    """Have one bone alone deform a mesh; without a name it stays where it is."""
+    if bone:
+        mesh.vertex_groups.clear()
+        mesh.vertex_groups.new(name=bone).add(range(len(mesh.data.vertices)), 1.0, "REPLACE")
+        mesh.modifiers.new("Armature", "ARMATURE").object = armature
+
+
+def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
+    """Leave an armature of the open scene the bones of a tree, as `deforming_tree` gives it."""
+    layer = bpy.context.view_layer
+    layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    bones = armature.data.edit_bones
+    bones_left_out = [bone for bone in bones if bone.name not in tree]
+    for bone in bones:
+        bone.use_connect = False
+    for bone in bones_left_out:
+        bones.remove(bone)
+    for name, parent in tree.items():
+        bones[name].parent = bones[parent] if parent else None
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def _retarget(
+    mesh: bpy.types.Object, old: bpy.types.Object, new: bpy.types.Object, tree: Mapping[str, str]
+) -> None:
+    """Modifiers and shape keys of the copy follow the copied bones; drivers by other bones stay."""
     for modifier in mesh.modifiers:
         if modifier.type == "ARMATURE" and modifier.object == old:
             modifier.object = new
@@ -125,7 +176,7 @@ def _retarget(mesh: bpy.types.Object, old: bpy.types.Object, new: bpy.types.Obje
     for curve in keys.animation_data.drivers:
         for variable in curve.driver.variables:
             for target in variable.targets:
-                if target.id == old:
+                if target.id == old and (not tree or target.bone_target in tree):
                     target.id = new
 
 

@@ -1,4 +1,5 @@
-"""Writing hands to files of other programs: only their armatures and meshes, over a range of frames.
+"""Writing hands and characters to files of other programs: only their armatures and meshes, over a range of
+frames. Of a character's armature a file has the bones that deform, with a key on every frame.
 
 What else hangs on a hand (rings, gloves, other objects) is never written: it is no part of the hand, and
 programs that take the skeleton over would deform it wrongly.
@@ -21,7 +22,7 @@ import contextlib
 import errno
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
 import bpy
@@ -121,9 +122,9 @@ def export_hands(
     The files are `name.<suffix>`, unless the name has another ending that the format keeps; formats that hold
     one skeleton (BVH) get one file per hand, with `_left` and `_right` where there are two (`_left` and
     `_left2` for two left hands). Frame numbers are kept. `whole`, a collection and its camera, is what .blend
-    files hold; of a character they hold the whole open file. For takes the hands are `CapturedHand`s. Hands'
-    lengths are in metres (Unreal's FBX: centimetres), whatever the scene's unit; characters' are as Blender's
-    exporters have them by themselves. The rest of the open Blender file is neither written nor changed.
+    files hold; of a character they hold the whole open file. For takes the hands are `CapturedHand`s. Lengths
+    are in metres (Unreal's FBX: centimetres), whatever the scene's unit. The rest of the open Blender file is
+    neither written nor changed.
     Raises OptionError and OutputError.
     """
     chosen = find_exporter(fmt)
@@ -135,10 +136,11 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres, without controls, are as they should be in the file without more ado; a
-    # character's rig is written as its artist made it.
+    # Only hands of scenes in metres, without controls, are as they should be in the file without more ado.
     plain = np.isclose(stage.metres_per_unit, 1.0) and not any(control_bones(h.armature) for h in hands)
-    wanted = chosen.presets.get(preset, Preset(clean=not (plain or _is_character(hands))))
+    wanted = chosen.presets.get(preset, Preset(clean=not plain))
+    if _is_character(hands):
+        wanted = replace(wanted, clean=chosen.bakes)
     objects = [o for hand in hands for o in (hand.armature, *hand.meshes)]
     with contextlib.ExitStack() as stack:
         if whole is None and chosen.writes == "hands":  # a .blend keeps what is hidden
@@ -182,7 +184,7 @@ def _write_one(
     with written_whole(path) as beside:
         try:
             with _opened(chosen, hands, stage, preset, whole) as written:
-                chosen.write(beside, written, preset)
+                chosen.write(beside, written, preset, path)
             prove_whole(path, beside, chosen.is_whole)
         except (HandfitError, OSError):
             raise
@@ -226,7 +228,7 @@ def _opened(
             scene.unit_settings.scale_length = stage.metres_per_unit
         else:
             copies.enter_context(_files_by_name([hand.armature for hand in hands]))
-            for obj in _linked(hands):
+            for obj in _linked(hands, carriers=not preset.clean):
                 scene.collection.objects.link(obj)
             if not preset.clean:
                 scene.unit_settings.scale_length = stage.metres_per_unit
@@ -253,10 +255,10 @@ def _is_character(hands: Sequence[HandObjects]) -> bool:
     return any(hand.side is None for hand in hands)
 
 
-def _linked(hands: Sequence[HandObjects]) -> dict[bpy.types.Object, None]:
-    """What the exported scene holds: of characters also what carries them, without which glTF has neither."""
+def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.Object, None]:
+    """What the exported scene holds; with `carriers`, also the parents of characters."""
     found = dict.fromkeys(o for hand in hands for o in (hand.armature, *hand.meshes))
-    carried = list(found) if _is_character(hands) else []
+    carried = list(found) if carriers and _is_character(hands) else []
     for obj in carried:
         while (obj := obj.parent) is not None:
             found[obj] = None
@@ -282,9 +284,11 @@ def _files_by_name(armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
 
 
 def _root_name(root: str, hands: Sequence[HandObjects], index: int) -> str:
-    """`root` for one hand, `left_root` and so on for several."""
+    """`root` for one hand, `left_root` and so on for several; for a character that has such a bone, what
+    Unreal leaves out."""
     if not root or len(hands) == 1:
-        return root
+        bone = hands[0].armature.data.bones.get(root) if _is_character(hands) else None
+        return "Armature" if bone is not None and bone.use_deform else root
     side = hands[index].side
     before = sum(hand.side == side for hand in hands[:index])
     return f"{side}{before + 1 if before else ''}_{root}"

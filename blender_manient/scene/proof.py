@@ -1,7 +1,7 @@
 """Whether a file that Blender wrote is whole.
 
-Some of Blender's writers say nothing when the disk is full and leave the beginning of a file. Every format
-has something that is written last, or that says how long the file is, and that is what is looked at here.
+Blender's writers in C++ say nothing when the disk is full and leave the beginning of a file. Their formats
+have something that is written last, or that says how long the file is, and that is what is looked at here.
 """
 
 from __future__ import annotations

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
+
+_SHEARED = 1e-4
+"""What a bone's axes, of length 1, may be off"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,31 @@ class Sampled:
                 continue
             offset = np.linalg.inv(self.rest[parent]) @ self.rest[bone]
             found[:, bone] = np.linalg.inv(self.pose[:, parent] @ offset) @ self.pose[:, bone]
+        return found
+
+    def hung(self, tree: Mapping[str, str]) -> Sampled:
+        """Those bones alone, hanging as `tree` says: a bone's name and its parent's, empty for a root.
+
+        Files hold no shear: where a bone would have it because one above is stretched, those above keep their
+        places, turns and volume, and lose the stretch.
+        """
+        at = [self.names.index(name) for name in tree]
+        order = {name: index for index, name in enumerate(tree)}
+        parents = tuple(order.get(parent, -1) for parent in tree.values())
+        found = replace(
+            self, names=tuple(tree), parents=parents, rest=self.rest[at], pose=self.pose[:, at].copy()
+        )
+        basis = found.basis()[..., :3, :3]
+        plain = rotations_of(basis) * np.linalg.norm(basis, axis=-2)[..., None, :]
+        above = set()
+        for bone in np.flatnonzero(
+            np.abs(basis - plain).max(axis=(0, 2, 3), initial=0.0) > _SHEARED
+        ).tolist():
+            while (bone := parents[bone]) >= 0:
+                above.add(bone)
+        for bone in above:
+            posed = found.pose[:, bone, :3, :3]
+            posed[:] = rotations_of(posed) * np.cbrt(np.linalg.det(posed))[:, None, None]
         return found
 
     def without(self, names: Collection[str]) -> Sampled:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
@@ -17,6 +17,11 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.registry import Registry
 from handfit_core.skeleton import Side
+
+if TYPE_CHECKING:  # `stretches` is made of detectors
+    from handfit_core.detect.stretches import ClipDetector
+    from handfit_core.media.source import Media
+    from handfit_core.options import CaptureOptions
 
 
 class Detector:
@@ -97,9 +102,10 @@ class Backend:
     fingerprint: Callable[[DetectorSettings], str]
     """Names the packages' versions and the models that decide what is found, so that an evaluation knows
     which detections it may use again"""
-    clip: Callable[..., Any] | None = None
-    """Makes what finds the hands of a whole clip, where frames need not be looked at one after another: a
-    `stretches.ClipDetector`, of an opened `Media` and the `CaptureOptions`"""
+    clip: Callable[[Media, CaptureOptions], ClipDetector] | None = None
+    """Makes what finds the hands of a clip in chunks of 96 frames, each from its own frames alone. None: what
+    `open` makes looks at a clip frame after frame, in one process; no cut to another shot is noticed, and a
+    batch cannot `--split` the clip"""
     calibrated: bool = False
     """Whether `fit.doubt` can tell how far off its hands are likely to be. That was measured with MediaPipe's
     networks; of other keypoints it is not known, whatever they look like"""

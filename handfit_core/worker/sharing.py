@@ -10,6 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
+from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.networks import usable_threads
 from handfit_core.detect.stretches import (
     ClipDetector,
@@ -277,7 +278,10 @@ def answer(
         _open.clear()
         known = CaptureOptions.of_message(options or {})
         media = open_media(given, known.frames, max_megapixels=known.max_megapixels)
-        _open[asked] = ClipDetector(media, known)
+        clip = DETECTORS.get(known.detector).clip
+        if clip is None:
+            raise OptionError(f"the detector {known.detector} does not look at chunks of a clip")
+        _open[asked] = clip(media, known)
     detector = _open[asked]
     found = detector.stretch(index, lambda done: on_progress("detect", done, STRETCH), should_stop)
     return to_message(found)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -21,8 +20,7 @@ from .exporter import Exporter
 
 class Nameless(Exporter):
     suffix = ".none"
-    def write(self, path, hands, preset): path.write_text("something")
-    def is_whole(self, stream, size): return {}["whole"]
+    def write(self, path, hands, preset, final): path.write_text({}["whole"])
 
 class Usurper(Nameless):
     name, label, description = "fbx", "FBX", "Another"
@@ -32,7 +30,7 @@ class Failing(Nameless):
 
 class Half(Exporter):
     name = label = description = suffix = ".half"
-    def write(self, path, hands, preset): pass
+    def reads(self): pass
 """,
     "rigs": """
 from .character import Character
@@ -74,9 +72,15 @@ scene, wrists = bpy.context.scene, []
 for frame in range(scene.frame_start, scene.frame_end + 1):
     scene.frame_set(frame)
     wrists.append(",".join(f"{x:.6f}" for x in hand.armature.matrix_world @ hand.armature.pose.bones[0].head))
-assert Path(sys.argv[2] + ".csv").read_text().split("\\n") == [*wrists, "end", ""], wrists
+assert Path(sys.argv[2] + ".csv").read_text().split("\\n") == ["out", *wrists, ""], wrists
 from blender_manient.exporters import EXPORTERS
 assert type(EXPORTERS["fbx"]).__name__ == "FbxExporter"
+from blender_manient.panels.preferences import ManientPreferences
+from blender_manient import preferences
+from tests.drawn import drawn
+shown = drawn(ManientPreferences, **{name: "" for name in preferences.Values.__annotations__})
+assert "Broken.py is left out" in shown.loud or "broken.py is left out" in shown.loud, shown.loud
+assert bpy.ops.manient.open_plugins() == {"FINISHED"}
 try:
     bpy.ops.manient.export_hand(filepath=sys.argv[2], file_format="failing")
 except RuntimeError as error:
@@ -189,14 +193,15 @@ def make(heading: str, folder: Path) -> None:
     [("An exporter", "exporters", EXPORT), ("A rig", "rigs", RIG), ("A character", "rigs", CHARACTER)],
 )
 def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
-    shutil.copytree(ROOT / "blender_manient", tmp_path / "blender_manient")
-    shutil.copy(ROOT / "blender_manifest.toml", tmp_path)
-    make(heading, tmp_path / "blender_manient" / folder)
+    plugins = tmp_path / "user" / "manient" / folder
+    plugins.mkdir(parents=True)
+    make(heading, plugins)
+    (plugins / "fbx.py" if folder == "exporters" else plugins / "rigify.py").write_text(BROKEN)
     take = make_take(sides=("right",)).take.save(tmp_path / "hand.take.npz")
     done = subprocess.run(
         [sys.executable, "-c", script + END, str(take), str(tmp_path / "out")],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        env={**os.environ, "PYTHONPATH": str(ROOT), "BLENDER_USER_DATAFILES": str(tmp_path / "user")},
         capture_output=True,
         text=True,
         timeout=300,
@@ -204,10 +209,11 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "broken.py is left out" in done.stderr
+    assert "py is left out: the add-on has a file of this name" in done.stderr
     for said in {
         "An exporter": (
             "aaa.py is left out: Nameless has no name, label, description",
-            "aaa.py is left out: Half has no is_whole",
+            "aaa.py is left out: Half has no write",
             "Usurper of aaa.py is left out: there is a format 'fbx' already",
         ),
         "A rig": ("the plug-in aaa.py failed in Raising (KeyError: ",),

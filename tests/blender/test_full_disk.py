@@ -59,7 +59,7 @@ def test_nothing_good_is_lost(make_take, tmp_path, kind):
             assert "free some space or choose another folder" in message
 
 
-@pytest.mark.parametrize("fmt", [name for name, e in EXPORTERS.items() if e.writes != "captured"])
+@pytest.mark.parametrize("fmt", ["blend", "usd", "abc"])
 def test_no_beginning_of_a_file_is_taken_for_the_whole(make_take, tmp_path, fmt):
     if EXPORTERS[fmt].why_not():
         pytest.skip(f"this Blender cannot write {fmt}")

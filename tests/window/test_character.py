@@ -29,9 +29,9 @@ def test_motion_on_a_rigify_character(blender, make_long_take, tmp_path):
 
 
 def test_a_bodys_hands_go_onto_a_rigify_character_and_out_to_avatars(blender, make_long_take, tmp_path):
-    source, vrma = tmp_path / "walk.smplx.npz", tmp_path / "walk.vrma"
+    source, vrma, fbx = (tmp_path / f"walk.{ending}" for ending in ("smplx.npz", "vrma", "fbx"))
     writer_for(source).write(Take.load(make_long_take(FRAMES)), source)
-    seen = blender.play("character.of_another_program", source=source, vrma=vrma, timeout=400).value
+    seen = blender.play("character.of_another_program", source=source, vrma=vrma, fbx=fbx, timeout=400).value
     assert [(hand["side"], hand["frames"], hand["detected"]) for hand in seen["captured"]] == [
         ("left", FRAMES, FRAMES),
         ("right", FRAMES, FRAMES),
@@ -41,6 +41,9 @@ def test_a_bodys_hands_go_onto_a_rigify_character_and_out_to_avatars(blender, ma
     content = vrma.read_bytes()
     assert content[:4] == b"glTF"
     assert b"VRMC_vrm_animation" in content
+    content = fbx.read_bytes()
+    assert b"DEF-f_index.01.L" in content
+    assert b"ORG-" not in content
 
 
 def test_what_keeps_a_character_from_motion_is_said(blender, make_long_take, tmp_path):

@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,12 +13,14 @@ import pytest
 
 from handfit_core.detect import stretches
 from handfit_core.detect.cuts import Glance
-from handfit_core.detect.detector import Detected
+from handfit_core.detect.detector import DETECTORS, Detected
+from handfit_core.detect.stretches import Stretch
 from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
+from handfit_core.solvers import never
 from handfit_core.worker import sharing
 from handfit_core.worker.client import Worker
 from tests.core.detect.clips import SAMPLE, picture, write_two_hands
@@ -228,3 +231,20 @@ def test_all_cores_but_one_help_by_themselves(monkeypatch: pytest.MonkeyPatch) -
         assert sharing.usable_processes(None, 10_000) == expected
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     assert sharing.usable_processes(None, 10_000) == 2
+
+
+def test_a_helper_looks_with_the_clip_of_the_named_detector(
+    clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that helps with a clip of a plug-in's detector looked with our own networks before."""
+
+    class Blind(stretches.ClipDetector):
+        def stretch(self, *_: object) -> Stretch:
+            return Stretch([7], [()], [], [3], [], None, None)
+
+    blind = replace(DETECTORS.get("direct"), clip=Blind)
+    monkeypatch.setitem(DETECTORS._parts, "direct", blind)
+    monkeypatch.setattr(sharing, "_open", {})
+    message = {"input": [str(clip)], "options": CaptureOptions().to_message(), "index": 0}
+    done = sharing.of_message(sharing.answer(message, never, lambda *_: None), 0.5)
+    assert (done.numbers, done.counts) == ([7], [3])

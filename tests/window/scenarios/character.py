@@ -55,10 +55,10 @@ def applied(stage, take, blend):
     return seen
 
 
-def of_another_program(stage, source, vrma):
+def of_another_program(stage, source, vrma, fbx):
     """Another program's hands as the source of a capture; put onto a Rigify character, and what that does
     exported for avatars, both by mouse."""
-    with opened_by_default("MANIENT_PT_character"):
+    with opened_by_default("MANIENT_PT_character", "MANIENT_PT_export"):
         job = yield from capture(stage, source)
         captured = summary()
         yield from rigify_character(stage)
@@ -71,9 +71,17 @@ def of_another_program(stage, source, vrma):
         yield from stage.leave_popups()
         yield from stage.screenshot("interchange-applied")
         bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+        bpy.context.scene.manient.export_format = "vrma"
+        yield 0.5
+        yield from stage.screenshot("character-export")
         yield from press(stage, "bpy.ops.manient.export_character(")
         yield from stage.choose_file(vrma, "interchange-export")
         yield 1.0
+        bpy.context.scene.manient.export_format = "fbx"
+        yield 0.5
+        yield from press(stage, "bpy.ops.manient.export_character(")
+        yield from stage.choose_file(fbx, "character-export-fbx")
+        yield 2.0
     return {"captured": captured, "keys": _keys(), "warnings": list(job.warnings), "turns": _turns()}
 
 
