@@ -10,12 +10,12 @@ from functools import partial
 
 import numpy as np
 
-from handfit_core.detect.detector import DETECTORS, Detected
+from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import same_hand
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.regions import looked_at, shown_in
-from handfit_core.detect.stretches import ClipDetector, Stretch
+from handfit_core.detect.stretches import Stretch
 from handfit_core.errors import Cancelled, InputError, OptionError
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
@@ -26,7 +26,7 @@ from handfit_core.worker.sharing import shared
 
 log = logging.getLogger("handfit")
 
-LookedAt = Callable[[ClipDetector, CaptureOptions, Callable[[int], None], ShouldStop], list[Stretch]]
+LookedAt = Callable[[ChunkedDetector, CaptureOptions, Callable[[int], None], ShouldStop], list[Stretch]]
 """Has the stretches of a clip looked at, and gives those from the beginning on; as `worker.sharing.shared`"""
 
 
@@ -120,7 +120,7 @@ def _one_by_one(
     return Detected(numbers, found, detector.most_seen)
 
 
-def _in_stretches(detector: ClipDetector, stretches: list[Stretch]) -> Detected:
+def _in_stretches(detector: ChunkedDetector, stretches: list[Stretch]) -> Detected:
     """What is found in a clip, whoever looked at its stretches."""
     frames, cuts = detector.joined(stretches)
     # At least twice, since one picture may show what only looks like a hand.

@@ -22,12 +22,12 @@ from ..section import sentence, split
 from .needs_hand import OnHand, errors_reported, hand_in
 
 
+_OF_HANDS = "holds captured hands, no characters"
+
+
 def why_not_written(exporter: Exporter, *, character: bool) -> str:
     """Why a format cannot be written of a hand or a character, as part of a sentence; empty if it can."""
-    return (
-        "holds captured hands, no characters" * (character and exporter.writes == "captured")
-        or exporter.why_not()
-    )
+    return _OF_HANDS if character and exporter.writes == "captured" else exporter.why_not()
 
 
 def format_buttons(
@@ -124,8 +124,8 @@ class Exports:
         self._fill_in(context)
         if not self.filepath:
             raise OptionError("choose a file to export to")
-        if reason := why_not_written(self._exporter, character=self.character):
-            raise OptionError(f"{self._exporter.label}: {reason}")
+        if self.character and self._exporter.writes == "captured":
+            raise OptionError(f"{self._exporter.label} {_OF_HANDS}: choose another format")
         chosen, path = self._chosen(context), self._path()
         files = export_hands(
             chosen,
@@ -174,7 +174,8 @@ class Exports:
             return Stage.of_scene(scene)
         frames = self._keyed(chosen)
         if not frames:
-            raise OptionError("what is exported has no keys; export the scene's frame range instead")
+            who = "the character has" if self.character else "the hands have"
+            raise OptionError(f"{who} no keys; export the scene's frame range instead")
         return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
 
 

@@ -9,19 +9,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
+from handfit_core.media.source import Media
 from handfit_core.registry import Registry
 from handfit_core.skeleton import Side
-
-if TYPE_CHECKING:  # `stretches` is made of detectors
-    from handfit_core.detect.stretches import ClipDetector
-    from handfit_core.media.source import Media
-    from handfit_core.options import CaptureOptions
 
 
 class Detector:
@@ -92,6 +88,31 @@ class DetectorSettings:
     """Whether one look at the whole picture is enough: faster, and finds less"""
 
 
+class ChunkedDetector(Protocol):
+    """Finds the hands of one clip in chunks of 96 frames. Use it as a context manager; ours is
+    `stretches.ClipDetector`, which also makes and joins the `stretches.Stretch` of a chunk."""
+
+    media: Media
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def close(self) -> None:
+        """Give memory, threads and the file back."""
+
+    def single_threaded(self) -> None:
+        """Leave the other cores to other processes."""
+
+    def stretch(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Any:
+        """The `Stretch` after `index` others, from its own frames alone. `on_frame` is called with the count of
+        its frames so far; `should_stop` is asked before each, and what was found by then is returned."""
+
+    def joined(self, stretches: Sequence[Any], /) -> tuple[list[tuple[HandDetection, ...]], list[int]]:
+        """The hands of all frames, and the rows that begin another shot."""
+        ...
+
+
 @dataclass(frozen=True)
 class Backend:
     """One way to find hands, and what it can do."""
@@ -102,10 +123,10 @@ class Backend:
     fingerprint: Callable[[DetectorSettings], str]
     """Names the packages' versions and the models that decide what is found, so that an evaluation knows
     which detections it may use again"""
-    clip: Callable[[Media, CaptureOptions], ClipDetector] | None = None
-    """Makes what finds the hands of a clip in chunks of 96 frames, each from its own frames alone. None: what
-    `open` makes looks at a clip frame after frame, in one process; no cut to another shot is noticed, and a
-    batch cannot `--split` the clip"""
+    clip: Callable[[Media, Any], ChunkedDetector] | None = None
+    """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: what `open` makes
+    looks at it frame after frame, in one process; no cut to another shot is noticed, and a batch cannot
+    `--split` it"""
     calibrated: bool = False
     """Whether `fit.doubt` can tell how far off its hands are likely to be. That was measured with MediaPipe's
     networks; of other keypoints it is not known, whatever they look like"""

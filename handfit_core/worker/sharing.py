@@ -10,10 +10,9 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.detector import DETECTORS, ChunkedDetector
 from handfit_core.detect.networks import usable_threads
 from handfit_core.detect.stretches import (
-    ClipDetector,
     Stretch,
     stretches_from_arrays,
     stretches_to_arrays,
@@ -44,7 +43,7 @@ _GRACE: Final = 1.0
 
 
 def shared(
-    detector: ClipDetector,
+    detector: ChunkedDetector,
     options: CaptureOptions,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
@@ -93,7 +92,7 @@ class _Shared:
 
     def __init__(
         self,
-        detector: ClipDetector,
+        detector: ChunkedDetector,
         options: CaptureOptions,
         on_progress: Callable[[int], None],
         should_stop: Callable[[], bool],
@@ -256,7 +255,7 @@ class _Shared:
         self._take(index, Stretch(numbers, [()] * len(numbers), [], [], [], None, None))
 
 
-_open: dict[str, ClipDetector] = {}
+_open: dict[str, ChunkedDetector] = {}
 """The clip that this process helps with, by what was asked"""
 
 

@@ -81,6 +81,10 @@ from tests.drawn import drawn
 shown = drawn(ManientPreferences, **{name: "" for name in preferences.Values.__annotations__})
 assert "Broken.py is left out" in shown.loud or "broken.py is left out" in shown.loud, shown.loud
 assert bpy.ops.manient.open_plugins() == {"FINISHED"}
+from blender_manient import plugins
+assert all((plugins.folder() / kind).is_dir() for kind in ("exporters", "rigs"))
+extensions = Path(bpy.utils.user_resource("EXTENSIONS"))  # replaced and removed with an extension
+assert extensions not in plugins.folder().parents
 try:
     bpy.ops.manient.export_hand(filepath=sys.argv[2], file_format="failing")
 except RuntimeError as error:
