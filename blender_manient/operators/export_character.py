@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..properties import EXPORT_FORMATS
@@ -41,7 +43,8 @@ class MANIENT_OT_export_character(Exports, Refuses, bpy.types.Operator):
             super()._fill_in(context)
 
     def _title(self, context):
-        return active_character(context).name
+        armature: Any = active_character(context)
+        return armature.name
 
     def _draw_own(self, layout):
         if self._exporter.bakes:

@@ -21,7 +21,6 @@ from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence, split
 from .needs_hand import OnHand, errors_reported, hand_in
 
-
 _OF_HANDS = "holds captured hands, no characters"
 
 
@@ -217,5 +216,5 @@ class MANIENT_OT_export_hand(Exports, OnHand, bpy.types.Operator):
                 own.setdefault(hand.index, hand)  # copies of a hand are left out
         return [own[index] for index in sorted(own)]
 
-    def _keyed(self, chosen) -> list[float]:
+    def _keyed(self, chosen: Any) -> list[float]:
         return [f for hand in chosen for f in read_pose_keys(hand.rig).frames.tolist()]

@@ -105,7 +105,7 @@ class ChunkedDetector(Protocol):
         """Leave the other cores to other processes."""
 
     def stretch(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Any:
-        """The `Stretch` after `index` others, from its own frames alone. `on_frame` is called with the count of
+        """The `Stretch` after `index` others, of its own frames alone. `on_frame` is called with the count of
         its frames so far; `should_stop` is asked before each, and what was found by then is returned."""
 
     def joined(self, stretches: Sequence[Any], /) -> tuple[list[tuple[HandDetection, ...]], list[int]]:

@@ -107,7 +107,7 @@ def moved(rig: bpy.types.Object, names: list[str]) -> None:
         bone.rotation_mode = "QUATERNION"
         bone.keyframe_insert("rotation_quaternion", frame=1)
         bone.rotation_quaternion = (1.0, *rng.uniform(-0.4, 0.4, 3))
-        bone.rotation_quaternion.normalize()
+        bone.rotation_quaternion.normalize()  # type: ignore
         bone.keyframe_insert("rotation_quaternion", frame=11)
 
 
