@@ -297,13 +297,14 @@ def _mean_error(hand: dict[str, Any]) -> str:
     share, pixels = hand["mean_error_of_hand"], hand["mean_reprojection_error_px"]
     if share is None or pixels is None:
         return "no mean error"
-    if not hand["error_known"]:  # a fit that lies on wrong keypoints is no better for it
-        return f"{NOT_KNOWN}, mean error {IN_PICTURE.said(share)} ({pixels:.1f} px)"
-    in_picture = f"mean error {IN_PICTURE.said(share)} ({IN_PICTURE.quality(share)}, {pixels:.1f} px)"
     likely, scale = hand["mean_expected_error"], expected_scale(hand["frames"])
-    if likely is None:
-        return in_picture
-    return f"likely error {scale.said(likely)} ({scale.quality(likely)}), {in_picture}"
+    if not hand["error_known"]:  # a fit that lies on wrong keypoints is no better for it
+        told, word = f"{NOT_KNOWN}, ", ""
+    elif likely is None:
+        told, word = "", f"{IN_PICTURE.quality(share)}, "
+    else:  # one word: the picture tells less
+        told, word = f"likely error {scale.said(likely)} ({scale.quality(likely)}), ", ""
+    return f"{told}mean error {IN_PICTURE.said(share)} ({word}{pixels:.1f} px)"
 
 
 class _LogHandler(logging.Handler):

@@ -16,14 +16,7 @@ import numpy as np
 
 from handfit_core.errors import HandfitError
 from handfit_core.files import is_file, written_whole
-from handfit_core.fit_quality import (
-    IN_PICTURE,
-    NOT_KNOWN,
-    Scale,
-    error_is_known,
-    expected_scale,
-    relative_errors,
-)
+from handfit_core.fit_quality import IN_PICTURE, Scale, error_is_known, expected_scale, relative_errors
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.pictures import read_picture
@@ -94,7 +87,7 @@ def write_sheet(
             good = not np.isfinite(errors[row]) or scale.quality(errors[row]) == "good"
             said = "" if good else f"  {scale.said(errors[row])}"
             if not any(map(error_is_known, group)):
-                said = f"  {NOT_KNOWN}"
+                said = "  not known"
             _write(cell, f"{take.frame_numbers[row]}{said}", doubtful=not good)
             cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
     sheet = np.concatenate(cells[:-1], axis=1)

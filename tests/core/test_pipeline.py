@@ -13,6 +13,7 @@ import pytest
 
 import handfit_core
 from handfit_core import Intrinsics, Progress, Take, capture, pipeline
+from handfit_core.__main__ import _mean_error
 from handfit_core.detect.detector import DETECTORS, Backend, Detector
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import HandChoice
@@ -306,6 +307,17 @@ def test_other_programs_keypoints_have_no_likely_error(solver: str, tmp_path: Pa
     assert taken.hands[0].doubtful is None
     assert "(good" not in report.line(report_of(taken))
     assert "likely error not known" in report.line(report_of(taken))
+
+
+def test_a_line_has_one_word() -> None:
+    hand = {"mean_error_of_hand": 0.045, "mean_reprojection_error_px": 2.2, "frames": 1, "error_known": True}
+    share = "mean error 4.5 % of the hand"
+    for error, known, said in (
+        (0.0183, True, f"likely error 18.3 mm (fair), {share} (2.2 px)"),
+        (None, True, f"{share} (poor, 2.2 px)"),
+        (None, False, f"likely error not known, {share} (2.2 px)"),
+    ):
+        assert _mean_error(hand | {"mean_expected_error": error, "error_known": known}) == said
 
 
 def report_of(taken: Take) -> report.Result:

@@ -114,7 +114,7 @@ def test_what_nobody_knows_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     take = take_with()
     unknown = replace(take.hands[0], expected_error=np.full((COUNT, 5), np.nan))
     write_sheet(replace(take, hands=(unknown,)), tmp_path / "a.jpg", frames=2)
-    assert written == ["1  likely error not known", "12  likely error not known"]
+    assert written == ["1  not known", "12  not known"]
 
 
 def test_small_hands_are_shown_close_up_behind_the_whole_picture(tmp_path: Path) -> None:
