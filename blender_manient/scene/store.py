@@ -121,7 +121,7 @@ def kept_take(collection: bpy.types.Collection) -> Take:
             f"the collection {collection.name} keeps no take, so its hands cannot be refined; import the "
             "take file, or capture again"
         )
-    return _read(collection, collection.manient.take, collection.manient.digest)
+    return _read(collection, "take", collection.manient.digest)
 
 
 def captured_take(collection: bpy.types.Collection) -> Take:
@@ -129,7 +129,7 @@ def captured_take(collection: bpy.types.Collection) -> Take:
     were added or mirrored since are in the kept one alone. Raises TakeError."""
     kept = collection.manient
     if kept_here() and kept.source_digest:
-        return _read(collection, kept.source_take, kept.source_digest)
+        return _read(collection, "source_take", kept.source_digest)
     return kept_take(collection)
 
 
@@ -325,10 +325,10 @@ def _moved_by(obj: bpy.types.Object, armature: bpy.types.Object) -> bool:
     return any(m.type == "ARMATURE" and m.object == armature for m in obj.modifiers)
 
 
-def _read(collection: bpy.types.Collection, text: str, digest: str) -> Take:
+def _read(collection: bpy.types.Collection, name: str, digest: str) -> Take:
     found = _cache.get(digest)
-    if found is None:
-        found = _decoded(collection, text, digest)
+    if found is None:  # the text of a long take is not read in every frame
+        found = _decoded(collection, getattr(collection.manient, name), digest)
         _remember(digest, found)
     if isinstance(found, TakeError):
         raise found
