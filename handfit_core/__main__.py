@@ -20,11 +20,11 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
 from handfit_core.farm.commands import add_work_command
+from handfit_core.files import path_of
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
@@ -146,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_output(command: argparse.ArgumentParser, what: str) -> None:
     """Where the result goes, and how it is told of."""
-    command.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.npz", help=what)
+    command.add_argument("-o", "--output", required=True, type=path_of, metavar="OUT.npz", help=what)
     command.add_argument(
         "--progress",
         choices=("bar", "json", "none"),

@@ -5,33 +5,60 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import stat
 import sys
 import tempfile
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import FileIO
 from itertools import accumulate
 from pathlib import Path
+from typing import BinaryIO
 
-from handfit_core.errors import OutputError
+from handfit_core.errors import HandfitError, OutputError
 
 PART = ".part-"
 """What names of folders begin with that hold results which are not whole yet. Whoever made one has taken it
 away where it is gone, or its disk was: nothing may be written where it was"""
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError if `written_whole(path)` could not work; leaves nothing behind."""
-    path = Path(path)
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:[/\\]")
+"""How an address begins; a drive of Windows has one letter"""
+
+
+def output_path(path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = ()) -> Path:
+    """Where a result of that name goes: ~ is the user's folder.
+
+    Raises OutputError for an address, for what is no file (a device would be gone), for one of the `inputs`,
+    and for names that no file can have.
+    """
+    path = path_of(path)
+    if _ADDRESS.match(str(path)):
+        raise OutputError(
+            f"{shown(path)}: this is an address, and results are files; name one of this machine"
+        )
     try:
-        os.lstat(path)  # tells of names that no file can have, which Path.is_dir hides
+        there = path.stat()
     except FileNotFoundError:
-        pass
+        return path
     except (OSError, ValueError) as error:
         raise OutputError(_cannot_write(path, error)) from error
-    if path.is_dir():
+    if stat.S_ISDIR(there.st_mode):
         raise OutputError(f"{shown(path)}: this is a folder; give the name of a file in it")
+    if not stat.S_ISREG(there.st_mode):
+        raise OutputError(f"{shown(path)}: this is a pipe, a device or the like; give the name of a file")
+    for each in inputs:
+        with contextlib.suppress(OSError, ValueError):
+            if os.path.samestat(path_of(each).stat(), there):
+                raise OutputError(f"{shown(path)}: this is an input, which stays; choose another name")
+    return path
+
+
+def check_writable(path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = ()) -> None:
+    """Raise OutputError if `written_whole(path)` could not work, or would replace one of the `inputs`; leaves
+    nothing behind."""
+    path = output_path(path, inputs)
     folder = path.absolute().parent
     while not folder.exists():
         folder = folder.parent
@@ -42,8 +69,9 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise OutputError(_cannot_write(path, error)) from error
 
 
-def read_file(path: str | os.PathLike[str], most: int) -> bytes:
-    """The bytes of a file of at most `most` bytes.
+@contextlib.contextmanager
+def opened_file(path: str | os.PathLike[str], most: int) -> Iterator[BinaryIO]:
+    """A file of at most `most` bytes, opened for reading.
 
     Raises OSError, with a reason in words, also for larger ones and for what is no file: a pipe would be
     waited for, and a device has no end. Raises ValueError for names that no file can have.
@@ -53,11 +81,17 @@ def read_file(path: str | os.PathLike[str], most: int) -> bytes:
     _checked_size(Path(path).stat(), most)
     flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, _flags: os.open(name, flags)) as stream:
-        size = _checked_size(os.fstat(stream.fileno()), most)
-        return stream.read(size)  # no more of a file that grows
+        _checked_size(os.fstat(stream.fileno()), most)
+        yield stream
 
 
-def _checked_size(found: os.stat_result, most: int) -> int:
+def read_file(path: str | os.PathLike[str], most: int) -> bytes:
+    """The bytes of a file of at most `most` bytes. Raises what `opened_file` raises."""
+    with opened_file(path, most) as stream:
+        return stream.read(os.fstat(stream.fileno()).st_size)  # no more of a file that grows
+
+
+def _checked_size(found: os.stat_result, most: int) -> None:
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(found.st_mode):
@@ -65,7 +99,6 @@ def _checked_size(found: os.stat_result, most: int) -> int:
     if found.st_size > most:
         size, largest = found.st_size // 1_000_000, most // 1_000_000
         raise OSError(errno.EFBIG, f"it is too large: {size} MB, and at most {largest} MB are read")
-    return found.st_size
 
 
 _SAMPLES = 16
@@ -132,14 +165,17 @@ def why(error: OSError | ValueError) -> str:
 
 
 @contextlib.contextmanager
-def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+def written_whole(
+    path: str | os.PathLike[str], read: Callable[[Path], object] | None = None
+) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it over `path` once the block succeeds.
 
     Makes the folder if need be, but none of `PART`. A crash, a full disk or an error leaves whatever stood
-    at `path` before; the new file is on the disk before it takes the old one's place. Raises OutputError with
-    the remedy when the folder cannot be written.
+    at `path` before; the new file is on the disk before it takes the old one's place. So does a file that
+    `read`, which opens it as whoever needs it will, refuses with a HandfitError. Raises OutputError with the
+    remedy when the folder cannot be written, and what `output_path` raises.
     """
-    path = Path(path)
+    path = output_path(path)
     try:
         if not path.parent.name.startswith(PART):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -152,6 +188,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     beside = Path(name)
     try:
         yield beside
+        if read is not None:
+            _check_readable(path, beside, read)
         flush(beside)
         # mkstemp makes files that only their owner may read; results are ordinary files.
         mask = os.umask(0)
@@ -166,6 +204,16 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+def _check_readable(path: Path, beside: Path, read: Callable[[Path], object]) -> None:
+    try:
+        read(beside)
+    except HandfitError as error:
+        reason = str(error).removeprefix(f"{beside}: ")
+        raise OutputError(
+            f"{shown(path)}: nothing was written, as nobody could read it again ({reason})"
+        ) from error
 
 
 _NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}

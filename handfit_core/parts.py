@@ -123,7 +123,7 @@ class Part:
         }
         arrays: dict[str, Any] = stretches_to_arrays(self.stretches)
         arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
-        with written_whole(path) as beside, beside.open("wb") as stream:
+        with written_whole(path, Part.load) as beside, beside.open("wb") as stream:
             np.savez_compressed(stream, **arrays)
         return Path(path)
 
@@ -214,6 +214,7 @@ class Parts:
                 self._end = end if self._end is None else min(end, self._end)
         if first is None:
             raise InputError("no part was given; name the .npz files that detect wrote")
+        self.files = tuple(paths)
         self._fingerprint, self._made_by, self._path = first.fingerprint, first.made_by, shown(paths[0])
         self.input: list[str] = first.input
         """as the first part has it"""

@@ -43,7 +43,7 @@ from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, Han
 from handfit_core.parts import Part, Parts, stretches_in
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
-from handfit_core.take import HandTrack, Take
+from handfit_core.take import MOST_HANDS, HandTrack, Take
 from handfit_core.worker.sharing import expected_frames, shared
 
 Chosen = TypeVar("Chosen", DetectedTrack, PosedHand)
@@ -236,7 +236,7 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
         tracks, count = link_and_count(
             seen.frames,
             hands,
-            most and max(most, len(options.regions)),
+            min(MOST_HANDS, max(most or MOST_HANDS, len(options.regions))),
             _rate(media, seen.numbers),
             tuple(holes),
             only_shown=options.only_regions,
@@ -294,11 +294,18 @@ def _recording(media: Media, options: CaptureOptions) -> Recording | None:
 
 
 def _chosen(options: CaptureOptions, hands: Sequence[Chosen]) -> list[Chosen]:
-    """Those of the wanted sides, as many as are wanted. Raises NoHandFoundError where none is left."""
+    """Those of the wanted sides, as many as are wanted. Raises NoHandFoundError where none is left, and
+    OptionError for more than a take holds."""
     kept = [hand for hand in hands if options.hands not in SIDES or hand.side == options.hands]
     if hands and not kept:
         raise NoHandFoundError(f"there is no {options.hands} hand in this input; take hands 'auto'")
-    return list(kept[: options.max_hands])
+    kept = kept[: options.max_hands]
+    if len(kept) > MOST_HANDS:
+        raise OptionError(
+            f"there are {len(kept)} hands in this input, and a take holds at most {MOST_HANDS}: keep the "
+            "first ones with --max-hands, or one person's with --person"
+        )
+    return list(kept)
 
 
 def _as_detected(
@@ -394,7 +401,7 @@ def capture_to_file(
 
     Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
     """
-    check_writable(output)
+    check_writable(output, _named(source, options, () if parts is None else parts.files))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture_with(source, options, progress, should_stop, parts)
     path = take.save(output, compact=compact)
@@ -404,6 +411,14 @@ def capture_to_file(
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
     }
+
+
+def _named(
+    source: MediaInput, options: CaptureOptions, others: Sequence[str | os.PathLike[str]] = ()
+) -> list[str | os.PathLike[str]]:
+    """The files that a capture is told to read, before which are videos and which patterns is known."""
+    given = [source] if isinstance(source, str | os.PathLike) else list(source)
+    return [*given, *others, *(each for each in (options.keypoints, options.model) if each)]
 
 
 def detect_to_file(
@@ -421,7 +436,7 @@ def detect_to_file(
 
     Raises what `capture` raises before it fits, but for NoHandFoundError, and OutputError.
     """
-    check_writable(output)
+    check_writable(output, _named(source, options))
     started = time.perf_counter()
     media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
     rows = stretches_in(media, part)

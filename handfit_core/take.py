@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,10 +17,10 @@ from typing import Any, BinaryIO, Final, Literal
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors.npz import NotNpz, NpzArchive, names_of
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
@@ -48,7 +47,8 @@ SMALLEST_FPS: Final = 1e-3
 LARGEST_FPS: Final = 1e6
 _LARGEST_SIDE: Final = 1 << 24
 """pixels of a picture"""
-_MOST_HANDS: Final = 200
+MOST_HANDS: Final = 200
+"""of a take"""
 
 
 @dataclass(frozen=True)
@@ -263,13 +263,16 @@ class Take:
                 f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
                 f"{self.width}x{self.height} pixels"
             )
+        if len(self.hands) > MOST_HANDS:
+            raise TakeError(f"a take holds at most {MOST_HANDS} hands, not {len(self.hands)}")
         for track in self.hands:
             track.check(count)
 
     def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
-        """Write the take as `.npz`, whole or not at all; `compact` as in `to_bytes`. Raises OutputError."""
-        path = Path(path)
-        with written_whole(path) as beside, beside.open("wb") as stream:
+        """Write the take as `.npz`, whole or not at all, and never over what it was made from; `compact` as
+        in `to_bytes`. Raises OutputError."""
+        path = output_path(path, self.source.files)
+        with written_whole(path, Take.load) as beside, beside.open("wb") as stream:
             self._write(stream, compact)
         return path
 
@@ -409,8 +412,8 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
     if source.get("kind") not in SOURCE_KINDS:
         raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
-    if len(sides) > _MOST_HANDS or not all(side in SIDES for side in sides):
-        raise ValueError(f"sides must be at most {_MOST_HANDS}, each left or right")
+    if len(sides) > MOST_HANDS or not all(side in SIDES for side in sides):
+        raise ValueError(f"sides must be at most {MOST_HANDS}, each left or right")
     if set(camera) != {"fx", "fy", "cx", "cy"}:
         raise ValueError("intrinsics must be fx, fy, cx and cy")
     return {
@@ -436,9 +439,9 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
 def is_take(path: str | os.PathLike[str]) -> bool:
     """Whether a file looks like a take, and not like another program's .npz. Raises nothing."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            return {"header.npy", "frame_numbers.npy"} <= set(archive.namelist())
-    except Exception:  # a damaged zip can fail in any way
+        with opened_file(path, MAX_FILE_BYTES) as stream:
+            return {"header", "frame_numbers"} <= names_of(stream)
+    except (OSError, ValueError, NotNpz):
         return False
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 from handfit_core.farm.commands import (
@@ -16,6 +15,7 @@ from handfit_core.farm.commands import (
     seconds,
 )
 from handfit_core.farm.templates import KINDS, MOST_JOBS
+from handfit_core.files import path_of
 from handfit_core.options import OPTIONS, add_options
 
 from .commands import COMMANDS, SLOT
@@ -44,7 +44,7 @@ def add_arguments(
         metavar="INPUT",
         help="photo, video, folder of either, name.%%04d.png or glob pattern, or a take (.npz)",
     )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="where results go")
+    parser.add_argument("-o", "--output", type=path_of, required=True, metavar="DIR", help="where results go")
     formats = ",".join(name for name, e in EXPORTERS.items() if e.writes != "captured")
     parser.add_argument("--format", default="blend,glb", help=f"of {formats} (default: blend,glb)")
     add_options(parser)
@@ -116,7 +116,7 @@ def add_commands(
 
 def _add_template_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what says how a farm's job file is made."""
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="default: beside the plan")
+    parser.add_argument("-o", "--output", type=path_of, metavar="FILE", help="default: beside the plan")
     parser.add_argument("--timeout", type=seconds, metavar="SECONDS", help="longest time for one input")
     parser.add_argument(
         "--jobs",

@@ -89,7 +89,7 @@ class MANIENT_OT_save_hand_preset(OnCharacter, bpy.types.Operator, ExportHelper)
         if not tables:
             raise HandModelError("neither hand has a bone yet: choose some in the table first")
         path = Path(bpy.path.abspath(self.filepath))
-        with written_whole(path) as beside:
+        with written_whole(path, read_preset) as beside:
             beside.write_text(to_preset(tables), encoding="utf-8")
         self.report({"INFO"}, f"Wrote the {_hands(tables)} to {path.name}")
         return {"FINISHED"}

@@ -28,7 +28,8 @@ class Glance:
     def at(cls, rgb: np.ndarray) -> Self:
         """Of a picture (H, W, 3) uint8 RGB."""
         step = max(1, max(rgb.shape[:2]) // FINENESS)
-        return cls(rgb[step // 2 :: step, step // 2 :: step].copy())
+        top, left = (min(step, side) // 2 for side in rgb.shape[:2])
+        return cls(rgb[top::step, left::step].copy())
 
     def is_cut_from(self, before: Glance) -> bool:
         """Whether the picture before this one was of another shot."""

@@ -12,6 +12,19 @@ from handfit_core.batch import Batch
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
+MOST_IN_FRAME: Final = 4000
+"""hands of one picture, as of 2 000 people: more are not told apart, nor followed"""
+
+
+def check_crowd(frames: np.ndarray) -> None:
+    """Raise ValueError where too many hands are in one frame. frames: (N,) the frame's number of each."""
+    numbers, counts = np.unique(frames, return_counts=True)
+    if counts.max(initial=0) > MOST_IN_FRAME:
+        raise ValueError(
+            f"there are {counts.max()} hands in frame {numbers[counts.argmax()]}, and at most "
+            f"{MOST_IN_FRAME} are read: the frames' numbers may not be told as expected"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Landmarked(Batch):
@@ -141,6 +154,7 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
                 known[name] = value if shape else float(value)
         known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
         hands.append(HandDetection(SIDES[side], **known))
+    check_crowd(np.repeat(np.arange(len(arrays["counts"])), arrays["counts"]))
     ends = np.cumsum(arrays["counts"])
     if ends[-1:].tolist() not in ([], [len(hands)]):
         raise ValueError(f"{len(hands)} hands are not as many as its frames count")

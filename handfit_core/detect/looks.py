@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import slices
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES, other_side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, other_side
 
 _PALM = [0, 5, 9, 13, 17]
 _BONES = [[parent, point] for point, parent in enumerate(KEYPOINT_PARENTS) if parent >= 0]
@@ -42,6 +44,69 @@ def distance(a: HandDetection, b: HandDetection, moved: np.ndarray | float = 0.0
     pixels."""
     size = max(a.extent, b.extent, 1e-9)
     return float(np.mean(np.linalg.norm(a.keypoints_2d + moved - b.keypoints_2d, axis=-1))) / size
+
+
+@dataclass(frozen=True, eq=False)
+class Crowd:
+    """N hands as arrays, so that many pairs of them are compared at once."""
+
+    points: np.ndarray
+    """(N, 21, 2) pixels"""
+    low: np.ndarray
+    """(N, 2) the upper left corners of their points' boxes"""
+    high: np.ndarray
+    """(N, 2) the lower right ones"""
+    middle: np.ndarray
+    """(N, 2) the means of their points"""
+    extent: np.ndarray
+    """(N,) pixels, as `HandDetection.extent`"""
+
+    @classmethod
+    def of(cls, hands: Sequence[HandDetection]) -> Crowd:
+        """These hands."""
+        points = np.array([hand.keypoints_2d for hand in hands]).reshape(-1, NUM_KEYPOINTS, 2)
+        low, high = points.min(axis=1), points.max(axis=1)
+        return cls(points, low, high, points.mean(axis=1), np.max(high - low, axis=1))
+
+    def distances(
+        self, mine: np.ndarray, other: Crowd, theirs: np.ndarray, most: float, moved: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """(P,) `distance` of the hands numbered `mine` (P,) of this crowd, once each has `moved` by (P, 2)
+        pixels, to those numbered `theirs` (P,) of the other; infinite where it is larger than `most`, which
+        their means alone mostly tell."""
+        moved = np.broadcast_to(moved, (len(mine), 2))
+        size = np.maximum(np.maximum(self.extent[mine], other.extent[theirs]), 1e-9)
+        apart = _lengths(self.middle[mine] + moved - other.middle[theirs])
+        found = np.full(len(mine), np.inf)
+        # The mean of the points' distances is no less than the distance of their means.
+        near = np.flatnonzero(apart <= most * size * 1.001)
+        for part in slices(len(near), _AT_ONCE):
+            rows = near[part]
+            apart = self.points[mine[rows]] + moved[rows, None] - other.points[theirs[rows]]
+            found[rows] = _lengths(apart).mean(axis=-1) / size[rows]
+        return found
+
+    def share_within(self, mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        """(P,) the shares of the points of the hands numbered `mine` (P,) that lie in the boxes of those
+        numbered `theirs` (P,)."""
+        share = np.zeros(len(mine))
+        meet = (self.low[mine] <= self.high[theirs]) & (self.high[mine] >= self.low[theirs])
+        both = np.flatnonzero(meet.all(axis=1))
+        for part in slices(len(both), _AT_ONCE):
+            rows = both[part]
+            points, of = self.points[mine[rows]], theirs[rows]
+            inside = (points >= self.low[of, None]) & (points <= self.high[of, None])
+            share[rows] = inside.all(axis=-1).mean(axis=-1)
+        return share
+
+
+_AT_ONCE: Final = 1 << 11
+"""pairs of hands whose points are compared at once: what a processor's cache holds"""
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    """(...) of (..., 2), as NumPy's norm has them, which takes several times as long."""
+    return np.sqrt(np.square(vectors[..., 0]) + np.square(vectors[..., 1]))
 
 
 def same_hand(a: HandDetection, b: HandDetection) -> bool:
@@ -107,10 +172,11 @@ def mean_of(hands: Sequence[HandDetection]) -> HandDetection:
 
 
 def shrunk(rgb: np.ndarray, across: int, down: int) -> np.ndarray:
-    """A picture (H, W, 3) uint8 with the means of blocks of so many pixels; less than a block is left out."""
+    """A picture (H, W, 3) uint8 with the means of blocks of so many pixels; less than a block is left out,
+    unless there is no whole one."""
     import cv2
 
-    height, width = rgb.shape[0] // down, rgb.shape[1] // across
+    height, width = max(1, rgb.shape[0] // down), max(1, rgb.shape[1] // across)
     return cv2.resize(rgb[: height * down, : width * across], (width, height), interpolation=cv2.INTER_AREA)
 
 

@@ -13,7 +13,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.looks import distance, overlapped
+from handfit_core.detect.looks import THICKNESS, Crowd, distance, overlapped
 from handfit_core.errors import NoHandFoundError
 from handfit_core.options import HandChoice
 from handfit_core.skeleton import SIDES, Side, other_side
@@ -136,9 +136,10 @@ def link_and_count(
 ) -> tuple[tuple[DetectedTrack, ...], int]:
     """`link_tracks`, and among how many hands of the whole clip (of that side) it chose. `only_shown`: among
     those that a person has said to be there."""
-    tracks = _merge(_link([without_duplicates(frame) for frame in frames]), _overlap)
-    tracks = _merge(tracks, _adjoin)
-    tracks = _merge(tracks, _may_return)
+    merging = _Merging(_link([without_duplicates(frame) for frame in frames]))
+    for one_hand in (_Merging.overlapping, _Merging.adjoining, _Merging.returning):
+        merging.merge(one_hand)
+    tracks = merging.tracks
     if only_shown:
         tracks = [track for track in tracks if track.shown]
         if not tracks:
@@ -155,23 +156,34 @@ def link_and_count(
         )
     most = max(t.weight for t in tracks)
     sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
+    rows = [_marked([track for track, _ in chosen], sure, i) for i in range(len(frames))]
     linked = tuple(
-        DetectedTrack(side, tuple(_beside(track, sure, i) for i in range(len(frames))), fps, holes)
-        for track, side in chosen
+        DetectedTrack(side, tuple(row[i] for row in rows), fps, holes) for i, (_, side) in enumerate(chosen)
     )
     return linked, max(len(chosen), sum(hands not in SIDES or t.side == hands for t in sure))
 
 
-def _beside(track: _OpenTrack, tracks: Sequence[_OpenTrack], frame: int) -> HandDetection | None:
-    """A track's detection, with its points marked that lie where another hand is."""
-    hand = track.detections.get(frame)
-    if hand is None:
-        return None
-    others = [t.detections[frame] for t in tracks if t is not track and frame in t.detections]
-    covered = np.any([overlapped(hand, other) for other in others], axis=0)
-    if hand.overlapped is not None:
-        covered = covered | hand.overlapped
-    return replace(hand, overlapped=covered) if np.any(covered) else hand
+def _marked(
+    chosen: Sequence[_OpenTrack], tracks: Sequence[_OpenTrack], frame: int
+) -> list[HandDetection | None]:
+    """The detections of the chosen tracks in a frame, with their points marked that lie where another hand
+    is."""
+    there = [track for track in tracks if frame in track.detections]
+    crowd = Crowd.of([track.detections[frame] for track in there])
+    margin = 1.001 * THICKNESS * crowd.extent[:, None]
+    marked: list[HandDetection | None] = []
+    for track in chosen:
+        hand = track.detections.get(frame)
+        if hand is not None:
+            low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
+            near = ((crowd.low - margin <= high) & (crowd.high + margin >= low)).all(axis=1)
+            others = [there[i].detections[frame] for i in np.flatnonzero(near) if there[i] is not track]
+            covered = np.any([overlapped(hand, other) for other in others], axis=0)
+            if hand.overlapped is not None:
+                covered = covered | hand.overlapped
+            hand = replace(hand, overlapped=covered) if np.any(covered) else hand
+        marked.append(hand)
+    return marked
 
 
 def _choose(
@@ -220,11 +232,13 @@ def _sureness(track: _OpenTrack) -> float:
 
 def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
     """One detection of each hand in one picture: the surest."""
-    hands: list[HandDetection] = []
-    for candidate in sorted(detections, key=lambda d: (d.shown, d.score), reverse=True):
-        if all(distance(candidate, other) > DUPLICATE_DISTANCE for other in hands):
-            hands.append(candidate)
-    return hands
+    ordered = sorted(detections, key=lambda d: (d.shown, d.score), reverse=True)
+    crowd, hands = Crowd.of(ordered), np.zeros(0, dtype=int)
+    for number in range(len(ordered)):
+        to_hands = crowd.distances(np.full(len(hands), number), crowd, hands, DUPLICATE_DISTANCE)
+        if np.all(to_hands > DUPLICATE_DISTANCE):
+            hands = np.append(hands, number)
+    return [ordered[number] for number in hands]
 
 
 def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
@@ -236,17 +250,10 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
         if not detections:
             continue
         tracks = [t for t in tracks if index - next(reversed(t.detections)) <= LOST_AFTER]
-        expected = [(t.last, t.displacement(index), t.side) for t in tracks]
-        cost = np.array(
-            [
-                [distance(last, d, moved) + SIDE_PENALTY * (side != d.likely_side) for d in detections]
-                for last, moved, side in expected
-            ]
-        ).reshape(len(tracks), len(detections))
+        cost = _costs(tracks, detections, index)
         limits = [_limit(index - next(reversed(t.detections))) for t in tracks]
         unmatched = set(range(len(detections)))
-        # A pair too far apart costs as much as none, or it would push another pair apart.
-        for row, column in zip(*linear_sum_assignment(np.minimum(cost, 3 * MATCH_DISTANCE)), strict=True):
+        for row, column in zip(*linear_sum_assignment(cost), strict=True):
             if cost[row, column] < limits[row]:
                 tracks[row].add(index, detections[column])
                 unmatched.discard(int(column))
@@ -258,41 +265,110 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
     return every
 
 
+def _costs(tracks: Sequence[_OpenTrack], detections: Sequence[HandDetection], frame: int) -> np.ndarray:
+    """(tracks, detections) how little a detection looks like what is expected of a track in that frame."""
+    last, now = Crowd.of([track.last for track in tracks]), Crowd.of(detections)
+    moved = np.array([track.displacement(frame) for track in tracks]).reshape(-1, 2)
+    sides = np.array([track.side == SIDES[0] for track in tracks], dtype=bool)
+    named = np.array([detection.likely_side == SIDES[0] for detection in detections])
+    # A pair too far apart costs as much as none, or it would push another pair apart.
+    most = 3 * MATCH_DISTANCE
+    cost = np.full((len(tracks), len(detections)), most)
+    columns = np.arange(len(detections))
+    for row in range(len(tracks)):
+        far = last.distances(np.full(len(columns), row), now, columns, most, moved[row])
+        cost[row] = np.minimum(far + SIDE_PENALTY * (sides[row] != named), most)
+    return cost
+
+
 def _limit(gap: int) -> float:
     return MATCH_DISTANCE * (1.0 + GAP_GROWTH * (gap - 1) if gap <= SHORT_GAP else 1.0)
 
 
-def _merge(tracks: list[_OpenTrack], one_hand: Callable[[_OpenTrack, _OpenTrack], bool]) -> list[_OpenTrack]:
-    """Merge tracks into surer ones of the same hand."""
-    merged: list[_OpenTrack] = []
-    for track in sorted(tracks, key=lambda t: t.weight, reverse=True):
-        for surer in merged:
-            if one_hand(surer, track):
-                surer.merge(track)
-                break
-        else:
-            merged.append(track)
-    return merged
+class _Merging:
+    """Tracks, of which those of one hand are merged: their detections as arrays, in the order of frames."""
 
+    def __init__(self, tracks: Sequence[_OpenTrack]) -> None:
+        self._tracks = tracks
+        rows = sorted((frame, number) for number, track in enumerate(tracks) for frame in track.detections)
+        detections = [tracks[number].detections[frame] for frame, number in rows]
+        self._crowd = Crowd.of(detections)
+        self._shown = np.array([detection.shown for detection in detections], dtype=bool)
+        self._frame, self._of = np.array(rows, dtype=int).reshape(-1, 2).T.copy()
+        """(N,) the frame of each detection, and the number of its track; -1: of none any more"""
+        self._sides = np.array([SIDES.index(track.side) for track in tracks], dtype=int)
+        self._merged = list(range(len(tracks)))
+        self._places = np.zeros(len(tracks) + 1, dtype=int)
+        """The places of tracks among the merged ones; as many as there are tracks: not among them yet, as it
+        is for the number -1"""
 
-def _overlap(a: _OpenTrack, b: _OpenTrack) -> bool:
-    """One hand that was found twice, often once as a left and once as a right one."""
-    common = a.detections.keys() & b.detections.keys()
-    same = sum(
-        distance(a.detections[i], b.detections[i]) < OVERLAP_DISTANCE
-        or _is_part_of(b.detections[i], a.detections[i])
-        for i in common
-    )
-    return same > len(common) / 2
+    @property
+    def tracks(self) -> list[_OpenTrack]:
+        """Those that there are by now."""
+        return [self._tracks[number] for number in self._merged]
 
+    def merge(self, one_hand: Callable[[_Merging, np.ndarray], np.ndarray]) -> None:
+        """Merge tracks into surer ones of the same hand: each into the surest of those that `one_hand`
+        numbers, given the track's rows."""
+        order = sorted(self._merged, key=lambda number: self._tracks[number].weight, reverse=True)
+        self._merged = []
+        self._places[:] = len(self._tracks)
+        for number in order:
+            mine = np.flatnonzero(self._of == number)
+            surer = one_hand(self, mine)
+            if not len(surer):
+                self._places[number] = len(self._merged)
+                self._merged.append(number)
+                continue
+            into = int(surer[np.argmin(self._places[surer])])
+            self._of[mine] = np.where(np.isin(self._frame[mine], self._frame[self._of == into]), -1, into)
+            self._tracks[into].merge(self._tracks[number])
+            self._sides[into] = SIDES.index(self._tracks[into].side)
 
-def _is_part_of(part: HandDetection, hand: HandDetection) -> bool:
-    """Fingers that were taken for another, smaller hand."""
-    if part.shown:
-        return False
-    points, whole = part.keypoints_2d, hand.keypoints_2d
-    inside = ((points >= whole.min(axis=0)) & (points <= whole.max(axis=0))).all(axis=-1)
-    return part.extent < PART_SIZE * hand.extent and float(inside.mean()) > PART_INSIDE
+    def overlapping(self, mine: np.ndarray) -> np.ndarray:
+        """Of one hand that was found twice, often once as a left and once as a right one."""
+        mine, theirs = self._beside(mine)
+        same = self._crowd.distances(theirs, self._crowd, mine, OVERLAP_DISTANCE) < OVERLAP_DISTANCE
+        # Or fingers were taken for another, smaller hand.
+        smaller = self._crowd.extent[mine] < PART_SIZE * self._crowd.extent[theirs]
+        part = np.flatnonzero(~same & ~self._shown[mine] & smaller)
+        same[part] = self._crowd.share_within(mine[part], theirs[part]) > PART_INSIDE
+        of, count = self._of[theirs], len(self._tracks)
+        return np.flatnonzero(2 * np.bincount(of[same], minlength=count) > np.bincount(of, minlength=count))
+
+    def adjoining(self, mine: np.ndarray) -> np.ndarray:
+        """Of one hand that was lost for a moment, and found near there, perhaps as one of the other side."""
+        theirs = np.flatnonzero(self._apart(mine)[self._of])
+        if not len(theirs):
+            return theirs
+        after = np.searchsorted(self._frame[mine], self._frame[theirs])
+        theirs, mine = np.tile(theirs, 2), mine.take(np.concatenate([after - 1, after]), mode="clip")
+        soon = np.abs(self._frame[theirs] - self._frame[mine]) <= SHORT_GAP
+        theirs, mine = theirs[soon], mine[soon]
+        near = np.isfinite(self._crowd.distances(theirs, self._crowd, mine, _limit(SHORT_GAP)))
+        maybe = np.unique(self._of[theirs[near]])
+        for number in maybe[np.argsort(self._places[maybe])].tolist():
+            if _adjoin(self._tracks[number], self._tracks[int(self._of[mine[0]])]):
+                return np.array([number])
+        return maybe[:0]
+
+    def returning(self, mine: np.ndarray) -> np.ndarray:
+        """Of a left hand that leaves the picture and a left hand that enters later."""
+        return np.flatnonzero(self._apart(mine)[:-1] & (self._sides == self._sides[self._of[mine[0]]]))
+
+    def _beside(self, mine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of these rows with those of surer tracks in the same frame: (P,) and (P,)."""
+        first, end = (np.searchsorted(self._frame, self._frame[mine], side) for side in ("left", "right"))
+        count = end - first
+        theirs = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
+        surer = self._places[self._of[theirs]] < len(self._tracks)
+        return np.repeat(mine, count)[surer], theirs[surer]
+
+    def _apart(self, mine: np.ndarray) -> np.ndarray:
+        """(tracks + 1,) bool: which surer tracks are in none of the frames of these rows."""
+        apart = self._places < len(self._tracks)
+        apart[self._of[self._beside(mine)[1]]] = False
+        return apart
 
 
 def _adjoin(a: _OpenTrack, b: _OpenTrack) -> bool:
@@ -304,8 +380,3 @@ def _adjoin(a: _OpenTrack, b: _OpenTrack) -> bool:
     gap, i, j = min(turns)
     before, after = (a, b) if i in a.detections else (b, a)
     return gap <= SHORT_GAP and distance(before.detections[i], after.detections[j]) < _limit(gap)
-
-
-def _may_return(a: _OpenTrack, b: _OpenTrack) -> bool:
-    """A left hand that leaves the picture and a left hand that enters later are one hand."""
-    return a.side == b.side and not a.detections.keys() & b.detections.keys()

@@ -14,7 +14,7 @@ import re
 import struct
 import zipfile
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
@@ -33,6 +33,8 @@ _LONGEST_DESCRIPTION: Final = 1024
 _END: Final = struct.Struct("<4s4H2LH")
 """A zip's last record: mark, four counts of which the last is of members, the table's size and place, and the
 length of a comment"""
+_LOCATOR: Final = 20
+"""bytes of the record that stands before it where a longer one is used"""
 
 
 class NotNpz(Exception):
@@ -50,8 +52,7 @@ class NpzArchive:
         """
         self._left = most_bytes
         try:
-            table = _table_start(data)
-            self._archive = zipfile.ZipFile(io.BytesIO(data))
+            self._archive, table = _opened(io.BytesIO(data))
             self._members = _members(self._archive, table)
         except NotNpz:
             raise
@@ -185,18 +186,33 @@ def _array_of(stream: Any, size: int, name: str, kinds: str, pay: Callable[[str,
     return flat.astype(wanted, copy=False).reshape(shape, order="F" if fortran else "C")
 
 
-def _table_start(data: bytes) -> int:
-    """Where the zip's table of contents begins, once it is known to be short enough to be read at all."""
-    if len(data) < _END.size:
+def names_of(stream: BinaryIO) -> set[str]:
+    """What the members of an `.npz` are called, without .npy; nothing else of them is read. Raises NotNpz."""
+    try:
+        archive, _ = _opened(stream)
+        return {name.removesuffix(".npy") for name in archive.namelist()}
+    except NotNpz:
+        raise
+    except Exception as error:  # a damaged zip can fail in any way
+        raise NotNpz(f"is no zip, or a damaged one ({error})") from error
+
+
+def _opened(stream: BinaryIO) -> tuple[zipfile.ZipFile, int]:
+    """The zip, once its table of contents is known to be short enough to be read at all, and where this
+    begins."""
+    length = stream.seek(0, io.SEEK_END)
+    if length < _END.size:
         raise NotNpz("is no zip")
+    stream.seek(max(0, length - _END.size - _LOCATOR))
+    data = stream.read()
     mark, _, _, _, count, size, _, comment = _END.unpack(data[-_END.size :])
     # Without a comment, the record that zipfile finds is this one. NumPy writes none, and uses the longer
     # records before it only for more than 4 GB.
-    if mark != b"PK\5\6" or comment or data[-_END.size - 20 :].startswith(b"PK\6\7"):
+    if mark != b"PK\5\6" or comment or data[: -_END.size].startswith(b"PK\6\7"):
         raise NotNpz("is no zip, or does not end where it should")
     if count > _MOST_MEMBERS or size > count * _LONGEST_ENTRY:
         raise NotNpz(f"has more than {_MOST_MEMBERS} members, or members with very long names")
-    return len(data) - _END.size - size
+    return zipfile.ZipFile(stream), length - _END.size - size
 
 
 def _members(archive: zipfile.ZipFile, table: int) -> dict[str, zipfile.ZipInfo]:

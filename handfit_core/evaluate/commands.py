@@ -9,6 +9,7 @@ from typing import get_args
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
+from handfit_core.files import check_writable, path_of
 from handfit_core.options import CaptureOptions, add_options
 
 REPORTS_NEED = ("pandas", "matplotlib", "jinja2")
@@ -27,7 +28,7 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
     add = command.add_argument
     add("dataset", type=Path, metavar="DIR", help="the data set's folder (docs/data-sets.md)")
     text = "folder for the report (default: out/evaluation/NAME-PROTOCOL)"
-    add("-o", "--output", type=Path, metavar="REPORT", help=text)
+    add("-o", "--output", type=path_of, metavar="REPORT", help=text)
     text = "solvers, and raw, fused, paper or all, separated by commas or spaces "
     text += f"(default: {','.join(DEFAULT_METHODS)})"
     add("--solvers", nargs="+", default=list(DEFAULT_METHODS), metavar="NAMES", help=text)
@@ -64,7 +65,6 @@ def _evaluate(args: argparse.Namespace) -> int:
     from handfit_core.evaluate.report import write_report
     from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
-    from handfit_core.files import check_writable
     from handfit_core.pipeline import Progress
 
     options = EvaluationOptions(

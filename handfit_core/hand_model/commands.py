@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from handfit_core.errors import OptionError
+from handfit_core.files import check_writable, path_of
 
 if TYPE_CHECKING:
     from handfit_core.hand_model.data import HandModel
@@ -35,9 +36,10 @@ def add_model_commands(subparsers: argparse._SubParsersAction) -> None:
 def _convert(args: argparse.Namespace) -> int:
     from handfit_core.hand_model.files import save_model_npz
 
-    source, target = Path(args.source).expanduser(), Path(args.target).expanduser()
+    source, target = path_of(args.source), path_of(args.target)
     if target.suffix.lower() != ".npz":
         raise OptionError(f"{target}: the converted model is a .npz file; give a name that ends in .npz")
+    check_writable(target, [source])
     model = _read(source)
     save_model_npz(model, target)
     print(f"{target}: {model.side} hand, {len(model.v_template)} vertices")

@@ -187,7 +187,7 @@ def save_model_npz(
             continue
         integer = np.issubdtype(array.dtype, np.integer)
         arrays[key] = np.asarray(array, dtype=np.int32 if integer else np.float32)
-    with written_whole(path) as beside:
+    with written_whole(path, load_model_npz) as beside:
         _save_npz_reproducibly(beside, arrays)
     return path
 

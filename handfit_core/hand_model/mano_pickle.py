@@ -171,7 +171,7 @@ def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
     data = pickle.dumps(content, protocol=2)
     # NumPy 2 names its private modules; under their old names NumPy 1 reads the file as well.
     data = data.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
-    with written_whole(path) as beside:
+    with written_whole(path, load_mano_pickle) as beside:
         beside.write_bytes(data)
     return path
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import time
 from pathlib import Path
 from typing import Any, Final
 
 from handfit_core.errors import InputError, NoHandFoundError, OptionError
-from handfit_core.files import check_writable, path_of, shown, written_whole
+from handfit_core.files import check_writable, output_path, path_of, shown, written_whole
 from handfit_core.interchange.opening import is_recording, read_recording
-from handfit_core.interchange.writers import WRITERS, writer_for
+from handfit_core.interchange.readers import READERS
+from handfit_core.interchange.writers import WRITERS, Writer, writer_for
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.take import HandTrack, Take, chosen, is_take
 
@@ -23,7 +25,9 @@ def add_interchange_commands(commands: Any) -> None:
         "convert", help="write a take, or another program's hands, in another format"
     )
     add_input(convert)
-    convert.add_argument("-o", "--output", required=True, type=Path, metavar="OUT", help="the file to write")
+    convert.add_argument(
+        "-o", "--output", required=True, type=path_of, metavar="OUT", help="the file to write"
+    )
     convert.add_argument(
         "--to",
         metavar="NAME",
@@ -105,9 +109,10 @@ def _convert(args: argparse.Namespace) -> int:
     write = writer.write_wrist if args.wrist else writer.write
     if write is None:
         raise OptionError(f"--wrist is no question where {writer.title} is written: leave it away")
-    check_writable(args.output)
+    check_writable(args.output, [*args.input, *(each for each in (args.keypoints, args.model) if each)])
     take = take_of_input(args)
-    with written_whole(args.output) as beside:
+    output_path(args.output, take.source.files)
+    with written_whole(args.output, lambda beside: _check_readable(writer, take, beside)) as beside:
         write(take, beside)
     args.reporter.done(
         {
@@ -118,6 +123,14 @@ def _convert(args: argparse.Namespace) -> int:
         }
     )
     return 0
+
+
+def _check_readable(writer: Writer, take: Take, path: Path) -> None:
+    """Read hands again in a format that is read here, too. Raises InputError."""
+    name = next((name for name, each in WRITERS.all().items() if each is writer), None)
+    if name in READERS.built_in() and take.hands:
+        with contextlib.suppress(OptionError):  # it wants to know more
+            read_recording(path, CaptureOptions(reader=name))
 
 
 def _info(args: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from handfit_core.detect.keypoints import check_crowd
 from handfit_core.doors.values import Unfit
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -25,7 +26,7 @@ from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
-from handfit_core.take import LARGEST
+from handfit_core.take import LARGEST, MOST_HANDS
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""
@@ -40,9 +41,6 @@ Z_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """To the camera frame from a world whose z axis points up, seen along its y axis"""
 
 MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
-
-MOST_HANDS: Final = 100
-"""in a frame, and persons whom a file tells apart"""
 
 Counted = Literal["flat", "mean"]
 """What poses count from: the flat hand, or the mean pose of MANO"""
@@ -285,24 +283,21 @@ def followed(
 
     A hand is the one that was closest to it last, among those of its side; there are as many of a side as
     were seen in one frame. Persons are counted as they appear. Raises Unfit for a person that there is not,
-    and for more than MOST_HANDS hands in a frame or persons.
+    and ValueError for more hands in a frame than are read, or more in all than a take holds.
     """
+    found = list(found)
+    check_crowd(np.array([hand.frame for hand in found], dtype=int))
     tracks: list[_Followed] = []
     by_frame: dict[int, list[FoundHand]] = {}
     for hand in found:
         by_frame.setdefault(hand.frame, []).append(hand)
     for frame in sorted(by_frame):
-        if len(by_frame[frame]) > MOST_HANDS:
-            raise Unfit(
-                f"there are {len(by_frame[frame])} hands in frame {frame}, and at most {MOST_HANDS} are "
-                "read: the frames' numbers may not be told as expected"
-            )
         for side in SIDES:
             hands = [hand for hand in by_frame[frame] if hand.side == side]
             _assign(hands, [track for track in tracks if track.side == side], tracks, side)
-        if len(tracks) > len(SIDES) * MOST_HANDS:
+        if len(tracks) > MOST_HANDS:
             raise Unfit(
-                f"it has more than {MOST_HANDS} persons, and at most so many are read; cut it into parts"
+                f"it has more than {MOST_HANDS} hands, and at most so many are read; cut it into parts"
             )
     if asked.person is not None:
         of_side = {side: [track for track in tracks if track.side == side] for side in SIDES}

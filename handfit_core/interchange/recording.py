@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from handfit_core.batch import Batch
+from handfit_core.detect.keypoints import check_crowd
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
@@ -174,6 +175,7 @@ class Recording:
             _check_arrays(self.seen, _SEEN, len(self.seen))
             if np.any(np.diff(self.seen.row) < 0) or np.any((self.seen.row < 0) | (self.seen.row >= count)):
                 raise ValueError("its hands are in frames that it does not have")
+            check_crowd(numbers[self.seen.row])
         for hand in (*self.points, *self.posed):
             if hand.side not in SIDES:
                 raise ValueError("a hand's side is neither left nor right")

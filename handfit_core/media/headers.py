@@ -100,8 +100,21 @@ def _cost(bits: int) -> int:
 
 
 def _png(stream: BinaryIO) -> Header | None:
+    end = stream.seek(0, 2)
     _, kind, width, height, depth = struct.unpack(">I4sIIB", _at(stream, 8, 17))
-    return Header(width, height, _cost(depth)) if kind == b"IHDR" else None
+    position = 8
+    for _ in range(_MOST_STEPS):
+        size, name = struct.unpack(">I4s", _at(stream, position, 8).ljust(8, b"\0"))
+        if name == b"IEND" or position + 8 > end:
+            return Header(width, height, _cost(depth)) if kind == b"IHDR" else None
+        if size > end:  # for which OpenCV makes room
+            raise _Lies("more bytes than the file has")
+        if name == b"fcTL":  # OpenCV 4.11 writes a frame of an animation wherever it says that it lies
+            across, down, left, top = _unpack(stream, ">4x4I")
+            if left + across > width or top + down > height:
+                raise _Lies("a frame beyond the picture")
+        position += 12 + size
+    raise _Lies("more chunks than anybody writes")
 
 
 _FRAME_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}

@@ -157,7 +157,12 @@ def _check(path: Path, width: int, height: int, cost: float, limit: Limit | floa
         cost, limit = cost if small or deep else 1, limit.small_file if small else limit.large_file
     else:
         cost = 1
-    if megapixels * cost <= limit and max(width, height) <= LONGEST_SIDE:
+    if max(width, height) > LONGEST_SIDE:
+        raise InputError(
+            f"{path}: claims {width} x {height} pixels, and no side of more than {LONGEST_SIDE} is read; "
+            "save it smaller"
+        )
+    if megapixels * cost <= limit:
         return
     counted = f", which count as {_rounded(megapixels * cost)}" if cost > 1 else ""
     raise InputError(

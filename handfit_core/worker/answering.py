@@ -190,7 +190,8 @@ def _write_picture(rgb: np.ndarray, path: str) -> None:
 
     smaller = LONGEST_SHOWN / max(rgb.shape)
     if smaller < 1.0:
-        rgb = cv2.resize(rgb, None, fx=smaller, fy=smaller, interpolation=cv2.INTER_AREA)
+        size = [max(1, round(smaller * side)) for side in rgb.shape[1::-1]]
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
     bgr = np.ascontiguousarray(rgb[..., ::-1])
     with written_whole(path) as beside:
         beside.write_bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import errno
 import os
+import socket
 import stat
 from pathlib import Path
 
 import pytest
 
-from handfit_core.errors import OutputError
-from handfit_core.files import check_room, check_writable, is_file, read_file, storable, written_whole
+from handfit_core.errors import OutputError, TakeError
+from handfit_core.files import (
+    check_room,
+    check_writable,
+    is_file,
+    output_path,
+    read_file,
+    storable,
+    written_whole,
+)
 
 
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
@@ -47,7 +56,7 @@ def test_a_full_disk_is_an_output_error_and_leaves_what_was_there(tmp_path: Path
 
 def test_a_folder_of_that_name_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "result.npz").mkdir()
-    with pytest.raises(OutputError, match="could not be written"), written_whole(tmp_path / "result.npz"):
+    with pytest.raises(OutputError, match="this is a folder"), written_whole(tmp_path / "result.npz"):
         pass
     assert [p.name for p in tmp_path.iterdir()] == ["result.npz"]
 
@@ -183,5 +192,82 @@ def test_what_only_the_disk_itself_reports_is_seen(tmp_path: Path, monkeypatch) 
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(OutputError, match=r"quota.*free some space"), written_whole(path) as beside:
         beside.write_text("new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def put_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def put_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+
+
+def put_device(path: Path) -> None:
+    try:
+        os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, 3))
+    except PermissionError:
+        pytest.skip("only root makes devices")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs pipes with names")
+@pytest.mark.parametrize("put", [put_pipe, put_socket, put_device])
+def test_what_is_no_file_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, put) -> None:
+    monkeypatch.chdir(tmp_path)  # a socket's name is short
+    put(Path("node"))
+    Path("link").symlink_to("node")
+    there = os.lstat("node")
+    for name in ("node", "link"):
+        with pytest.raises(OutputError, match="a pipe, a device"):
+            check_writable(name)
+        with pytest.raises(OutputError, match="a pipe, a device"), written_whole(name) as beside:
+            beside.write_text("new")
+    assert (os.lstat("node").st_ino, os.lstat("node").st_mode) == (there.st_ino, there.st_mode)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "node"]
+
+
+@pytest.mark.parametrize("name", ["http://a/b.npz", "http:/a/b.npz", "s3://a/b.npz", "file:///tmp/b.npz"])
+def test_an_address_is_no_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    for write in (check_writable, output_path):
+        with pytest.raises(OutputError, match="this is an address"):
+            write(name)
+    with pytest.raises(OutputError, match="this is an address"), written_whole(name):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_tilde_is_the_users_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    with written_whole("~/a/x.npz") as beside:
+        beside.write_text("new")
+    assert (tmp_path / "home" / "a" / "x.npz").read_text() == "new"
+    assert not (tmp_path / "~").exists()
+
+
+def test_an_input_is_no_output(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_text("old")
+    (tmp_path / "b.npz").hardlink_to(tmp_path / "a.npz")
+    for inputs in ([tmp_path / "a.npz"], ["nowhere", "a\0b", str(tmp_path / "b.npz")]):
+        with pytest.raises(OutputError, match="this is an input"):
+            check_writable(tmp_path / "a.npz", inputs)
+    check_writable(tmp_path / "c.npz", [tmp_path / "a.npz"])
+
+
+def test_what_cannot_be_read_again_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "result.npz"
+    path.write_text("old")
+
+    def read(beside: Path) -> None:
+        assert beside.read_text() == "new"
+        raise TakeError(f"{beside}: it is damaged")
+
+    with pytest.raises(OutputError, match=r"result\.npz: nothing was written.*\(it is damaged\)"):  # noqa: SIM117
+        with written_whole(path, read) as beside:
+            beside.write_text("new")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

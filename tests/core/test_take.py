@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import TakeError
+from handfit_core.errors import OutputError, TakeError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import Source
-from handfit_core.take import FORMAT_VERSION, HandTrack, Take
+from handfit_core.take import FORMAT_VERSION, MOST_HANDS, HandTrack, Take, is_take
 
 FRAMES = 4
 SHAPES = {
@@ -488,3 +488,41 @@ def test_a_small_file_takes_no_more_memory_than_small_takes(tmp_path: Path) -> N
         assert tracemalloc.get_traced_memory()[1] < 20_000_000
     finally:
         tracemalloc.stop()
+
+
+def test_a_take_holds_so_many_hands(tmp_path: Path) -> None:
+    hand = track()
+    assert len(Take.load(take(hands=(hand,) * MOST_HANDS).save(tmp_path / "a.npz")).hands) == MOST_HANDS
+    with pytest.raises(TakeError, match="at most 200 hands, not 201"):
+        take(hands=(hand,) * (MOST_HANDS + 1))
+
+
+def test_what_nobody_could_read_is_not_saved(tmp_path: Path) -> None:
+    path = take().save(tmp_path / "a.npz")
+    good = path.read_bytes()
+    with pytest.raises(OutputError, match=r"a\.npz: nothing was written"):
+        take(solver="x" * 101).save(path)
+    assert path.read_bytes() == good
+
+
+def test_a_take_is_not_saved_over_its_picture(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_text("a picture")
+    with pytest.raises(OutputError, match="this is an input"):
+        take(source=Source("photo", (str(tmp_path / "a.png"),))).save(tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_text() == "a picture"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs pipes with names")
+def test_a_pipe_and_a_crowded_zip_are_no_takes(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.npz")
+    assert not is_take(tmp_path / "pipe.npz")
+    entry = b"PK\1\2" + bytes(24) + b"\1\0" + bytes(16) + b"x"
+    end = b"PK\5\6" + bytes(4) + b"\xff\xff" * 2 + (len(entry) * 400_000).to_bytes(4, "little") + bytes(6)
+    (tmp_path / "zip.npz").write_bytes(entry * 400_000 + end)
+    tracemalloc.start()
+    try:
+        assert not is_take(tmp_path / "zip.npz")
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+    assert is_take(take().save(tmp_path / "a.npz"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, mean_of, of_one, overlapped, same_hand
+from handfit_core.detect.looks import View, distance, mean_of, of_one, overlapped, same_hand, shrunk
 from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(0, 1, (21, 3))
@@ -138,3 +138,8 @@ def test_beyond_the_picture_its_border_goes_on() -> None:
     shown = View.of_square(np.array([5.0, 5.0]), 40.0, 40).render(rgb)
     assert (shown[:, :19] == 200).all()
     assert (shown[:, 21:] == 0).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 500, 3), (500, 1, 3)])
+def test_slim_pictures_are_shrunk(shape: tuple[int, ...]) -> None:
+    assert sorted(shrunk(np.full(shape, 9, np.uint8), 7, 7).shape) == [1, 3, 71]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.tracks import link_and_count, link_tracks
+from handfit_core.detect.looks import distance
+from handfit_core.detect.tracks import DUPLICATE_DISTANCE, link_and_count, link_tracks, without_duplicates
 from handfit_core.errors import NoHandFoundError
 from handfit_core.skeleton import Side
 
@@ -223,3 +224,41 @@ def test_nothing_found() -> None:
         link_tracks([[], []])
     with pytest.raises(NoHandFoundError, match="only a left one"):
         link_tracks([[hand(1, "left")]], "right")
+
+
+def crowd(count: int, spread: float, seed: int = 0) -> list[HandDetection]:
+    """Hands of all sizes somewhere in a picture, every tenth of them found twice."""
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(count):
+        points = np.zeros((21, 3))
+        points[:, :2] = rng.uniform(0.0, spread, 2) + rng.uniform(20.0, 90.0) * rng.random((21, 2))
+        side: Side = "left" if rng.random() < 0.5 else "right"
+        for again in range(1 + (rng.random() < 0.1)):
+            found.append(HandDetection(side, rng.random(), points + 5.0 * again, np.zeros((21, 3))))
+    return found
+
+
+def test_a_crowds_duplicates_are_those_of_pairs() -> None:
+    found = crowd(150, 600.0)
+    kept: list[HandDetection] = []
+    for each in sorted(found, key=lambda hand: hand.score, reverse=True):
+        if all(distance(each, other) > DUPLICATE_DISTANCE for other in kept):
+            kept.append(each)
+    assert len(kept) < len(found)
+    assert all(one is other for one, other in zip(without_duplicates(found), kept, strict=True))
+
+
+def test_a_crowd_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = 0
+
+    def counted(*args) -> float:
+        nonlocal compared
+        compared += 1
+        return distance(*args)
+
+    monkeypatch.setattr("handfit_core.detect.tracks.distance", counted)
+    frames = [crowd(400, 20_000.0)] * 2
+    tracks, count = link_and_count(frames, max_hands=None)
+    assert count == len(tracks) > 300
+    assert all(track.detected.all() for track in tracks)
+    assert compared < len(frames[0])

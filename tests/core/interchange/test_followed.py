@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.detect.keypoints import MOST_IN_FRAME
 from handfit_core.doors.values import Unfit
-from handfit_core.interchange.mano import MOST_HANDS, POSE, FoundHand, followed
+from handfit_core.interchange.mano import POSE, FoundHand, followed
 from handfit_core.interchange.recording import Asked
-from handfit_core.skeleton import SIDES
+from handfit_core.take import MOST_HANDS
 
 
 class Counted(int):
@@ -53,8 +54,10 @@ def test_each_goes_to_the_nearest_that_is_free() -> None:
 def test_hands_and_persons_are_bounded() -> None:
     crowd = [hand(1, x) for x in range(MOST_HANDS)]
     assert len(followed(crowd, np.array([1]), Asked(), [])) == MOST_HANDS
-    with pytest.raises(Unfit, match="101 hands in frame 1, and at most 100"):
+    with pytest.raises(Unfit, match="more than 200 hands"):
         followed([*crowd, hand(1)], np.array([1]), Asked(), [])
-    strangers = [hand(frame, person=frame) for frame in range(len(SIDES) * MOST_HANDS + 1)]
-    with pytest.raises(Unfit, match="more than 100 persons"):
+    with pytest.raises(ValueError, match="4001 hands in frame 1, and at most 4000"):
+        followed([hand(1)] * (MOST_IN_FRAME + 1), np.array([1]), Asked(), [])
+    strangers = [hand(frame, person=frame) for frame in range(MOST_HANDS + 1)]
+    with pytest.raises(Unfit, match="more than 200 hands"):
         followed(strangers, np.arange(len(strangers)), Asked(), [])

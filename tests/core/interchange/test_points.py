@@ -304,3 +304,29 @@ def test_a_batch_takes_such_files_and_tells_takes_from_them(
     (folder / "a_000000_keypoints.json").write_text("{}")
     assert is_recording(folder)
     assert expand(str(folder))[0].source == (str(folder),)
+
+
+def test_more_hands_than_a_take_holds(
+    written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hands = json.loads(written.read_text())["hands"]
+    many = changed(written, hands=(hands * 201)[:201])
+    (tmp_path / "a.npz").write_text("a good file")
+    assert main(["capture", str(many), "-o", str(tmp_path / "a.npz")]) == 1
+    assert "there are 201 hands in this input, and a take holds at most 200" in capsys.readouterr().err
+    assert (tmp_path / "a.npz").read_text() == "a good file"
+
+
+def test_more_hands_in_a_frame_than_are_read(written: Path) -> None:
+    for hand in (hands := json.loads(written.read_text())["hands"][:1]):
+        del hand["keypoints_3d"]
+    with pytest.raises(InputError, match="there are 4001 hands in frame"):
+        read_recording(changed(written, hands=hands * 4001), CaptureOptions())
+
+
+def test_an_input_is_not_written_over(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = written.read_bytes()
+    for verb in ("capture", "convert"):
+        assert main([verb, str(written), "-o", str(written)]) == 1
+        assert "this is an input, which stays" in capsys.readouterr().err
+    assert written.read_bytes() == good
