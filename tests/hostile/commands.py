@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
+import stat
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
-from tests.hostile import models, pickles, pictures, takes, videos
+from tests.hostile import models, parts, pickles, pictures, recordings, takes, videos
 from tests.hostile.engine import Case, Place
 from tests.hostile.names import TEXTS
 from tests.hostile.npz import bomb
@@ -31,7 +35,94 @@ OPTIONS: dict[str, list[str]] = {
 }  # fmt: skip
 
 
+NODES = ("pipe", "socket", "device")
+
+
+def put(kind: str, path: Path) -> None:
+    """A node of the case's own: none of the machine's is ever named, as what fails here would replace it."""
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        os.mknod(path, stat.S_IFSOCK | 0o600)
+    elif os.getuid() == 0:  # nothing is behind this number: it cannot even be opened
+        os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(240, 250))
+    else:
+        path.mkdir()
+
+
+def outputs() -> Iterator[Case]:
+    """Where nothing may be written, of every command that writes."""
+    for verb, file, data in (
+        ("capture", "a.points.json", _points),
+        ("convert", "a.points.json", _points),
+        ("detect", "a.avi", lambda: videos.good_bytes("avi")),
+        ("solve", "a.npz", parts.good_bytes),
+        ("model convert", "a.npz", models.good_bytes),
+    ):
+        for where in (*NODES, "link", "address", "input"):
+
+            def make(place: Place, verb=verb, file=file, data=data, where=where) -> dict[str, Any]:
+                place.write(file, data())
+                target = {"address": "http://a/b.npz", "input": file}.get(where, "node.npz")
+                if where == "link":
+                    put("pipe", place.folder / "pipe")
+                    (place.folder / target).symlink_to("pipe")
+                elif where in NODES:
+                    put(where, place.folder / target)
+                output = [target] if "model" in verb else ["-o", target]
+                return {"argv": [*verb.split(" "), file, *output]}
+
+            name = f"output-{verb.replace(' ', '-')}-to-{where}"
+            known = verb in ("capture", "convert") and where in ("pipe", "device", "input")
+            yield Case(name, "core.command", make, refused=True, known=known)
+
+
+def _points() -> bytes:
+    return recordings.content("points")
+
+
+def _hands(count: int) -> bytes:
+    """So many hands of points in space."""
+    content = json.loads(_points())
+    content["hands"] = (content["hands"] * count)[:count]
+    return json.dumps(content).encode()
+
+
+def odd_inputs() -> Iterator[Case]:
+    """A .npz that may not be opened, or not be looked through, for every command that asks whether it is a
+    take."""
+    commands = {"info": [], "convert": ["-o", "result/a.bvh"], "capture": ["-o", "result/a.npz"]}
+    for kind in ("pipe", "socket", "zeros"):
+        for verb, more in commands.items():
+
+            def make(place: Place, kind=kind, verb=verb, more=more) -> dict[str, Any]:
+                if kind == "zeros":
+                    (place.folder / "a.npz").symlink_to("/dev/zero")
+                else:
+                    put(kind, place.folder / "a.npz")
+                return {"argv": [verb, "a.npz", *more]}
+
+            yield Case(f"npz-{kind}-{verb}", "core.command", make, refused=True, known=verb == "info")
+
+    def crowded(place: Place) -> dict[str, Any]:
+        entry = b"PK\1\2" + bytes(24) + b"\1\0" + bytes(16) + b"x"
+        size = (len(entry) * 3_000_000).to_bytes(4, "little")
+        place.write("a.npz", entry * 3_000_000 + b"PK\5\6" + bytes(4) + b"\xff\xff" * 2 + size + bytes(6))
+        return {"argv": ["info", "a.npz"]}
+
+    yield Case("npz-3-million-members", "core.command", crowded, refused=True, known=True)
+
+
 def cases() -> Iterator[Case]:
+    yield from outputs()
+    yield from odd_inputs()
+    for count in (201, 300, 3000):
+
+        def hands(place: Place, count=count) -> dict[str, Any]:
+            place.write("a.points.json", _hands(count))
+            return {"argv": ["capture", "a.points.json", "-o", "kept.npz"]}
+
+        yield Case(f"command-{count}-hands", "core.command", hands, refused=True, known=count == 201)
     for kind, (file, data) in BAD.items():
         for output in OUTPUTS:
 

@@ -184,6 +184,16 @@ def media(path: str | list[str]) -> None:
     known_intrinsics(opened)
 
 
+def capture(path: str) -> None:
+    """Look for hands as a capture does."""
+    capture_with(path, CaptureOptions())
+
+
+def find(path: str) -> None:
+    """Look for all hands of a picture, and copy it, as Find Hands does."""
+    answering.find({"input": [path], "picture": "result/a.jpg"})
+
+
 def command(argv: list[str]) -> None:
     """The command line: exit code 0, or another one and one sentence on stderr."""
     said = io.StringIO()
@@ -281,6 +291,8 @@ DOORS: dict[str, Callable[..., Any]] = {
     "farm": farm,
     "model": model,
     "media": media,
+    "capture": capture,
+    "find": find,
     "command": command,
     "process": process,
     "server": server,

@@ -56,6 +56,26 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
+def _claiming(name: str) -> bytes:
+    """A PNG with a chunk that claims 2 GB."""
+    data = bytearray(png(64, 48))
+    at = data.index(b"IDAT") - 4
+    data[at : at + 8] = struct.pack(">I", 0x7FFF_FF00) + name.encode()
+    return bytes(data)
+
+
+def animated(width: int, height: int, across: int, down: int) -> bytes:
+    """A PNG of a frame of another size than the picture's."""
+    whole = png(width, height)
+    at = whole.index(b"IDAT") - 4
+    frame = _chunk(b"fcTL", struct.pack(">5I2H2B", 0, across, down, 0, 0, 1, 10, 0, 0))
+    return whole[:at] + _chunk(b"acTL", struct.pack(">2I", 2, 0)) + frame + whole[at:]
+
+
+def slim(width: int, height: int) -> bytes:
+    return bytes(cv2.imencode(".png", np.full((height, width, 3), 128, np.uint8))[1])
+
+
 def tiff(width: int, height: int, bits: int = 8, samples: int = 1, **other: int) -> bytes:
     tags = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: samples, 278: height, 279: 4000}
     tags |= {int(tag[1:]): value for tag, value in other.items()}
@@ -115,13 +135,17 @@ HEADERS: dict[str, Callable[[], bytes]] = {
     "png-true-zeros": lambda: png(20000, 20000, rows=bytes(20001 * 20000)),
     "png-deep-zeros": lambda: png(9000, 9000, 16, 6, rows=bytes((9000 * 8 + 1) * 9000)),
     "png-interlaced": lambda: png(30000, 30000, 8, 6, interlace=1),
+    **{f"png-{name}-says-2-gb": lambda name=name: _claiming(name) for name in ("IDAT", "tEXt", "PLTE", "acTL")},
+    "png-frame-beyond": lambda: animated(64, 48, 16000, 16000),
+    "png-frames-far": lambda: animated(8000, 8000, 8000, 8000),
     "exif-loop": lambda: exif([(0x8769, 4, 1, 8)], following=8),
     "exif-huge-count": lambda: exif([(0x112, 3, 2**32 - 1, 6), (0x920A, 5, 2**31, 2**31), (0xA405, 3, 1, 0)]),
     "exif-far": lambda: exif([(0x8769, 4, 1, 2**32 - 8), (0xA404, 5, 1, 2**32 - 1)], order=b"MM"),
     "exif-orientation-99": lambda: exif([(0x112, 3, 1, 99)]),
     "exif-many": lambda: exif([(0x8769, 4, 1, 8)] * 5000),
 }  # fmt: skip
-_KNOWN = ("jpg-32000x32000", "png-true-zeros", "gif-30000x30000")
+_KNOWN = ("jpg-32000x32000", "png-true-zeros", "gif-30000x30000", "png-IDAT-says-2-gb", "png-frame-beyond")
+_SLIM = ((5000, 1), (1, 65500), (65535, 2), (3, 20000), (1, 1))
 
 
 def cases() -> Iterator[Case]:
@@ -137,6 +161,11 @@ def cases() -> Iterator[Case]:
         yield file_case(f"picture-{name}", DOOR, file, made, known=name in _KNOWN)
         if sum(name.encode()) % 3 == 0 or name in _KNOWN:  # as a take names it, in Blender
             yield file_case(f"plate-{name}", PLATE, file, made, kind="photo")
+    for width, height in _SLIM:
+        for verb in ("capture", "find"):
+            made = lambda _, w=width, h=height: slim(w, h)  # noqa: E731
+            name, refused = f"slim-{verb}-{width}x{height}", verb == "capture"
+            yield file_case(name, f"core.{verb}", "a.png", made, refused=refused, known=width == 5000)
     for names in ("png mp4", "jpg png", "gif jpg", "webp mov", "png npz", "bmp "):
         right, wrong = names.split(" ")
         made = lambda _, right=right: encoded(right)  # noqa: E731

@@ -171,6 +171,19 @@ def _lines(data: bytes, name: str) -> Any:
     return json.loads(data) if name.endswith(".json") else None
 
 
+def crowd(people: int, spread: int, place: Place) -> bytes:
+    """OpenPose's people, each with two hands of points anywhere in a box of 100 pixels."""
+    rng = np.random.default_rng(place.rng.randrange(1 << 32))
+
+    def hand() -> list[float]:
+        points = rng.uniform(0, spread, 2) + rng.uniform(0, 100, (21, 2))
+        return np.column_stack([points, np.full(21, 0.9)]).round(1).ravel().tolist()
+
+    keys = "hand_left_keypoints_2d", "hand_right_keypoints_2d"
+    each = [{"pose_keypoints_2d": [], **{key: hand() for key in keys}} for _ in range(people)]
+    return json.dumps({"version": 1.3, "people": each}).encode()
+
+
 def _some(name: str, part: int) -> bool:
     """Whether this is one of a part of the cases, which are more than anybody waits for."""
     return sum(name.encode("utf-8", "replace")) % part == 0
@@ -186,6 +199,12 @@ def cases() -> Iterator[Case]:
         for name, data in kinds.items():
             yield file_case(f"{ending}-{name}", DOOR, f"a_0.{ending}", lambda _, data=data: data())
     yield file_case("jsonl-lines", DOOR, "a.jsonl", lambda _: JSONS["lines"]())
+    for people in (400, 2000, 2001, 20_000):
+        for spread in (1, 3000, 60_000):
+            made = lambda place, people=people, spread=spread: crowd(people, spread, place)  # noqa: E731
+            name, file = f"crowd-{people}-within-{spread}", "a_000000000000_keypoints.json"
+            few, known = people <= 2000, people == 2000 and spread == 3000
+            yield file_case(name, DOOR, file, made, refused=not few, known=known, good=few)
     for name, data in harms():
         known = name == "runs-reduce-os.system"
         if known or _some(name, 2):

@@ -66,6 +66,15 @@ def _avi(offset: int, value: int) -> bytes:
     return bytes(data)
 
 
+def _slim(width: int, height: int, both: bool) -> bytes:
+    """An AVI whose stream, and perhaps its header, tells of another size."""
+    data = bytearray(good_bytes("avi"))
+    struct.pack_into("<2i", data, data.index(b"strf") + 12, width, height)
+    if both:
+        struct.pack_into("<2i", data, data.index(b"avih") + 40, width, height)
+    return bytes(data)
+
+
 HLS = b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n%s\n#EXT-X-ENDLIST\n"
 PLAYLISTS: dict[str, Callable[[bytes], bytes]] = {
     "hls": lambda uri: HLS % uri,
@@ -112,6 +121,11 @@ def cases() -> Iterator[Case]:
         for value in (0, 65535, 2**31 - 1, 2**32 - 1):
             made = lambda _, o=offset, v=value: _avi(o, v)  # noqa: E731
             yield file_case(f"video-avi-{offset}-{value:x}", DOOR, "clip.avi", made)
+    for width, height in ((5000, 1), (1, 5000), (65535, 2), (100_000, 1), (1, 100_000)):
+        for both in (True, False):
+            made = lambda _, w=width, h=height, both=both: _slim(w, h, both)  # noqa: E731
+            name = f"slim-avi-{width}x{height}-{'both' if both else 'one'}"
+            yield file_case(name, "core.capture", "clip.avi", made, refused=True, known=width == 5000)
     for kind, build in PLAYLISTS.items():
         for suffix in ("mp4", "gif", "mkv", "m3u8"):
             if suffix != "mp4" and "hls" not in kind and kind != "concat":
