@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.take import HandTrack, Take, at_rows
@@ -21,6 +22,8 @@ LOWEST_RATE, HIGHEST_RATE = 1.0, 120.0
 """frames per second that a clip is retimed to"""
 _ON_ROW = 1e-3
 """source frames within which a moment is that of a row"""
+_ON_KEY = 0.01
+"""frames within which a frame is that of a key"""
 _TOLD = ("joints_3d", "expected_error", "placed", "touches")
 _MEASURED = ("keypoints_2d", "reprojection_error", "score", "keypoints_depth", "world_landmarks")
 """A track's arrays of a hand that is there, and of one that was detected"""
@@ -50,7 +53,7 @@ def moments(take: Take, scale: float) -> np.ndarray:
 
 def shown_numbers(source_frames: np.ndarray) -> np.ndarray:
     """(N,) source frames, whole or not -> (N,) numbers of the pictures that are shown for them."""
-    return np.floor(np.asarray(source_frames) + 0.5).astype(np.int64)
+    return _nearest(source_frames).astype(np.int64)
 
 
 def retimed(take: Take, scale: float) -> Take:
@@ -107,6 +110,11 @@ def shown_rows(take: Take, numbers: np.ndarray, scale: float) -> tuple[np.ndarra
     return order[first], pictures[order[first]]
 
 
+def _nearest(values: np.ndarray | float) -> np.ndarray:
+    """The nearest whole numbers; of two the later one."""
+    return np.floor(np.asarray(values, dtype=np.float64) + 0.5)
+
+
 def _around(numbers: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of moments (N,) the nearest rows, those before and after, and how far (0..1) each is from the one
     before to the one after."""
@@ -124,3 +132,42 @@ def _turned(first: np.ndarray, last: np.ndarray, part: np.ndarray) -> np.ndarray
     way = quat_to_rotvec(quat_multiply(start * [1.0, -1.0, -1.0, -1.0], end))
     turned = quat_to_rotvec(quat_multiply(start, rotvec_to_quat(part[:, None, None] * way)))
     return np.where((part == 0.0)[:, None], first, turned.reshape(first.shape))
+
+
+def moved_keys(
+    keyed: np.ndarray, first: float, ratio: float, dense: float, kept: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whole frames (N,) of a scene that plays `ratio` times as many frames, for a curve with keys on frames
+    (K,), increasing, and the former frames (N,) whose values belong there; frame `first` stays where it is.
+
+    Keys up to `dense` frames apart are sampled on every frame between them; others only move, and so do
+    those on the frames `kept` (M,): their values stay to the last digit.
+    """
+    if len(keyed) == 0:
+        return np.empty(0), np.empty(0)
+    moved = first + _nearest((keyed - first) * ratio)
+    frames = np.arange(moved[0], moved[-1] + 1.0)
+    wanted = first + (frames - first) / ratio
+    times = np.clip(wanted, keyed[0], keyed[-1])
+    after = np.clip(np.searchsorted(keyed, times), 0, len(keyed) - 1)
+    between = keyed[after] - keyed[np.maximum(after - 1, 0)] <= dense
+    between &= np.abs(wanted - times) < _ON_KEY
+    still = np.ones(len(keyed), dtype=bool)
+    if len(keyed) > 1:
+        apart = np.diff(keyed) > dense
+        near = np.abs(keyed[:, None] - kept).min(axis=1, initial=np.inf) < _ON_KEY
+        still = np.append(apart, True) & np.insert(apart, 0, True) | near
+    at = (moved[still] - moved[0]).astype(int)
+    times[at] = keyed[still]
+    between[at] = True
+    between[0] |= not between.any()
+    return frames[between], times[between]
+
+
+def retimed_field(field: CorrectionField, first: int, ratio: float) -> CorrectionField:
+    """Corrections by frame number -> the same in a scene that plays `ratio` times as many frames; number
+    `first` stays. Of two that would lie on one frame the artist's last one stays."""
+    moved: dict[float, Correction] = {}
+    for number, one in sorted(field.corrections.items(), key=lambda item: (not item[1].is_anchor, item[0])):
+        moved[first + float(_nearest((number - first) * ratio))] = replace(one, spread=one.spread * ratio)
+    return CorrectionField(moved)

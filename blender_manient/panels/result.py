@@ -9,7 +9,9 @@ from handfit_core.fit_quality import NOT_KNOWN
 from ..scene import captures, corrections, markers
 from ..scene.confidence import errors_of
 from ..scene.plate import missing_picture
-from ..scene.store import captured_hands, hand_of
+from ..scene.retime import other_rate
+from ..scene.store import CapturedHand, captured_hands, hand_of
+from ..scene.timing import frame_rate
 from ..section import Section, fitted, sentence
 from ..wording import capitalised, counted
 
@@ -71,11 +73,24 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             button = layout.operator("manient.hide_captures", text="Hide Others" if hide else "Show All")
             button.hide = hide
 
+    def _other_rate(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
+        """What a change of the scene's rate has done to the hand, and both ways to put it right."""
+        built, rate = other_rate(context.scene, hand.collection), frame_rate(context.scene)
+        if not built:
+            return
+        text = f"Built for {built:.5g} fps, and the scene has {rate:.5g}: it plays at another speed"
+        sentence(box, context, text, "ERROR", alert=True)
+        row = box.row(align=True)
+        row.operator("manient.retime", text=f"Retime to {rate:.5g}").hand = hand.armature.name
+        back = row.operator("manient.retime", text=f"Back to {built:.5g} fps")
+        back.hand, back.back = hand.armature.name, True
+
     def _hand(self, context, armature: bpy.types.Object) -> None:
         hand = hand_of(armature)
         if hand is None:
             return
         box = self.layout.box().column(align=True)
+        self._other_rate(context, box, hand)
         row = box.row(align=True)
         name = fitted(context, armature.name, buttons=1)
         row.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)

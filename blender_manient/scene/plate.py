@@ -43,10 +43,23 @@ class Plate:
         user.frame_start = self.frame_start
         user.frame_offset = self.frame_offset
         user.use_auto_refresh = True
-        user.driver_remove("frame_offset")
-        if self.offset_driver:
-            driver = user.driver_add("frame_offset").driver
-            driver.type, driver.expression = "SCRIPTED", self.offset_driver
+        drive_offset(user, self.offset_driver)
+
+
+def drive_offset(user: bpy.types.ImageUser, expression: str) -> None:
+    """Have a simple expression of `frame` drive an image user's offset; empty: nothing."""
+    user.driver_remove("frame_offset")
+    if expression:
+        driver = user.driver_add("frame_offset").driver
+        driver.type, driver.expression = "SCRIPTED", expression
+
+
+def offset_driver(user: bpy.types.ImageUser) -> str:
+    """The expression that drives an image user's offset; empty where nothing does."""
+    owner = user.id_data
+    data = owner.animation_data if owner is not None else None
+    curve = data.drivers.find(user.path_from_id("frame_offset")) if data is not None else None
+    return curve.driver.expression if curve is not None and curve.driver is not None else ""
 
 
 def load_plate(
@@ -87,7 +100,7 @@ def loading_plate(
         return None, [_unreadable(path)]
     if take.source.kind == "video":
         image.source = "MOVIE"
-        plate = _movie(image, take, timing)
+        plate = movie_plate(image, take, timing)
     elif take.source.kind == "sequence":
         image.source = "SEQUENCE"
         plate = _sequence(image, take, timing)
@@ -146,7 +159,7 @@ def _mismatches(path: Path, size: tuple[int, ...], take: Take) -> list[str]:
     return []
 
 
-def _movie(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
+def movie_plate(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
     """Blender shows frame (scene frame - start + 1): the take's first frame where its first keys are."""
     last = max(image.frame_duration, int(take.frame_numbers[-1]))
     if timing.scale != 1.0:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import bpy
 
 from ..remembered import Remembered
+from .plate import drive_offset, offset_driver
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
 
@@ -68,6 +69,7 @@ def lay_over(camera: bpy.types.Camera, opacity: float) -> None:
     for index in behind:
         copy = backgrounds.new()
         _copy(backgrounds[index], copy)
+        drive_offset(copy.image_user, offset_driver(backgrounds[index].image_user))
         copy.display_depth = "FRONT"
         copy.alpha *= 1.0 - opacity
         copy.show_expanded = False
@@ -83,6 +85,7 @@ def take_away(camera: bpy.types.Camera) -> None:
     for noted in camera.manient_see_through:
         for background in reversed(list(camera.background_images)):
             if background.display_depth == "FRONT" and _picture(background) == _picture(noted):
+                drive_offset(background.image_user, "")
                 camera.background_images.remove(background)
                 break
     camera.manient_see_through.clear()

@@ -12,14 +12,15 @@ import blender_manient
 from blender_manient import source_info
 from blender_manient.refiner import Refiner
 from blender_manient.rigs import rig_of
-from blender_manient.scene import store
+from blender_manient.scene import see_through, store
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import corrected_frames
-from blender_manient.scene.keys import pose_at, read_pose_keys
+from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.plate import load_plate
 from blender_manient.scene.preview import render_plate
 from blender_manient.scene.retake import retaken
+from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene
 from handfit_core.errors import OptionError
 from handfit_core.media.source import Source
@@ -244,3 +245,133 @@ def test_motion_of_the_same_clip_keeps_its_frames(take):
     after = read_pose_keys(rig_of(armature))
     np.testing.assert_array_equal(after.frames, before.frames)
     np.testing.assert_allclose(np.abs((after.quats * before.quats).sum(axis=-1)), 1.0, atol=1e-6)
+
+
+def turn_key(rig, frame):
+    """A key that an artist has set: a bone is turned by 0.4 radians about z."""
+    quats, places = pose_at(rig, [frame])
+    quats[0, 4] = [np.cos(0.2), 0.0, 0.0, np.sin(0.2)]
+    keyed = np.isin(np.arange(16), [4])[None]
+    write_pose_keys(rig, PoseKeys(np.array([float(frame)]), quats, places, keyed, np.array([False])))
+    return quats[0, 4]
+
+
+def corrected(armature, frame):
+    """A point dragged there: the pose is the artist's."""
+    refiner = Refiner(armature)
+    row = refiner.row_at(frame)
+    poses = refiner.keyed_poses([row])
+    poses.quats[0, 7] = [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]
+    refiner.correct(row, {8: (10.0, 20.0)}, poses, 2.0)
+    return pose_at(rig_of(armature), [frame])
+
+
+@pytest.mark.parametrize("matched", [False, True])
+@pytest.mark.parametrize("rate", [25.0, 60.0, 12.0, 30.0])
+def test_another_rate_is_noticed_and_put_right(take, rate, matched):
+    scene = scene_of(24.0)
+    built = build_take(take, match_scene=matched)
+    armature, collection = built.hands[0].armature, built.collection
+    was = 30.0 if matched else 24.0
+    first = FRAMES[0] if matched else FIRST
+    assert not other_rate(scene, collection)
+    pose = corrected(armature, first + 10)
+    by_hand = turn_key(rig_of(armature), first + 3)
+    scene.render.fps, scene.render.fps_base = round(rate), 1.0
+    if rate == was:
+        assert not other_rate(scene, collection)
+        return
+    assert other_rate(scene, collection) == pytest.approx(was)
+    assert bpy.ops.manient.retime(hand=armature.name) == {"FINISHED"}
+    assert not other_rate(scene, collection)
+    rig = rig_of(armature)
+    keys = read_pose_keys(rig)
+    np.testing.assert_array_equal(keys.frames, np.round(keys.frames))
+    # The corrected frame is the nearest one, with its pose and its point.
+    moved = first + int(10 * rate / was + 0.5)
+    assert corrected_frames(armature) == [moved]
+    now = pose_at(rig, [moved])
+    np.testing.assert_allclose(np.abs((now[0] * pose[0]).sum(axis=-1)), 1.0, atol=1e-6)
+    np.testing.assert_allclose(now[1], pose[1], atol=1e-6)
+    hand = store.hand_of(armature)
+    refiner = Refiner(armature)
+    assert refiner.pins(refiner.row_at(moved)) == {8: (10.0, 20.0)}
+    if (3 * rate / was).is_integer():
+        quats, _ = pose_at(rig, [first + 3 * rate / was])
+        assert abs(quats[0, 4] @ by_hand) == pytest.approx(1.0, abs=1e-6)
+    # Hand, rows and picture are in step.
+    for frame in range(first, int(keys.frames[-1]) + 1):
+        moment = FRAMES[0] + (frame - first) * CLIP_FPS / rate
+        assert abs(shown_offset(built.camera, frame) - moment) <= 0.5 + 1e-6
+        (row,) = store.rows_at(collection, hand.take, np.array([frame]))
+        assert row == frame - first
+    assert hand.take.fps == pytest.approx(rate)
+    assert store.captured_take(collection).fps == CLIP_FPS
+
+
+def test_there_and_back_keeps_the_correction(take):
+    scene = scene_of(24.0)
+    armature = build_take(take, match_scene=False).hands[0].armature
+    pose = corrected(armature, FIRST + 10)
+    for rate in (60, 48, 24):
+        scene.render.fps = rate
+        assert bpy.ops.manient.retime(hand=armature.name) == {"FINISHED"}
+    assert corrected_frames(armature) == [FIRST + 10]
+    now = pose_at(rig_of(armature), [FIRST + 10])
+    np.testing.assert_allclose(np.abs((now[0] * pose[0]).sum(axis=-1)), 1.0, atol=1e-6)
+
+
+def test_clearing_works_after_it(take):
+    """Without its correction the frame is as its neighbours lead to it."""
+    scene = scene_of(24.0)
+    armature = build_take(take, match_scene=False).hands[0].armature
+    plain = pose_at(rig_of(armature), [FIRST + 10])[0]
+    corrected(armature, FIRST + 10)
+    scene.render.fps = 48
+    bpy.ops.manient.retime(hand=armature.name)
+    bpy.context.view_layer.objects.active = armature
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    now = pose_at(rig_of(armature), [FIRST + 20])[0]
+    np.testing.assert_allclose(np.abs((now * plain).sum(axis=-1)), 1.0, atol=1e-5)
+
+
+def test_the_rate_is_put_back(take):
+    scene = scene_of(23.976)
+    built = build_take(take, match_scene=False)
+    scene.render.fps, scene.render.fps_base = 25, 1.0
+    before = read_pose_keys(rig_of(built.hands[0].armature)).frames
+    assert bpy.ops.manient.retime(hand=built.hands[0].armature.name, back=True) == {"FINISHED"}
+    assert scene.render.fps / scene.render.fps_base == pytest.approx(23.976, rel=1e-5)
+    assert not other_rate(scene, built.collection)
+    np.testing.assert_array_equal(read_pose_keys(rig_of(built.hands[0].armature)).frames, before)
+
+
+@pytest.mark.parametrize("trouble", ["gone", "rate"])
+def test_what_cannot_be_retimed_stays(take, movie, trouble):
+    scene = scene_of(24.0)
+    built = build_take(take, match_scene=False)
+    armature, kept = built.hands[0].armature, built.collection.manient
+    before = read_pose_keys(rig_of(armature)), kept.digest, kept.scene_rate
+    scene.render.fps = 25 if trouble == "gone" else 240
+    if trouble == "gone":
+        movie.unlink()
+    with pytest.raises(
+        RuntimeError, match="clip.avi is not there" if trouble == "gone" else "240 frames per"
+    ):
+        bpy.ops.manient.retime(hand=armature.name)
+    after = read_pose_keys(rig_of(armature)), kept.digest, kept.scene_rate
+    np.testing.assert_array_equal(after[0].frames, before[0].frames)
+    assert after[1:] == before[1:]
+
+
+def test_the_picture_over_the_hand_is_in_step_too(take):
+    scene_of(24.0)
+    built = build_take(take, match_scene=False)
+    camera = built.camera.data
+    see_through.lay_over(camera, 0.5)
+    bpy.context.scene.frame_set(FIRST + 13)
+    shown = built.camera.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.background_images
+    assert [one.display_depth for one in shown] == ["BACK", "FRONT"]
+    assert shown[0].image_user.frame_offset == shown[1].image_user.frame_offset == 4
+    see_through.take_away(camera)
+    assert len(camera.animation_data.drivers) == 1

@@ -7,11 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.media.source import Source
-from handfit_core.retiming import check_rate, moments, retimed, sampled, shown_numbers, shown_rows
+from handfit_core.retiming import (
+    check_rate,
+    moments,
+    moved_keys,
+    retimed,
+    retimed_field,
+    sampled,
+    shown_numbers,
+    shown_rows,
+)
 from handfit_core.take import HandTrack, Take
 
 RATE = 0.3
@@ -139,3 +149,25 @@ def test_back_to_pictures(rate):
 def test_absurd_rates_are_refused(fps):
     with pytest.raises(OptionError, match="frames per second"):
         check_rate(fps)
+
+
+def test_dense_keys_are_sampled_and_others_move():
+    keyed = np.array([10.0, 11.0, 12.0, 13.0, 20.0, 30.0])
+    frames, times = moved_keys(keyed, 10.0, 2.0, 1.5, np.array([12.0]))
+    np.testing.assert_array_equal(frames, [10, 11, 12, 13, 14, 15, 16, 30, 50])
+    np.testing.assert_array_equal(times, [10, 10.5, 11, 11.5, 12, 12.5, 13, 20, 30])
+    frames, times = moved_keys(keyed, 10.0, 0.4, 1.5, np.array([12.0]))
+    np.testing.assert_array_equal(frames, [10, 11, 14, 18])
+    np.testing.assert_array_equal(times, [10, 12, 20, 30])
+    assert moved_keys(np.empty(0), 0.0, 2.0, 1.5, np.empty(0))[0].size == 0
+
+
+def test_corrections_move_with_their_frames():
+    one = Correction({8: (1.0, 2.0)}, spread=4.0)
+    moved = retimed_field(CorrectionField({10: one, 20: Correction({}, keyed=True)}), 5, 0.8)
+    assert moved.corrected == [9]
+    assert moved.corrections[9].spread == pytest.approx(3.2)
+    assert moved.frames.tolist() == [9, 17]
+    # The artist's stays where an anchor would come to lie.
+    close = retimed_field(CorrectionField({10: one, 11: Correction({}, keyed=True)}), 5, 0.4)
+    assert close.corrected == [7]

@@ -1,0 +1,202 @@
+"""Captures whose scene has another rate than that which they were built for: noticed, and built for it anew.
+
+What the artist did stays: keys are sampled from the present motion, and a corrected frame keeps its pose on
+the nearest frame of the new rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.edit.corrections import changed_quats
+from handfit_core.errors import OptionError
+from handfit_core.files import is_file
+from handfit_core.retiming import check_rate, is_other_rate, moved_keys, retimed, retimed_field, sampled
+from handfit_core.take import Take
+
+from ..blender_versions import action_slot, channels
+from .corrections import check_writable, corrections_of, keep_field
+from .editable import check_unlayered
+from .keys import PoseKeys, align_signs, is_smooth, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
+from .markers import is_marked, mark_doubtful
+from .own_keys import keyed_by_hand, note_fitted
+from .plate import movie_plate
+from .store import (
+    CapturedHand,
+    captured_take,
+    clip_timing,
+    describe_capture,
+    hand_of,
+    keep_take,
+    kept_take,
+    timing_of,
+)
+from .timing import Timing, frame_rate, nearest_rate
+
+
+def other_rate(scene: bpy.types.Scene, collection: bpy.types.Collection | None) -> float:
+    """Frames per second of the scene that a capture was built for, where the scene has another rate by now;
+    else 0. Cheap enough for drawing."""
+    built = collection.manient.scene_rate if collection is not None else 0.0
+    return built if built > 0.0 and is_other_rate(frame_rate(scene), built) else 0.0
+
+
+def put_rate_back(scene: bpy.types.Scene, collection: bpy.types.Collection) -> None:
+    """Give the scene the rate that the capture was built for."""
+    scene.render.fps, scene.render.fps_base = nearest_rate(collection.manient.scene_rate)
+
+
+def retime(scene: bpy.types.Scene, collection: bpy.types.Collection) -> list[str]:
+    """Build a capture's hands and plate for the scene's present rate. Returns the hands' names.
+
+    Raises HandfitError, and then has changed nothing.
+    """
+    kept, captured = kept_take(collection), captured_take(collection)
+    rate, built = frame_rate(scene), collection.manient.scene_rate
+    check_rate(rate)
+    _check_clip(captured)
+    hands = [h for h in map(hand_of, bpy.data.objects) if h is not None and h.collection == collection]
+    hands = list({h.armature: h for h in hands}.values())
+    for hand in hands:
+        check_unlayered(hand.armature)
+        check_writable(hand.armature)
+    ratio, number = rate / built, int(kept.frame_numbers[0])
+    first = round(float(timing_of(collection).scene_frames(kept.frame_numbers[:1])[0]))
+    marked = [hand for hand in hands if is_marked(scene, hand)]
+    for hand in marked:
+        mark_doubtful(scene, hand, False)
+    keys = [_retimed_keys(hand, first, number, ratio) for hand in hands]
+
+    take = _retimed_take(kept, captured, rate)
+    if not collection.manient.source_digest:
+        collection.manient.source_take = collection.manient.take
+        collection.manient.source_digest = collection.manient.digest
+    keep_take(collection, take)
+    if not is_other_rate(rate, captured.fps):
+        collection.manient.source_take = collection.manient.source_digest = ""
+    describe_capture(collection, collection.manient.camera, Timing(float(first - number)), rate)
+    for hand, (new, field, fitted) in zip(hands, keys, strict=True):
+        _write(hand.armature, new, first, ratio)
+        keep_field(hand.armature, field)
+        hand.armature.manient.fitted = ""
+        numbers = [int(n) for n in new.frames[fitted] - first + number]
+        turned, moved = field.at(np.array(numbers, dtype=np.float64))
+        quats = changed_quats(new.quats[fitted], turned, np.zeros_like(turned))
+        note_fitted(hand.armature, numbers, quats, new.locations[fitted] - moved)
+    for hand in filter(None, (hand_of(each.armature) for each in marked)):
+        mark_doubtful(scene, hand, True)
+    _retime_plate(collection, captured, clip_timing(collection))
+    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+    return [hand.armature.name for hand in hands]
+
+
+def _check_clip(take: Take) -> None:
+    path = Path(take.source.files[0])
+    if take.source.kind == "video" and not is_file(path):
+        raise OptionError(
+            f"{path.name} is not there any more, so the picture cannot be retimed: put the clip back, or the "
+            "scene's rate"
+        )
+
+
+def _retimed_take(kept: Take, captured: Take, rate: float) -> Take:
+    """The captured take at the scene's rate, with the hands that only the kept one has."""
+    other = is_other_rate(rate, captured.fps)
+    take = retimed(captured, rate / captured.fps) if other else captured
+    first = int(kept.frame_numbers[0])
+    times = first + (np.asarray(take.frame_numbers) - first) * (kept.fps / take.fps)
+    added = kept.hands[len(captured.hands) :]
+    tracks = tuple(sampled(track, np.asarray(kept.frame_numbers), times) for track in added)
+    return replace(take, hands=(*take.hands, *tracks), model_digests=kept.model_digests)
+
+
+def _retimed_keys(hand: CapturedHand, first: int, number: int, ratio: float) -> tuple[PoseKeys, Any, Any]:
+    """A hand's keys at the new rate, its corrections by the new numbers, and which (N,) of the keys' frames
+    are no keys by hand."""
+    rig, old = hand.rig, corrections_of(hand.armature)
+    new = retimed_field(old, number, ratio)
+    keys = read_pose_keys(rig)
+    corrected = np.array(old.corrected) - number + first
+    step = int(np.diff(hand.take.frame_numbers).min()) if len(hand.take.frame_numbers) > 1 else 1
+    dense = np.inf if is_smooth(rig) else step + 0.5
+    keyed = [*keys.rotation_keyed.T, keys.location_keyed]
+    moved = [moved_keys(keys.frames[own], first, ratio, dense, corrected) for own in keyed]
+    frames = np.unique(np.concatenate([f for f, _ in moved]))
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (len(frames), len(moved) - 1, 1))
+    locations, has = np.zeros((len(frames), 3)), np.zeros((len(frames), len(moved)), dtype=bool)
+    for channel, (own, times) in enumerate(moved):
+        at = np.searchsorted(frames, own)
+        has[at, channel] = True
+        was, placed = pose_at(rig, times)
+        (turned_old, moved_old), (turned, shifted) = (
+            old.at(times - first + number),
+            new.at(own - first + number),
+        )
+        if channel < len(moved) - 1:
+            quats[at, channel] = changed_quats(was, turned_old, turned)[:, channel]
+        else:
+            locations[at] = placed - moved_old + shifted
+    result = PoseKeys(frames, quats, locations, has[:, :-1], has[:, -1])
+    rows = np.arange(len(hand.take.frame_numbers))
+    by_hand = keyed_by_hand(hand, rows).any(axis=1)
+    own = np.asarray(hand.take.frame_numbers)[by_hand] - number + first
+    former = first + (frames - first) / ratio
+    near = np.abs(former[:, None] - own).min(axis=1, initial=np.inf) < 1.0
+    return result, new, has.all(axis=1) & ~near
+
+
+def _write(armature: bpy.types.Object, keys: PoseKeys, first: int, ratio: float) -> None:
+    """Give a hand these keys and no others; what else its action moves is stretched with them."""
+    hand = hand_of(armature)
+    assert hand is not None
+    rig = hand.rig
+    remove_pose_keys(rig, -np.inf, np.inf)
+    for curve in _other_curves(hand):
+        points = curve.keyframe_points
+        for place in ("co", "handle_left", "handle_right"):
+            values = np.empty((len(points), 2), dtype=np.float32)
+            points.foreach_get(place, values.ravel())
+            values[:, 0] = first + (values[:, 0] - first) * ratio
+            points.foreach_set(place, values.ravel())
+        curve.update()
+    write_pose_keys(rig, keys)
+    align_signs(rig)
+
+
+def _other_curves(hand: CapturedHand) -> Iterator[bpy.types.FCurve]:
+    data = hand.armature.animation_data
+    holder = (
+        channels(data.action, action_slot(data)) if data is not None and data.action is not None else None
+    )
+    starts = tuple(f'pose.bones["{name}"].' for name in hand.rig.bones)
+    for curve in holder.fcurves if holder is not None else ():
+        if not curve.data_path.startswith(starts) and len(curve.keyframe_points):
+            yield curve
+
+
+def _retime_plate(collection: bpy.types.Collection, take: Take, clip: Timing) -> None:
+    """Have all that shows the clip's picture for this capture show it at the new rate."""
+    if take.source.kind != "video":
+        return
+    path = Path(take.source.files[0]).absolute()
+    for image, user in list(_image_users(collection)):
+        if image is not None and Path(bpy.path.abspath(image.filepath, library=image.library)) == path:
+            movie_plate(image, take, clip).apply_timing(user)
+
+
+def _image_users(collection: bpy.types.Collection) -> Iterator[tuple[Any, bpy.types.ImageUser]]:
+    camera = collection.manient.camera
+    for background in camera.data.background_images if camera is not None else ():
+        yield background.image, background.image_user
+    for obj in collection.objects:
+        for slot in obj.material_slots:
+            tree = slot.material.node_tree if slot.material is not None else None
+            for node in tree.nodes if tree is not None else ():
+                if node.type == "TEX_IMAGE":
+                    yield node.image, node.image_user
