@@ -57,14 +57,14 @@ def applied(stage, take, blend):
 
 def of_another_program(stage, source, vrma, fbx):
     """Another program's hands as the source of a capture; put onto a Rigify character, and what that does
-    exported for avatars, both by mouse."""
-    with opened_by_default("MANIENT_PT_character", "MANIENT_PT_export"):
+    exported for avatars and as FBX by mouse."""
+    with opened_by_default("MANIENT_PT_export"):
         job = yield from capture(stage, source)
         captured = summary()
         yield from rigify_character(stage)
         yield from stage.open_sidebar()
         yield 0.5
-        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.invoke("manient.apply_to_character")
         yield from stage.until(lambda: _keys() > 0, 60.0, "keys on the character")
         yield 0.5
         bpy.context.scene.frame_set(30)
