@@ -75,6 +75,8 @@ class Job:
     """Whether more than a few hands are not built before somebody has chosen among them"""
     bare: bool = False
     """Whether nobody looks for hands: the picture is shown for an artist to add some"""
+    button: Literal["capture", "frame", "add"] = "capture"
+    """Which of the panel's buttons has asked for it"""
     adds: bool = False
     """Whether the artist goes on by adding a hand to its picture"""
     crowd: int = 0
@@ -118,6 +120,14 @@ class Job:
     def finished(self) -> bool:
         """Whether nothing more happens to it."""
         return self.state in ("done", "failed", "cancelled")
+
+    @property
+    def stop_said(self) -> tuple[str, bool]:
+        """What stands on the button that stops it, and whether that can be pressed: once, and not when
+        finished frames would be lost by it."""
+        if self.state == "building":
+            return "Building Hands", False
+        return ("Stopping", False) if self._stopping else ("Stop", True)
 
     @property
     def undone(self) -> bool:
@@ -173,6 +183,20 @@ def busy() -> bool:
 def current() -> Job | None:
     """The job that runs."""
     return next((job for job in _queue if job.running), None)
+
+
+def awaited() -> Job | None:
+    """The job that runs, or is the next to."""
+    return next((job for job in _queue if not job.finished), None)
+
+
+def is_repeated(job: Job) -> bool:
+    """Whether one is not through yet that does the same: a double click has asked for it twice."""
+    return any(
+        (other.files, other.options, other.building) == (job.files, job.options, job.building)
+        for other in _queue
+        if not other.finished
+    )
 
 
 def submit(job: Job) -> None:

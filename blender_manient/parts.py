@@ -22,6 +22,7 @@ from . import (
     properties,
     shared_worker,
     source_info,
+    steady,
 )
 from .panels import preferences as preferences_panel
 from .scene import captures, confidence, controls, render_setup, reshape, see_through
@@ -107,6 +108,7 @@ _MODULES = (
     live_link,
     hand_adjusting,
     source_info,
+    steady,
     *_files_of(operators),
     *_files_of(panels),
 )

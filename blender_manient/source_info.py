@@ -7,7 +7,7 @@ started by that and is warm when the artist presses the button.
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +178,14 @@ def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
 def lacks_size(settings, info: SourceInfo) -> bool:
     """Whether the artist has yet to say how large the source's pictures are."""
     return info.unsized and not all(settings.picture_size)
+
+
+def guises(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
+    """The same source before the worker has looked, and with what it may find at the longest."""
+    times = {"fps": 23.976, "first": 10000, "last": 20000}
+    if info.files is None or info.files.kind == "photo":
+        times = {}
+    return replace(info, width=0), replace(info, width=3840, height=2160, **times)
 
 
 def of_dropped(settings, path: Path) -> Footage | None:

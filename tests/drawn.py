@@ -25,6 +25,11 @@ class Page:
         return " ".join(text for text, _ in self._shown if text)
 
     @property
+    def rows(self) -> list[str]:
+        """Each text for itself, and the names of what has none, in their order."""
+        return [text for text, _ in self._shown]
+
+    @property
     def loud(self) -> str:
         """What of it is red."""
         return " ".join(text for text, page in self._shown if page.alert)

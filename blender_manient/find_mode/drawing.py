@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import gpu
@@ -33,6 +33,10 @@ HIGH: Final = 34.0
 """pixels, at a user interface scale of 1, of the strips over and under the picture"""
 SMALL: Final = 60.0
 """pixels of the region, at a user interface scale of 1: the lines of smaller hands are thinner"""
+
+
+Name = tuple[str, str]
+"""of a button, and what stands on it"""
 
 
 @dataclass(frozen=True)
@@ -90,15 +94,21 @@ def side_tags(hands: Sequence[Found], matrix: np.ndarray, free: Box) -> list[But
     return tags
 
 
-def row_of(names: Sequence[tuple[str, str]], free: Box) -> list[Button]:
-    """Buttons beside each other in the middle of the lower strip: names, and what stands on them."""
-    gap, buttons, x = 8.0 * ui_scale(), [], 0.0
-    for name, text in names:
-        box = tag_box(f"   {text}   ", x, free[1] + 2.0 * ui_scale(), 1.2 * ui_scale())
-        buttons.append(Button(name, text, box))
-        x = box[2] + gap
-    left = (free[0] + free[2] - (x - gap)) / 2.0
-    return [replace(b, box=(b.box[0] + left, b.box[1], b.box[2] + left, b.box[3])) for b in buttons]
+def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> list[Button]:
+    """Buttons beside each other in the lower strip: `middle` lies in its middle whatever lies beside it."""
+    scale = ui_scale()
+
+    def button(name: Name, x: float) -> Button:
+        return Button(name[0], name[1], tag_box(f"   {name[1]}   ", x, free[1] + 2.0 * scale, 1.2 * scale))
+
+    def width(name: Name) -> float:
+        box = button(name, 0.0).box
+        return box[2] - box[0]
+
+    found = [button(middle, (free[0] + free[2] - width(middle)) / 2.0)]
+    box, gap = found[0].box, 8.0 * scale
+    found += [button(left, box[0] - gap - width(left))] if left is not None else []
+    return found + ([button(right, box[2] + gap)] if right is not None else [])
 
 
 def draw(scene: Scene, size: tuple[int, int]) -> None:

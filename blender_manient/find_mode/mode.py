@@ -229,12 +229,10 @@ class FindMode:
         tags: list[drawing.Button] = []
         if self.sight is not None:
             tags = drawing.side_tags(self.choice.hands, self.sight.matrix(drawing.picture_room(free)), free)
-        names = [("leave", "Leave")]
-        if self.choice.chosen:
-            names.insert(0, ("capture", f"Capture {counted(len(self.choice.chosen), 'Hand')}"))
-        if self.nothing_there:
-            names.insert(0, ("add", "Add Hand"))
-        return tags + drawing.row_of(names, free)
+        count = len(self.choice.chosen)
+        capture = ("capture", f"Capture {counted(count, 'Hand')}") if count else None
+        add = ("add", "Add Hand") if self.nothing_there else None
+        return tags + drawing.row_of(capture, ("leave", "Leave"), add, free)
 
     def line(self) -> tuple[str, bool]:
         """A sentence about where the artist is, and whether it is one to worry about."""

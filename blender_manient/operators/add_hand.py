@@ -122,6 +122,11 @@ class _Mode:
 _mode: _Mode | None = None
 
 
+def running() -> bool:
+    """Whether a hand is being laid into the picture."""
+    return _mode is not None
+
+
 class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
     bl_idname = "manient.add_hand"
     bl_label = "Add Hand"

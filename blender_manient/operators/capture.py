@@ -67,7 +67,11 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
         if not self.queued:
-            jobs.submit(new_job(context, only_frame=self.only_frame, asks=True))
+            job = new_job(context, only_frame=self.only_frame, asks=True)
+            if jobs.is_repeated(job):
+                self.report({"INFO"}, "This is being captured already")
+                return {"CANCELLED"}
+            jobs.submit(job)
         if MANIENT_OT_capture._ticking:
             self.report({"INFO"}, "It is captured after the one before")
             return {"FINISHED"}
@@ -235,6 +239,7 @@ def new_job(
             camera=Remembered.of("objects", camera) if camera else None,
         ),
         bare=bare,
+        button="add" if bare else "frame" if only_frame else "capture",
         asks=asks and source.kind == "photo" and settings.target == "NEW",
     )
 

@@ -8,9 +8,11 @@ from handfit_core.options import OPTIONS
 
 from .. import jobs, shared_worker, source_info
 from ..find_mode import mode as find_mode
+from ..operators import add_hand
 from ..scene.matching import said
 from ..scene.store import active_hand
 from ..section import Section, fitted, sentence, split
+from ..steady import settled
 from ..wording import counted
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
@@ -34,39 +36,52 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
 
         info = source_info.of(settings)
-        text = ""
+        own, others = "", [""]
         if settings.target == "NEW":
             column.prop(settings, "matching")
-            text = _becomes(context.scene, info)
-            sentence(layout, context, text, "SCENE_DATA")
+            text, own = _told(context, info)
+            texts, others = zip(*(_told(context, i) for i in source_info.guises(info)), strict=True)
+            sentence(layout, context, text, "SCENE_DATA", least=texts)
         searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
-        buttons = layout.column(align=True)
         told = info.files is not None and not source_info.lacks_size(settings, info)
-        buttons.enabled = told and (settings.target == "NEW" or hand is not None)
-        row = buttons.row(align=True)
-        row.scale_y = 1.5
+        ready = told and (settings.target == "NEW" or hand is not None)
         choosing = find_mode.current
-        if choosing is not None:
-            count = counted(len(choosing.choice.chosen), "Hand")
-            row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
-        else:
-            row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
-            if searched:
-                buttons.operator("manient.find_hands", icon="VIEWZOOM")
-        if info.files is not None and info.files.kind != "photo" and choosing is None:
-            # Only what is not said above.
-            shown = source_info.shown_frame(context, info.files)
-            if text and not text.startswith(own := _becomes(context.scene, info, only=shown)):
-                sentence(buttons, context, own, "SCENE_DATA")
-            frame = buttons.operator("manient.capture", text=f"Capture Frame {shown}")
-            frame.only_frame = True
-        if choosing is None and searched:
-            row = layout.row(align=True)
-            row.operator("manient.add_hand", icon="ADD")
+        buttons = layout.column(align=True)
+        if not _stops(buttons, "capture", 1.5):
+            row = _row(buttons, "capture", "found" if choosing else "capture", ready, 1.5)
+            if choosing is not None:
+                count = counted(len(choosing.choice.chosen), "Hand")
+                row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
+            else:
+                row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
+        if searched:
+            row = _row(buttons, "find", "leave" if choosing else "find", ready)
+            if choosing is not None:
+                row.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
+            else:
+                row.operator("manient.find_hands", icon="VIEWZOOM")
+        if info.files is not None and info.files.kind != "photo":
+            if own or any(others):
+                sentence(buttons, context, own, "SCENE_DATA" if own else "NONE", least=others)
+            if not _stops(buttons, "frame"):
+                row = _row(buttons, "frame", "capture", ready and choosing is None)
+                shown = source_info.shown_frame(context, info.files)
+                row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
+        if searched:
+            parts = layout.split(factor=0.36, align=True)
+            if not _stops(parts, "add"):
+                adding = add_hand.running()
+                row = _row(parts, "add", "leave" if adding else "add", choosing is None)
+                if adding:
+                    row.operator("manient.leave", icon="CANCEL").what = "ADD"
+                else:
+                    row.operator("manient.add_hand", icon="ADD")
+            row = parts.row(align=True)
+            row.enabled = choosing is None
             row.prop(settings, "added_side", expand=True)
-        self._queue(context)
+        self._queue(context, ready)
 
-    def _queue(self, context) -> None:
+    def _queue(self, context, ready: bool) -> None:
         layout = self.layout
         queue = jobs.jobs()
         for index, job in enumerate(queue):
@@ -93,8 +108,40 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                     sentence(box, context, warning, "INFO")
                 if job.state == "failed":
                     box.operator("manient.show_details", text="Details", icon="TEXT")
-        if queue and not jobs.busy():
-            layout.operator("manient.clear_captures", text="Clear List")
+        if queue:
+            row = _row(layout, "queue", "add" if jobs.busy() else "clear", ready or not jobs.busy())
+            if jobs.busy():
+                row.operator("manient.capture", text="Add to Queue", icon="ADD")
+            else:
+                row.operator("manient.clear_captures", text="Clear List")
+
+
+def _row(layout, place: str, button: str, ready: bool = True, scale: float = 1.0):
+    """A row for a button that shares its place with others."""
+    row = layout.row(align=True)
+    row.scale_y = scale
+    row.enabled = settled(f"capture {place}", button) and ready
+    return row
+
+
+def _stops(layout, button: str, scale: float = 1.0) -> bool:
+    """Where a button has begun what is captured now, the one that stops it; whether there is one to draw."""
+    job = jobs.awaited()
+    if job is None or job.button != button:
+        return False
+    text, ready = job.stop_said
+    row = _row(layout, button, f"{job.key} {text}", ready, scale)
+    row.operator("manient.cancel_capture", text=text, icon="CANCEL").index = jobs.jobs().index(job)
+    return True
+
+
+def _told(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
+    """What becomes of the scene when the source is captured, and what else when only its current frame is."""
+    text = _becomes(context.scene, info)
+    if info.files is None or info.files.kind == "photo":
+        return text, ""
+    own = _becomes(context.scene, info, only=source_info.shown_frame(context, info.files))
+    return text, "" if text.startswith(own) else own
 
 
 def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int | None = None) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import bpy
 
-from .. import jobs, preferences
+from .. import preferences
+from ..operators.refit_range import FitsRange
 from ..refiner import why_not_refinable
 from ..scene import corrections
 from ..scene.store import active_hand
 from ..section import Section, sentence
+from ..steady import settled
 from ..wording import capitalised, counted
 
 
@@ -29,7 +31,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         if why is not None:
             sentence(layout, context, capitalised(why), "INFO")
         else:
-            self._by_points(context)
+            self._by_points()
         layout.prop(settings, "spread", text="Spread (Frames)")
         corrected = corrections.corrected_frames(hand.armature)
         if corrected:
@@ -42,19 +44,26 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         if why is None:
             self._locks(hand.armature)
 
-    def _by_points(self, context) -> None:
+    def _by_points(self) -> None:
         """What needs the points that were detected."""
         layout = self.layout
-        if jobs.busy():
-            sentence(layout, context, "Wait for the capture to end", "INFO")
         column = layout.column()
         column.scale_y = 1.3
         column.operator("manient.edit_keypoints", icon="EDITMODE_HLT")
         kept = preferences.get()
         if isinstance(kept, bpy.types.AddonPreferences):
             layout.prop(kept, "hand_opacity", slider=True)
-        layout.operator("manient.refit_range", icon="FILE_REFRESH")
-        layout.operator("manient.touch", icon="SNAP_ON")
+        self._fitting("manient.refit_range", "FILE_REFRESH")
+        self._fitting("manient.touch", "SNAP_ON")
+
+    def _fitting(self, operator: str, icon: str) -> None:
+        """The button that begins to fit a range, and in its place the one that stops that."""
+        row, begun = self.layout.row(), FitsRange.running == operator
+        row.enabled = settled(operator, "stop" if begun else "begin") and (not begun or FitsRange.can_stop)
+        if begun:
+            row.operator("manient.leave", text="Stop", icon="CANCEL").what = "FIT"
+        else:
+            row.operator(operator, icon=icon)
 
     def _locks(self, armature: bpy.types.Object) -> None:
         locked = sum(armature.manient.locked)

@@ -15,6 +15,11 @@ _KINDS = {
     "data": ("Hands of Another Program", "ARMATURE_DATA"),
 }
 
+_PICTURE = 4.0
+"""height of the thumbnail, in buttons"""
+_PICTURE_LINES = 5
+"""lines of a sentence that are as high"""
+
 
 class MANIENT_PT_source(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_source"
@@ -58,19 +63,24 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         layout = self.layout
         assert info.files is not None
         kind, icon = _KINDS[info.files.kind]
-        row = layout.row()
+        lines = [kind]
+        # Their places are kept until they are known.
+        if info.files.kind != "data":
+            lines.append(f"{info.width} × {info.height} px" if info.width else "")
+        if info.files.kind != "photo":
+            rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind in ("video", "data") else ""
+            lines.append(f"Frames {info.first}-{info.last}{rate}" if info.frames else "")
         picture = source_info.thumbnail(info)
+        if info.problem:
+            rows = _PICTURE_LINES if picture else len(lines)
+            sentence(layout, context, info.problem, "ERROR", alert=True, rows=rows)
+            return
+        row = layout.row()
         if picture:
-            row.template_icon(icon_value=picture, scale=4.0)
+            row.template_icon(icon_value=picture, scale=_PICTURE)
         column = row.column(align=True)
         if picture:
             column.separator(factor=2.0)
-        column.scale_y = 0.9
-        column.label(text=kind, icon="NONE" if picture else icon)
-        if info.width and info.files.kind != "data":
-            column.label(text=f"{info.width} × {info.height} px", translate=False)
-        if info.files.kind != "photo" and info.frames:
-            rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind in ("video", "data") else ""
-            column.label(text=f"Frames {info.first}-{info.last}{rate}", translate=False)
-        if info.problem:
-            sentence(layout, context, info.problem, "ERROR", alert=True)
+        column.scale_y = 0.9 if picture else 0.8
+        for number, line in enumerate(lines):
+            column.label(text=line, icon="NONE" if picture or number else icon, translate=number == 0)

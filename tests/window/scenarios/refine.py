@@ -306,8 +306,8 @@ def range_refitted(stage, source):
         yield 0.1
     yield from stage.screenshot("refit-range-wider")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().MANIENT_OT_refit_range._running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().MANIENT_OT_refit_range._running, WARM, "the fit")
+    yield from stage.until(lambda: refit().MANIENT_OT_refit_range.running, 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().MANIENT_OT_refit_range.running, WARM, "the fit")
     yield 0.3
     changed = _changed(armature, before)
     yield from stage.screenshot("refit-range-done")
@@ -337,8 +337,8 @@ def touched(stage, source):
     yield 0.5
     yield from stage.screenshot("touch-asks")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().FitsRange._running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().FitsRange._running, WARM, "the fit")
+    yield from stage.until(lambda: refit().FitsRange.running, 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().FitsRange.running, WARM, "the fit")
     yield 0.3
     yield from stage.screenshot("touch-done")
     refiner = part("refiner").Refiner(armature)

@@ -1,0 +1,41 @@
+"""Leave: ends what a button has begun, from the same place in the panel."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import screen
+from ..find_mode import mode as find_mode
+from . import add_hand, find_hands
+from .needs_hand import Refuses
+from .refit_range import FitsRange
+
+_LEAVE = {
+    "FIND": lambda: find_hands.unregister(),
+    "ADD": lambda: add_hand.unregister(),
+    "FIT": lambda: FitsRange.stop(),
+}
+"""Ends each; its operator finds out with its next event"""
+
+
+class MANIENT_OT_leave(Refuses, bpy.types.Operator):
+    bl_idname = "manient.leave"
+    bl_label = "Leave"
+    bl_description = "End this without changing anything, as Esc does"
+    bl_options = {"INTERNAL"}  # noqa: RUF012
+
+    what: bpy.props.EnumProperty(  # type: ignore
+        items=[(name, name.capitalize(), "") for name in _LEAVE], options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def lacks(cls, _context):
+        """Something that can be left."""
+        begun = find_mode.current is not None or add_hand.running() or FitsRange.running
+        return None if begun else "Nothing is under way"
+
+    def execute(self, _context):
+        """End it."""
+        _LEAVE[self.what]()
+        screen.redraw("VIEW_3D")
+        return {"FINISHED"}

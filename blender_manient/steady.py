@@ -1,0 +1,43 @@
+"""Buttons that take one another's place, so that what stops something stands where it was started.
+
+The second click of a double click must not press the button that has just come under the mouse: it is grey
+until it was seen for longer than a double click takes, by the artist's own setting.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Final
+
+import bpy
+
+from . import screen
+
+_LONGER: Final = 0.15
+"""seconds beyond those of a double click"""
+
+_there: dict[str, tuple[str, float]] = {}
+"""Place -> the button that was drawn there last, and since when"""
+
+
+def settled(place: str, button: str) -> bool:
+    """Whether a button that a panel draws now can be pressed: one that has taken another's place only after a
+    moment, when the panel is drawn again."""
+    now = time.monotonic()
+    before, since = _there.get(place, (button, -math.inf))
+    if before != button:
+        since = now
+        if not bpy.app.background:
+            bpy.app.timers.register(screen.redraw_sidebars, first_interval=1.1 * _moment())
+    _there[place] = button, since
+    return now - since >= _moment()
+
+
+def _moment() -> float:
+    return bpy.context.preferences.inputs.mouse_double_click_time / 1000.0 + _LONGER
+
+
+def unregister() -> None:
+    """Forget what was drawn."""
+    _there.clear()
