@@ -52,7 +52,7 @@ def sources(tmp_path) -> dict[str, Path]:
     """One of each kind; nobody reads what is in them."""
     for name in ("clip.mp4", "poses.smplx.npz"):
         shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / name)
-    photo = shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / "photo.jpg")
+    photo = Path(shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / "photo.jpg"))
     return {
         "photo": photo,
         "sequence": SAMPLE,
@@ -121,7 +121,7 @@ def test_a_capture_is_stopped_once_and_what_is_finished_stays(settings, clock, m
         ("capturing", True, "Stopping"),
         ("building", True, "Building Hands"),
     ):
-        job.state, job._stopping = state, stopping
+        vars(job).update(state=state, _stopping=stopping)
         drawn(MANIENT_PT_capture)
         clock.now += 10.0
         page = drawn(MANIENT_PT_capture)

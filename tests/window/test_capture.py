@@ -66,6 +66,14 @@ def test_the_panels_buttons_by_mouse(blender, make_clip):
     assert 5 <= played["frames"][0] < VERY_LONG_CLIP
 
 
+def test_what_stops_stands_where_it_was_begun_and_a_double_click_does_not_stop(blender, make_clip):
+    played = blender.play("capture.in_place", source=make_clip(VERY_LONG_CLIP)).value
+    assert played["begun"] == [1, ["Stop", True]]
+    assert played["stop"] == played["start"]
+    assert played["state"] == "done"
+    assert "stopped" in played["message"]
+
+
 def test_several_captures_queue(blender, photo, make_clip):
     second = shutil.copy(photo, photo.with_name("second.jpg"))
     sources = [str(make_clip(LONG_CLIP)), str(photo), str(second)]

@@ -98,6 +98,27 @@ def by_the_button(stage, source):
     return {"state": job.state, "message": job.message, "frames": [h["frames"] for h in summary()]}
 
 
+def in_place(stage, source):
+    """A double click on Capture; then a click on the button that stands there. Where both are."""
+    yield from stage.open_sidebar()
+    bpy.context.scene.manient.source = source
+    yield from stage.until(lambda: part("source_info").of(bpy.context.scene.manient).width, 30.0, "its size")
+    yield from stage.screenshot("place-before")
+    start = yield from stage.find_button("bpy.ops.manient.capture(")
+    yield from stage.click(start)
+    yield from stage.key("LEFTMOUSE")
+    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
+    yield from stage.key("LEFTMOUSE")
+    yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
+    begun = [len(jobs()), job.stop_said]
+    yield from stage.move_to(stage.region())
+    yield from stage.screenshot("place-during")
+    stop = yield from stage.find_button("bpy.ops.manient.cancel_capture(")
+    yield from stage.click(start)
+    yield from finish(stage, job)
+    return {"start": start, "stop": stop, "begun": begun, "state": job.state, "message": job.message}
+
+
 def clip(stage, source, shot="video"):
     """A clip: what the progress bar says meanwhile, and what comes of it."""
     yield from stage.open_sidebar()
