@@ -1,7 +1,8 @@
 """How many keys Simplify would leave: found in slices while the panel shows it, and used by the operator.
 
 A preview belongs to an action, a state of its keys and the panel's settings. Whatever changes one of them
-begins it anew, so that a slider can be dragged on.
+begins it anew, so that a slider can be dragged on. Keys that were changed without Blender having evaluated
+them yet are not seen by the panel: the operator compares the keys themselves.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import bpy
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import result_of, slice_clock
 
-from .scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, thinning
+from .scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, state_of, thinning
 from .wording import capitalised
 
 _PAUSE = 0.02
@@ -49,11 +50,13 @@ def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
 
 
 def found_now(context: bpy.types.Context) -> list[Thinned]:
-    """What Simplify does: what the preview has found already, else it is found here. Raises what `thinning`
-    raises."""
+    """What Simplify does: what the preview has found already, where it was found for the keys as they are
+    now, else it is found here. Raises what `thinning` raises."""
     hands = hands_to_simplify(context)
     if _key == _key_of(context.scene, hands) and isinstance(_found, list):
-        return _found
+        now = [state_of(hand) for hand in hands]
+        if all(one.made_of in now for one in _found):
+            return _found
     return result_of(_finding(hands, bounds_of(context.scene)))
 
 

@@ -290,12 +290,66 @@ def keep_field(armature: bpy.types.Object, new: CorrectionField) -> None:
 
 
 def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable[tuple[Any, Any]]) -> None:
-    """`keep_field` for the same corrections about other axes, with all (action, slot) that were turned."""
+    """`keep_field` for the same corrections about other axes, or in other poses, with all (action, slot)
+    whose keys have changed alike."""
     before = fingerprint(armature)
     holding = [(action, slot) for action, slot in used if _marks(action).get(_slot_key(slot)) == before]
     armature.manient.corrections = new.to_json()
     for action, slot in holding:
         _mark(action, slot, fingerprint(armature))
+
+
+@contextlib.contextmanager
+def carried_over(armature: bpy.types.Object, held: str) -> Iterator[None]:
+    """Within, the armature gets another action, whose keys hold the present corrections, or else those that
+    `held` says. Frames that are corrected otherwise now get the pose that they have now."""
+    field = CorrectionField()
+    if why_elsewhere(armature) is None:
+        with contextlib.suppress(TakeError):
+            field = corrections_of(armature)
+    frames = field.corrected
+    if frames:
+        lost = displaced(armature)
+        frames = [g for g in frames if g not in lost]
+    poses = _keyed_poses(armature, frames)
+    yield
+    if armature.manient.corrections and why_elsewhere(armature) is None:
+        return
+    armature.manient.corrections = held
+    for g, quats, location in poses:
+        one, before = field.corrections[g], corrections_of(armature).corrections.get(g)
+        if before is None or CorrectionField({g: before}).to_json() != CorrectionField({g: one}).to_json():
+            of_frame = {"pins": [one.pins], "touches": [one.touches], "posed": one.posed}
+            correct_frames(armature, [g], quats[None], location[None], one.spread, **of_frame)
+
+
+@contextlib.contextmanager
+def known_again(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
+    """Something is added on purpose to the keys of all these (action, slot) within: corrections that were
+    known by their keys' poses are known by the new ones afterwards."""
+    known: list[float] = []
+    if armature.manient.corrections and why_elsewhere(armature) is None:
+        with contextlib.suppress(TakeError):
+            lost = displaced(armature)
+            known = [g for g in corrections_of(armature).corrected if g not in lost]
+    yield
+    if known:
+        field = corrections_of(armature)
+        new = {
+            g: replace(field.corrections[g], pose=pose, place=place)
+            for g, pose, place in _keyed_poses(armature, known)
+        }
+        keep_turned(armature, field.having(new), used)
+
+
+def _keyed_poses(
+    armature: bpy.types.Object, frames: Sequence[float]
+) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """What the keys say on source frames: the frame, (16, 4) and (3,)."""
+    if not frames:
+        return []
+    places = timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
+    return list(zip(frames, *pose_at(rig_of(armature), places), strict=True))
 
 
 def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:

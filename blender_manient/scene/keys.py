@@ -170,13 +170,15 @@ def replace_keys(
     values: np.ndarray,
     before: np.ndarray,
     behind: np.ndarray,
+    *,
+    holder: Any = None,
 ) -> None:
     """Give the rotation of one bone (None: the first bone's location) these Bezier keys and no others.
 
     `frames` (K,); `values` (K, C) in the bone's own rotation mode; where the handles before and behind each
     key lie, (K, C, 2) frame and value. The two handles of a key are aligned.
     """
-    curves, names = _Curves(rig.armature, make=True), _bones(rig)
+    curves, names = _Curves(rig.armature, holder, make=True), _bones(rig)
     kind, name = (curves.location, names[0]) if joint is None else (curves.rotation, names[joint])
     kinds = {"interpolation": "BEZIER", "handle_left_type": "ALIGNED", "handle_right_type": "ALIGNED"}
     for i, curve in enumerate(kind(name, make=True)):
@@ -265,9 +267,9 @@ def keyed_bones(rig: PosedBones) -> np.ndarray:
     )
 
 
-def is_smooth(rig: PosedBones) -> bool:
+def is_smooth(rig: PosedBones, *, holder: Any = None) -> bool:
     """Whether any of the bones' keys lead to the next one by a Bezier curve."""
-    curves, names = _Curves(rig.armature), _bones(rig)
+    curves, names = _Curves(rig.armature, holder), _bones(rig)
     parts = [part for name in names for part in (*curves.rotation(name), *curves.location(name))]
     kinds = [_read(part, ("interpolation",))["interpolation"] for part in parts if part is not None]
     return bool(np.any(np.concatenate([[], *kinds]) == _kind("interpolation", "BEZIER")))

@@ -17,6 +17,7 @@ from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
 from ..wording import with_note
+from .corrections import known_again
 from .editable import BELOW, check_keyable, is_tweaked, strip_below
 from .keys import (
     PoseKeys,
@@ -29,6 +30,7 @@ from .keys import (
     write_pose_keys,
 )
 from .onto_character import push_down
+from .simplify import all_actions, changed_alike, own_kept_actions
 
 _DEGREES = 0.5
 """How exactly a layer is merged into motion that was simplified"""
@@ -57,8 +59,9 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
     """Make the motion the active action again: with the layer's changes in its keys, or without them.
 
     Where motion has a key, it gets the changed value; where the layer has keys, motion gets keys. Motion that
-    was simplified gets fitted anew, with more keys where half a degree asks for them. Raises OptionError
-    where there is no layer, and where it cannot be merged, before anything is changed.
+    was simplified gets fitted anew, with more keys where half a degree asks for them; the action with all its
+    keys, which is kept behind it, gets the changes too. Raises OptionError where there is no layer, and where
+    it cannot be merged, before anything is changed.
     """
     data, strip = armature.animation_data, strip_below(armature)
     if strip is None or is_tweaked(armature):
@@ -66,8 +69,13 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
             f"{armature.name!r} has no layer on top of a motion: leave the NLA's tweak mode, or make the "
             "layer's action the active one"
         )
-    layer, motion, slot = data.action, strip.action, action_slot(strip)
-    found = _merged(armature, strip) if merge else []
+    layer, motion, slot, layer_slot = data.action, strip.action, action_slot(strip), action_slot(data)
+    bones = _changed_bones(armature, strip) if merge else []
+    found = [_merged(armature, bone, _holder(strip), _holder(data)) for bone in bones]
+    for rig, keys, _ in found:
+        check_unlocked(
+            rig, joints=[0] if keys.rotation_keyed.any() else [], location=bool(keys.location_keyed.any())
+        )
     for track in data.nla_tracks:
         if strip in list(track.strips):
             track.strips.remove(strip)
@@ -78,8 +86,15 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
     data.action = motion
     if slot is not None:
         data.action_slot = slot
-    for rig, keys, tracks in found:
-        _write(rig, keys, tracks)
+    if found:
+        own_action(armature)
+        on_top = channels(layer, layer_slot)
+        with changed_alike(armature), known_again(armature, all_actions(armature)):
+            for one in found:
+                _write(*one)
+            for holder in [channels(*kept) for kept in own_kept_actions(armature)]:
+                for bone in bones if holder is not None else ():
+                    _write(*_merged(armature, bone, holder, on_top), holder=holder)
     if layer.users - layer.use_fake_user == 0:
         bpy.data.actions.remove(layer)
 
@@ -88,11 +103,9 @@ def _holder(user: Any) -> Any:
     return channels(user.action, action_slot(user), make=True)
 
 
-def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones, PoseKeys, list[Channels]]]:
-    """What each bone of the layer does together with the motion: which frames have keys, and the values on
-    all frames that count."""
+def _changed_bones(armature: bpy.types.Object, strip: Any) -> list[str]:
+    """The bones that the layer on a strip has keys for. Raises OptionError where it cannot be merged."""
     data = armature.animation_data
-    top, below = _holder(data), _holder(strip)
     moved = abs(strip.frame_start - strip.action_frame_start) > 1e-3
     if moved or abs(strip.scale - 1.0) > 1e-6 or abs(strip.repeat - 1.0) > 1e-6 or strip.use_reverse:
         raise OptionError(f"the strip {strip.name!r} lies at another time than its keys: put it back first")
@@ -108,7 +121,7 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
         )
     names = {f"{bone_path(bone.name)}.": bone.name for bone in armature.pose.bones}
     bones: dict[str, None] = {}
-    for curve in top.fcurves:
+    for curve in _holder(data).fcurves:
         start, dot, attribute = curve.data_path.partition("].")
         bone = names.get(start + dot)
         if attribute == "scale" and all(abs(key.co[1] - 1.0) < 1e-5 for key in curve.keyframe_points):
@@ -119,42 +132,46 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[tuple[CharacterBones
                 "bake it (Pose > Animation > Bake Action), or delete that channel"
             )
         bones[bone] = None
-    found = []
-    for bone in bones:
-        rig = CharacterBones(armature, [bone])
-        first, second = (read_pose_keys(rig, holder=holder) for holder in (below, top))
-        both = np.union1d(first.frames, second.frames)
-        frames = frames_between(both)
-        mode = armature.pose.bones[bone].rotation_mode
-        keyed = np.isin(frames, both)
-        rotated, located = bool(second.rotation_keyed.any()), bool(second.location_keyed.any())
-        path = f"{bone_path(bone)}."
-        tracks = []
-        if rotated:
-            kind = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
-            attribute = path + kind.get(mode, "rotation_euler")
-            values, change = (_evaluated(h, attribute, mode, frames) for h in (below, top))
-            if mode == "QUATERNION":
-                both_turned = quat_multiply(*(channels_to_quat(v, mode) for v in (values, change)))
-                tracks.append(Channels(unflip_quats(both_turned), mode))
-            else:
-                tracks.append(Channels(values + change, mode))
-        values, change = (_evaluated(h, path + "location", "LOCATION", frames) for h in (below, top))
-        located = located and bool(np.abs(change).max(initial=0.0) > 1e-6)
-        if located:
-            arm = max(float(armature.data.bones[bone].length), 1e-6)
-            tracks.append(Channels(values + change, "LOCATION", arm=arm))
-        check_unlocked(rig, joints=[0] if rotated else [], location=located)
-        quats = channels_to_quat(tracks[0].values, mode) if rotated else np.zeros((len(frames), 4))
-        keys = PoseKeys(
-            frames,
-            quats[:, None],
-            tracks[-1].values if located else np.zeros((len(frames), 3)),
-            (keyed & rotated)[:, None],
-            keyed & located,
-        )
-        found.append((rig, keys, tracks))
-    return found
+    return list(bones)
+
+
+def _merged(
+    armature: bpy.types.Object, bone: str, below: Any, top: Any
+) -> tuple[CharacterBones, PoseKeys, list[Channels]]:
+    """What the channels `top` of a layer make of a bone with those of the motion below: which frames have
+    keys, and the values on all frames that count."""
+    rig = CharacterBones(armature, [bone])
+    first, second = (read_pose_keys(rig, holder=holder) for holder in (below, top))
+    both = np.union1d(first.frames, second.frames)
+    frames = frames_between(both)
+    mode = armature.pose.bones[bone].rotation_mode
+    keyed = np.isin(frames, both)
+    rotated, located = bool(second.rotation_keyed.any()), bool(second.location_keyed.any())
+    path = f"{bone_path(bone)}."
+    tracks = []
+    if rotated:
+        kind = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+        attribute = path + kind.get(mode, "rotation_euler")
+        values, change = (_evaluated(h, attribute, mode, frames) for h in (below, top))
+        if mode == "QUATERNION":
+            both_turned = quat_multiply(*(channels_to_quat(v, mode) for v in (values, change)))
+            tracks.append(Channels(unflip_quats(both_turned), mode))
+        else:
+            tracks.append(Channels(values + change, mode))
+    values, change = (_evaluated(h, path + "location", "LOCATION", frames) for h in (below, top))
+    located = located and bool(np.abs(change).max(initial=0.0) > 1e-6)
+    if located:
+        arm = max(float(armature.data.bones[bone].length), 1e-6)
+        tracks.append(Channels(values + change, "LOCATION", arm=arm))
+    quats = channels_to_quat(tracks[0].values, mode) if rotated else np.zeros((len(frames), 4))
+    keys = PoseKeys(
+        frames,
+        quats[:, None],
+        tracks[-1].values if located else np.zeros((len(frames), 3)),
+        (keyed & rotated)[:, None],
+        keyed & located,
+    )
+    return rig, keys, tracks
 
 
 def _whole(strip: Any) -> bool:
@@ -165,15 +182,16 @@ def _whole(strip: Any) -> bool:
     return within and not faded and not strip.mute and strip.blend_type == "REPLACE"
 
 
-def _write(rig: CharacterBones, keys: PoseKeys, tracks: list[Channels]) -> None:
-    if not is_smooth(rig):
-        write_pose_keys(rig, keys)
+def _write(rig: CharacterBones, keys: PoseKeys, tracks: list[Channels], *, holder: Any = None) -> None:
+    if not is_smooth(rig, holder=holder):
+        write_pose_keys(rig, keys, holder=holder)
         return
     kept = np.flatnonzero(keys.rotation_keyed[:, 0] | keys.location_keyed)
     result = result_of(simplifying(keys.frames, tracks, _DEGREES, kept=kept.tolist()))
     for track, spline in zip(tracks, result.splines, strict=True):
         joint = None if track.mode == "LOCATION" else 0
-        replace_keys(rig, joint, keys.frames[spline.rows], spline.values, *spline.handles(keys.frames))
+        handles = spline.handles(keys.frames)
+        replace_keys(rig, joint, keys.frames[spline.rows], spline.values, *handles, holder=holder)
 
 
 def _evaluated(holder: Any, path: str, mode: str, frames: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from .editable import check_editable, is_layered, is_tweaked
 from .keys import own_action
 from .own_scene import object_mode
 from .sampling import shown_now
+from .simplify import all_actions, changed_alike
 from .store import CapturedHand
 
 _MOVING = ("location", "rotation", "scale", "delta_")
@@ -43,14 +44,15 @@ def origin_to_wrist(hand: CapturedHand) -> None:
         place = shown.pose[0, shown.names.index(wrist), :3, 3]
         own_action(armature, nla=True)
         along = hand.rig.rest.frames[0].T @ place
-        _shift_keys(armature, wrist, along)
+        with changed_alike(armature):
+            _shift_keys(armature, wrist, along)
         armature.manient.origin = np.array(armature.manient.origin) + place
         _move_origin(armature, Matrix.Translation(place))
     moved = {
         frame: replace(c, place=c.place - along) if np.any(c.place) else c
         for frame, c in field.corrections.items()
     }
-    keep_turned(armature, CorrectionField(moved), used_actions(armature))
+    keep_turned(armature, CorrectionField(moved), all_actions(armature))
     armature.update_tag()
 
 
@@ -77,7 +79,7 @@ def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> No
     added = {strip.action for strip in strips if strip.blend_type != "REPLACE"}
     if data is not None and is_layered(armature):
         added.add(data.action)
-    for action, slot in used_actions(armature):
+    for action, slot in all_actions(armature):
         holder = channels(action, slot)
         for curve in holder.fcurves if holder is not None and action not in added else ():
             if curve.data_path != f'pose.bones["{wrist}"].location':

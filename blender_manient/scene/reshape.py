@@ -34,14 +34,14 @@ from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.shape_names import shape_names
 from handfit_core.skeleton import NUM_BETAS
 
-from ..blender_versions import channels, used_actions
+from ..blender_versions import channels
 from ..rigs.rig import Rig
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
 from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
 from .mesh import corrective_names
 from .own_scene import object_mode
-from .simplify import own_kept_actions
+from .simplify import all_actions, changed_alike
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
@@ -197,17 +197,17 @@ def _after_time_travel(*_: Any) -> None:
 
 def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     """New rest bones, and every key and the present pose about the new axes."""
-    used = [*used_actions(rig.armature), *own_kept_actions(rig.armature)]
-    holders = filter(None, [channels(action, slot) for action, slot in used])
+    holders = filter(None, [channels(action, slot) for action, slot in all_actions(rig.armature)])
     kept = [(holder, read_pose_keys(rig, holder=holder)) for holder in holders]
     quats, locations = pose_at(rig, np.zeros(1), holder=_NOTHING)
     old = rig.rest
     rig.follow(shaped)
     new = rig.rest
-    for holder, keys in kept:
-        turned = keys.turned(old, new)
-        write_pose_keys(rig, turned, holder=holder)
-        rig.allow(turned.quats)
+    with changed_alike(rig.armature):
+        for holder, keys in kept:
+            turned = keys.turned(old, new)
+            write_pose_keys(rig, turned, holder=holder)
+            rig.allow(turned.quats)
     set_pose(rig, old.turned_to(new, quats)[0], old.moved_to(new, locations)[0])
 
 
@@ -232,7 +232,7 @@ def _turn_corrections(
         )
         for frame, c in field.corrections.items()
     }
-    keep_turned(armature, CorrectionField(turned), used_actions(armature))
+    keep_turned(armature, CorrectionField(turned), all_actions(armature))
 
 
 def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:

@@ -7,8 +7,9 @@ mathematics.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,13 +23,13 @@ from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 
-from ..blender_versions import action_slot, channels, property_group
+from ..blender_versions import action_slot, channels, property_group, used_actions
 from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
 from ..wording import with_note
 from . import corrections
 from .characters import active_character, table_of
-from .editable import check_keyable
+from .editable import check_keyable, strip_below
 from .keys import (
     channel_values,
     check_unlocked,
@@ -84,6 +85,8 @@ class Thinned:
     before: int
     """How many keys their channels had"""
     result: Simplified
+    made_of: str
+    """`state_of` the hand when it was read"""
 
     @property
     def after(self) -> int:
@@ -159,11 +162,26 @@ def thinning(hand: Hand, bounds: Bounds) -> Generator[int, None, Thinned]:
         sight = Sight(hand.captured.rig.rest, source, hand.captured.take.intrinsics, quats, places)
     before = sum(int(keys.sum()) * track.values.shape[1] for keys, track in zip(own, asked, strict=True))
 
+    made_of = state_of(hand)
+
     def steps() -> Generator[int, None, Thinned]:
         found = simplifying(frames, asked, bounds.degrees, bounds.pixels, sight=sight, kept=kept)
-        return Thinned(hand, frames, tuple(chosen), before, (yield from found))
+        return Thinned(hand, frames, tuple(chosen), before, (yield from found), made_of)
 
     return steps()
+
+
+def state_of(hand: Hand) -> str:
+    """What tells all that `thinning` reads of a hand, keys above all, from what else it may be."""
+    armature, data = hand.rig.armature, hand.rig.armature.animation_data
+    users = (
+        [] if data is None or data.action is None else [(data.action, action_slot(data)), _source(armature)]
+    )
+    pose = armature.pose.bones
+    modes = [pose[name].rotation_mode for name in hand.rig.bones if name in pose]
+    betas = [] if hand.captured is None else hand.captured.betas.tolist()
+    state = [*(_digest(*user) for user in users), armature.manient.corrections, modes, betas]
+    return hashlib.sha256(repr(state).encode()).hexdigest()
 
 
 def _groups(parts: Sequence[str], together: str) -> list[int]:
@@ -210,18 +228,47 @@ def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
 
 
 def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
-    """All actions with more keys behind the present one, each with the armature's slot, for who changes the
-    bones' axes. Those that something else uses too are copied first."""
-    data, found = armature.animation_data, []
-    action = data.action if data is not None else None
+    """All actions with more keys behind the motion, each with the armature's slot. Those that something else
+    uses too are copied first."""
+    user, found = _motion(armature), []
+    action = user.action if user is not None else None
     while (dense := _behind(action)) is not None and dense not in [one for one, _ in found]:
         assert action is not None
         if dense.library is not None or dense.users - dense.use_fake_user > 1:
             dense = dense.copy()
             action[DENSE] = dense
-        found.append((dense, _same_slot(dense, action_slot(data))))
+        found.append((dense, _same_slot(dense, action_slot(user))))
         action = dense
     return found
+
+
+def all_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
+    """All actions of an armature that can be changed, and those behind its motion, each with its slot: for
+    who changes all keys alike."""
+    return [*used_actions(armature), *own_kept_actions(armature)]
+
+
+@contextlib.contextmanager
+def changed_alike(armature: bpy.types.Object) -> Iterator[None]:
+    """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
+    motion that was not changed since it was simplified still counts as not changed afterwards."""
+    user = _motion(armature)
+    same = user is not None and _behind(user.action) is not None and _is_unchanged(user)
+    yield
+    if same:
+        user = _motion(armature)
+        user.action[_NOTE]["digest"] = _digest(user.action, action_slot(user))
+
+
+def _motion(armature: bpy.types.Object) -> Any:
+    """What uses the action with the armature's motion: a strip below a layer, else its animation data; None
+    where there is neither."""
+    return strip_below(armature) or armature.animation_data
+
+
+def _is_unchanged(user: Any) -> bool:
+    """Whether an action with fewer keys is as Simplify has left it."""
+    return _digest(user.action, action_slot(user)) == _note(user.action)["digest"]
 
 
 def _behind(action: bpy.types.Action | None) -> bpy.types.Action | None:
@@ -237,7 +284,7 @@ def _same_slot(action: bpy.types.Action, slot: Any) -> Any:
 
 
 def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
-    """Give an armature its action with all keys back, as it was, and the corrections that it holds.
+    """Give an armature its action with all keys back, as it was, with the corrections of the hand since then.
 
     Returns the one with fewer keys where it was changed since it was made: then it is kept beside. Raises
     OptionError where there is nothing to go back to.
@@ -248,11 +295,10 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
         raise OptionError(f"{armature.name!r} has all its keys: nothing was simplified in this action")
     data = armature.animation_data
     present, slot = data.action, action_slot(data)
-    note = _note(present)
-    changed = _digest(present, slot) != note["digest"]
-    _use(armature, dense, slot)
+    note, changed = _note(present), not _is_unchanged(data)
+    with corrections.carried_over(armature, note["corrections"]):
+        _use(armature, dense, slot)
     dense.use_fake_user = note["fake_user"]
-    armature.manient.corrections = note["corrections"]
     if changed:
         present.name = with_note(note["name"], "(fewer keys)")
         present.use_fake_user = True
@@ -285,7 +331,7 @@ def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
         return None, None
     action, slot = data.action, action_slot(data)
     dense = kept_action(armature)
-    if dense is None or _digest(action, slot) != _note(action)["digest"]:
+    if dense is None or not _is_unchanged(data):
         return action, slot
     return dense, _same_slot(dense, slot)
 

@@ -19,6 +19,7 @@ from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_
 from blender_manient.scene.layer import add_layer, end_layer
 from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.onto_character import reading_motion
+from blender_manient.scene.origin import origin_to_wrist
 from blender_manient.scene.own_keys import keyed_by_hand
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.simplify import (
@@ -288,14 +289,61 @@ def test_a_correction_after_simplify_is_taken_out_again(armature):
     )  # curves there are of length one only nearly
 
 
-def test_all_keys_come_back_with_the_corrections_that_they_hold(armature):
+@pytest.mark.parametrize("since", ["nothing", "shape", "origin"])
+def test_all_keys_come_back_with_the_corrections_that_they_hold(armature, since):
     correct(armature, frame=30)
-    held = armature.manient.corrections
     simplify()
-    correct(armature, frame=50)
-    assert restore(armature) is not None
+    if since == "shape":
+        armature.manient.betas = [2.0, -1.0, 1.5, *[0.0] * 7]
+    elif since == "origin":
+        origin_to_wrist(hand_of(armature))
+    held = armature.manient.corrections
+    shown = pose_at(rig_of(armature), np.array([30.0]))
+    assert restore(armature) is None
     assert armature.manient.corrections == held
     assert corrections.why_elsewhere(armature) is None
+    assert corrections.displaced(armature) == []
+    there = pose_at(rig_of(armature), np.array([30.0]))
+    assert apart(there[0], shown[0]) < 0.1
+    np.testing.assert_allclose(there[1], shown[1], atol=1e-4)
+
+
+def test_all_keys_come_back_with_what_was_corrected_since(armature):
+    frames = np.arange(1.0, 81.0)
+    captured = pose_at(rig_of(armature), frames)[0]
+    simplify()
+    correct(armature, frame=50)
+    shown = pose_at(rig_of(armature), np.array([50.0]))[0]
+    assert restore(armature).name.endswith("(fewer keys)")
+    assert apart(pose_at(rig_of(armature), np.array([50.0]))[0], shown) < 0.01
+    corrections.clear_corrections(armature)
+    assert apart(pose_at(rig_of(armature), frames)[0], captured) < 0.01
+
+
+def test_a_merged_layer_is_in_all_keys_too(armature):
+    frames = np.arange(1.0, 81.0)
+    simplify()
+    bone = bone_names("right")[1]
+    add_layer(armature)
+    for frame, turn in ((20.0, 0.0), (26.0, 0.4), (32.0, 0.0)):
+        key_change(armature, bone, frame, (turn, 0.0, 0.0))
+    end_layer(armature, merge=True)
+    shown = pose_at(rig_of(armature), frames)[0]
+    assert restore(armature) is None
+    assert apart(pose_at(rig_of(armature), frames)[0], shown) <= 2.5  # simplified by 2, merged by half of one
+    assert apart(pose_at(rig_of(armature), frames[25:26])[0], shown[25:26]) <= 2.0
+
+
+def test_corrections_are_known_after_a_merge_over_them(armature):
+    correct(armature, frame=30)
+    add_layer(armature)
+    for joint in range(1, NUM_JOINTS):
+        key_change(armature, bone_names("right")[joint], 30.0, (0.0, 0.2, 0.0))
+    end_layer(armature, merge=True)
+    assert corrections.displaced(armature) == []
+    assert corrections.why_elsewhere(armature) is None
+    correct(armature, frame=60)
+    assert corrections.corrected_frames(armature) == [30, 60]
 
 
 def test_a_range_that_is_fitted_again_after_simplify(armature):
