@@ -385,6 +385,8 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         camera=plan.camera.find() if plan.camera else None,
     )
     built = yield from building(take, how)
+    for hand in built.hands:
+        hand.armature.manient.smoothing = job.options.smoothing
     for hand in filter(None, (hand_of(h.armature) for h in built.hands if plan.controls)):
         add_controls(hand)
     _pack_cached_pictures(take)

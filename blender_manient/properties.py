@@ -488,6 +488,9 @@ class ManientHand(bpy.types.PropertyGroup):
     fitted: StringProperty(  # type: ignore
         description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
     )
+    smoothing: FloatProperty(  # type: ignore
+        **of_option("smoothing")  # of the keys; not set in files of older versions (refiner.smoothing_of)
+    )
     locked: BoolVectorProperty(  # type: ignore
         name="Locked Joints",
         description="Joints that refining leaves as they are, in the order of the bones",

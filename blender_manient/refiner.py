@@ -20,6 +20,7 @@ from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
+from handfit_core.solvers import SOLVERS
 from handfit_core.take import HandTrack
 
 from .remembered import Remembered
@@ -273,6 +274,25 @@ def why_not_refinable(track: HandTrack) -> str | None:
     if not track.refinable:
         return "its take is an old one, which keeps no detections: capture the footage again"
     return None
+
+
+def why_not_smoothable(hand: CapturedHand) -> str | None:
+    """Why nothing tells how a hand moves beside its keys, in a sentence; None where its keypoints do."""
+    track, solver = hand.track, hand.take.solver
+    if track.added:
+        return "a hand that was added by hand has no keypoints of the footage to smooth: its keys are all"
+    why = why_not_refinable(track)
+    if why is None and solver not in SOLVERS.offered():
+        why = f"its poses are those of {solver}, without keypoints of the footage that could be fitted anew"
+    if why is None and track.detected.sum() == 1:
+        why = "it is in one picture alone, which has no motion to smooth"
+    return why
+
+
+def smoothing_of(scene: bpy.types.Scene, armature: bpy.types.Object) -> float:
+    """The strength of smoothing that a hand's keys have, as far as it is known; else the next capture's."""
+    own = armature.manient
+    return own.smoothing if own.is_property_set("smoothing") else scene.manient.smoothing
 
 
 def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None:

@@ -13,7 +13,7 @@ from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import slice_clock
 
 from .. import details, screen, shared_worker
-from ..refiner import Refiner, why_not
+from ..refiner import Refiner, smoothing_of, why_not
 from ..scene import spans
 from ..scene.build import Watch
 from ..scene.corrections import corrections_of
@@ -284,7 +284,7 @@ class MANIENT_OT_refit_range(FitsRange, bpy.types.Operator):
 
     def work(self, context):
         """The frames of the range, and some around."""
-        return _Work(context, self.rows)
+        return RangeWork(context, self.rows)
 
     def said(self, context):
         """What would be replaced."""
@@ -329,7 +329,7 @@ def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
     return np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
 
 
-class _Work:
+class RangeWork:
     """What is asked of the worker, and what becomes of it."""
 
     def __init__(self, context, rows_of: Callable[[Any, Refiner], np.ndarray]) -> None:
@@ -344,14 +344,13 @@ class _Work:
         near = (numbers >= numbers[rows[0]] - margin) & (numbers <= numbers[rows[-1]] + margin)
         self._asked = np.flatnonzero(near)
         self._wanted = np.isin(self._asked, rows)
-        field = corrections_of(hand.armature)
-        self.fields = self.refiner.request(
-            self._asked.tolist(),
-            [field.pins(int(numbers[row])) for row in self._asked],
-            self.refiner.keyed_poses(self._asked.tolist()),
-            mode="range",
-            smoothing=context.scene.manient.smoothing,
-        )
+        self.fields = self._request(smoothing_of(context.scene, hand.armature))
+
+    def _request(self, smoothing: float) -> Callable[[], dict[str, Any]]:
+        field, rows = corrections_of(self.refiner.armature), self._asked.tolist()
+        pins = [field.pins(self.refiner.source_frame(row)) for row in rows]
+        poses = self.refiner.keyed_poses(rows)
+        return self.refiner.request(rows, pins, poses, mode="range", smoothing=smoothing)
 
     def received(self, done: dict[str, Any]) -> None:
         """The worker's answer."""

@@ -6,9 +6,9 @@ import bpy
 
 from .. import preferences
 from ..operators.refit_range import FitsRange
-from ..refiner import why_not_refinable
+from ..refiner import why_not_refinable, why_not_smoothable
 from ..scene import corrections
-from ..scene.store import active_hand
+from ..scene.store import CapturedHand, active_hand
 from ..section import Section, sentence
 from ..steady import settled
 from ..wording import capitalised, counted
@@ -31,7 +31,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         if why is not None:
             sentence(layout, context, capitalised(why), "INFO")
         else:
-            self._by_points()
+            self._by_points(context, hand)
         layout.prop(settings, "spread", text="Spread (Frames)")
         corrected = corrections.corrected_frames(hand.armature)
         if corrected:
@@ -44,7 +44,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         if why is None:
             self._locks(hand.armature)
 
-    def _by_points(self) -> None:
+    def _by_points(self, context, hand: CapturedHand) -> None:
         """What needs the points that were detected."""
         layout = self.layout
         column = layout.column()
@@ -53,17 +53,26 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
         kept = preferences.get()
         if isinstance(kept, bpy.types.AddonPreferences):
             layout.prop(kept, "hand_opacity", slider=True)
-        self._fitting("manient.refit_range", "FILE_REFRESH")
-        self._fitting("manient.touch", "SNAP_ON")
+        self._fitting(layout.row(), "manient.refit_range", "FILE_REFRESH")
+        why = why_not_smoothable(hand)
+        if why is not None:
+            sentence(layout, context, f"No smoothing: {why}", "INFO")
+        else:
+            row = layout.row(align=True)
+            row.prop(context.window_manager, "manient_smoothing", slider=True)
+            self._fitting(row.row(align=True), "manient.smooth_motion", "PREVIEW_RANGE", text="", stop="")
+        self._fitting(layout.row(), "manient.touch", "SNAP_ON")
 
-    def _fitting(self, operator: str, icon: str) -> None:
+    def _fitting(
+        self, row, operator: str, icon: str, *, text: str | None = None, stop: str = "Stop"
+    ) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""
-        row, begun = self.layout.row(), FitsRange.running == operator
+        begun = FitsRange.running == operator
         row.enabled = settled(operator, "stop" if begun else "begin") and (not begun or FitsRange.can_stop)
         if begun:
-            row.operator("manient.leave", text="Stop", icon="CANCEL").what = "FIT"
+            row.operator("manient.leave", text=stop, icon="CANCEL").what = "FIT"
         else:
-            row.operator(operator, icon=icon)
+            row.operator(operator, text=text, icon=icon)
 
     def _locks(self, armature: bpy.types.Object) -> None:
         locked = sum(armature.manient.locked)

@@ -40,14 +40,17 @@ def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
     keys = without_field(hand.armature, read_pose_keys(hand.rig, float(frames[0]), float(frames[-1])))
     at, on = nearest(frames, keys.frames)
     keyed = np.column_stack([keys.rotation_keyed, keys.location_keyed])
-    track, captured = hand.track, np.full((len(rows), _POSE), np.nan)
-    captured[:, :3], captured[:, 3:48] = track.global_orient[rows], track.hand_pose[rows]
-    rest = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
-    captured[:, 48:] = rest + track.transl[rows]
+    captured = _captured(hand, rows)
     fitted = _fitted(hand.armature, np.asarray(hand.take.frame_numbers)[rows])
     own = keyed & ~_holds(hand, keys, captured[at]) & ~_holds(hand, keys, fitted[at])
     found[at[on]] = own[on]
     return found
+
+
+def captured_poses(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the capture found in the take's `rows` (N,): quaternions (N, 16, 4) and wrist locations (N, 3)
+    about the bones as they are now; NaN where there is no hand. Raises HandModelError."""
+    return _of_bones(hand, _captured(hand, rows))
 
 
 def note_fitted(
@@ -79,14 +82,31 @@ def _fitted(armature: bpy.types.Object, numbers: np.ndarray) -> np.ndarray:
 def _holds(hand: CapturedHand, keys: PoseKeys, poses: np.ndarray) -> np.ndarray:
     """(N, 17) bool: whether keys (N) hold these poses (N, 51); never where a pose is NaN."""
     same = np.zeros((len(keys.frames), NUM_JOINTS + 1), dtype=bool)
+    quats, locations = _of_bones(hand, poses)
+    known = np.isfinite(locations).all(axis=-1)
+    turned = np.linalg.norm(correction_between(keys.quats[known], quats[known]), axis=-1)
+    moved = np.linalg.norm(keys.locations[known] - locations[known], axis=-1)
+    same[known] = np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
+    return same
+
+
+def _captured(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
+    """(N, 51) what the capture found; NaN where there is no hand."""
+    track = hand.track
+    rest = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
+    places = rest + track.transl[rows]
+    return np.column_stack([track.global_orient[rows], track.hand_pose[rows], places])
+
+
+def _of_bones(hand: CapturedHand, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (N, 51) -> quaternions (N, 16, 4) and the wrist's locations (N, 3); NaN where a pose is."""
+    quats = np.full((len(poses), NUM_JOINTS, 4), np.nan)
+    locations = np.full((len(poses), 3), np.nan)
     known = np.isfinite(poses).all(axis=-1)
     shaped, poses = hand.shaped(), poses[known]
     transl = poses[:, 48:] - shaped.joints[0]
-    quats, locations = hand.rig.to_bones(shaped, poses[:, :3], poses[:, 3:48], transl)
-    turned = np.linalg.norm(correction_between(keys.quats[known], quats), axis=-1)
-    moved = np.linalg.norm(keys.locations[known] - locations, axis=-1)
-    same[known] = np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
-    return same
+    quats[known], locations[known] = hand.rig.to_bones(shaped, poses[:, :3], poses[:, 3:48], transl)
+    return quats, locations
 
 
 def _noted(armature: bpy.types.Object) -> np.ndarray:

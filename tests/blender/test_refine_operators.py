@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,12 +20,13 @@ from blender_manient.operators import edit_keypoints
 from blender_manient.operators import touch as touching
 from blender_manient.operators.refit_range import replaced
 from blender_manient.operators.touch import MANIENT_OT_touch, touching_range
-from blender_manient.refiner import BonePoses, Refiner
+from blender_manient.refiner import BonePoses, Refiner, why_not_smoothable
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
+from blender_manient.scene.own_keys import keyed_by_hand
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
 from handfit_core.edit.corrections import changed_quats, correction_between
@@ -218,6 +220,108 @@ def test_what_a_range_was_fitted_to_is_no_key_by_hand(armature):
     assert bpy.ops.manient.refit_range(scope="CUSTOM", first=9, last=15) == {"FINISHED"}
     assert differing(keys, all_keys(armature))[keys.frames == FRAME].any()
     assert replaced(bpy.context, 1, 24) == ("Fits 24 frames again. Replaces no key set by hand", False)
+
+
+def smooth(strength: float, **others) -> None:
+    assert bpy.ops.manient.smooth_motion(strength=strength, **others) == {"FINISHED"}
+
+
+def jerk(keys: PoseKeys) -> float:
+    """How much rotations change from key to key, beyond going on as before; radians."""
+    turns = correction_between(keys.quats[:-1], keys.quats[1:])
+    return float(np.linalg.norm(np.diff(turns, axis=0), axis=-1).mean())
+
+
+def test_smoothing_afterwards(armature):
+    captured = all_keys(armature)
+    smooth(0.0)
+    bare = all_keys(armature)
+    smooth(3.0)
+    calm = all_keys(armature)
+    assert jerk(calm) < jerk(captured) < jerk(bare)
+    assert armature.manient.smoothing == 3.0
+    assert bpy.context.window_manager.manient_smoothing == 3.0
+    assert not keyed_by_hand(hand_of(armature), np.arange(24)).any()
+    smooth(0.0)  # what comes out does not depend on what was smoothed before
+    np.testing.assert_allclose(all_keys(armature).quats, bare.quats, atol=1e-5)
+    smooth(1.0)
+    turns = np.linalg.norm(correction_between(captured.quats, all_keys(armature).quats), axis=-1)
+    assert np.degrees(np.median(turns)) < 1.0
+
+
+def test_smoothing_leaves_what_the_artist_did(armature):
+    drag(armature)
+    keys = all_keys(armature)
+    here = keys.frames == 18
+    moved = changed_quats(keys.quats[here], np.zeros((1, 16, 3)), np.full((1, 16, 3), 0.3))
+    keyed = np.zeros((1, 16), dtype=bool)
+    keyed[:, 5] = True
+    one = PoseKeys(keys.frames[here], moved, keys.locations[here], keyed, np.zeros(1, dtype=bool))
+    write_pose_keys(rig_of(armature), one)
+    before, tip = all_keys(armature), landmarks(armature)[TIP]
+    smooth(3.0)
+    after = all_keys(armature)
+    at = before.frames == FRAME
+    np.testing.assert_array_equal(after.quats[at], before.quats[at])
+    np.testing.assert_array_equal(after.locations[at], before.locations[at])
+    np.testing.assert_array_equal(after.quats[here, 5], before.quats[here, 5])
+    assert differing(before, after)[here].sum() >= 10, "the other bones of that frame are smoothed"
+    assert set(np.flatnonzero(keyed_by_hand(hand_of(armature), np.arange(24)).any(axis=1))) == {17}
+    # Keys next to both lead there: no step is larger than before.
+    assert jerk(after) < 1.2 * jerk(before)
+    np.testing.assert_allclose(landmarks(armature)[TIP], tip, atol=1e-6)
+    assert set(corrections.corrections_of(armature).pins(FRAME)) == {TIP}
+    bpy.ops.manient.clear_corrections(scope="ALL")
+    assert np.linalg.norm(landmarks(armature)[TIP] - tip) > 10, "what is left is the smoothed motion"
+    assert jerk(all_keys(armature)) < jerk(before)
+
+
+def test_smoothing_a_range_leads_to_what_is_around(armature):
+    before = all_keys(armature)
+    smooth(3.0, scope="CUSTOM", first=8, last=16)
+    after = all_keys(armature)
+    inside = (before.frames >= 8) & (before.frames <= 16)
+    np.testing.assert_array_equal(after.quats[~inside], before.quats[~inside])
+    turned = np.linalg.norm(correction_between(before.quats, after.quats), axis=-1).mean(axis=1)
+    ends, middle = turned[[7, 15]], turned[9:14]
+    assert ends.max() < 0.5 * middle.max(), turned
+
+
+def test_smoothing_is_one_step(armature):
+    before, name = all_keys(armature), armature.name
+    smooth(3.0)
+    bpy.ops.ed.undo_push(message="Smooth")
+    bpy.ops.ed.undo()
+    np.testing.assert_array_equal(all_keys(bpy.data.objects[name]).quats, before.quats)
+    assert bpy.context.window_manager.manient_smoothing == 1.0
+
+
+def test_a_range_is_fitted_as_smoothly_as_the_hand_is(armature):
+    smooth(3.0)
+    assert bpy.ops.manient.refit_range() == {"FINISHED"}
+    calm = jerk(all_keys(armature))
+    smooth(0.0)
+    assert bpy.ops.manient.refit_range() == {"FINISHED"}
+    assert calm < jerk(all_keys(armature))
+
+
+@pytest.mark.parametrize("what", ["mirrored", "added", "other program"])
+def test_hands_without_keypoints_say_why_they_are_not_smoothed(armature, what):
+    hand = hand_of(armature)
+    track = hand.track
+    nothing = np.zeros(len(track.detected), dtype=bool)
+    if what == "other program":
+        hand = replace(hand, take=replace(hand.take, solver="HaMeR"))
+    else:
+        placed = None if what == "mirrored" else np.full((len(nothing), 21, 2), np.nan)
+        hand = replace(hand, track=replace(track, detected=nothing, placed=placed))
+    said = {
+        "mirrored": "a mirrored hand",
+        "added": "added by hand",
+        "other program": "poses are those of HaMeR",
+    }
+    assert said[what] in why_not_smoothable(hand)
+    assert why_not_smoothable(hand_of(armature)) is None
 
 
 def test_a_point_dragged_in_a_relaxed_frame_starts_from_there_and_goes_back_to_it(armature):

@@ -35,6 +35,16 @@ def test_a_range_is_fitted_again_only_after_it_was_asked_for(blender, make_clip)
     assert played["undone"] == []
 
 
+def test_smoothing_is_a_slider_and_one_undo(blender, make_clip):
+    played = blender.play("refine.smoothed", source=make_clip(CLIP), timeout=240).value
+    first, undone, second, again = played["strength"]
+    assert undone == again == 1.0
+    assert 1.0 < first < second <= 3.0
+    assert played["changed"][1::2] == [0, 0]
+    assert min(played["changed"][::2]) > CLIP / 2
+    assert played["kept"] == [True, True]
+
+
 def test_points_are_made_to_touch_and_the_undo_lets_them_go(blender, make_clip):
     played = blender.play("refine.touched", source=make_clip(CLIP), timeout=240).value
     (first, last), spread = played["range"], played["spread"]

@@ -13,6 +13,7 @@ from stage import ADDON
 
 from scenarios import redraws
 from scenarios.capturing import capture, hands, keys_of, part, pose_of
+from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
 INDEX_TIP = 8
@@ -271,6 +272,46 @@ def worker_killed(stage, source):
     return {"message": message, "followed": before != after}
 
 
+def smoothed(stage, source):
+    """The panel's slider dragged with the mouse and let go, undone by one step, and dragged again."""
+    with opened_by_default("MANIENT_PT_refine"):
+        yield from stage.open_sidebar()
+        yield from capture(stage, source)
+        (armature,) = hands()
+        bpy.context.view_layer.objects.active = armature
+        bpy.context.scene.frame_set(30)
+        bone = armature.pose.bones["index_proximal.R"]
+        bone.rotation_quaternion = (0.8, 0.1, 0.5, 0.3)
+        bone.keyframe_insert("rotation_quaternion", frame=30)
+        bpy.ops.ed.undo_push(message="By hand")
+        before = {frame: _values_at(armature, frame) for frame in range(1, 61)}
+        own = _index_at(armature)
+        yield 0.3
+        yield from stage.screenshot("smooth-before")
+        slider = yield from stage.find_button(".manient_smoothing", along=0.3)
+        assert slider is not None, "no slider"
+        x, y = slider
+        found = {"strength": [], "changed": [], "kept": []}
+        for by in (60, 100):
+            path = [(x, y), (x + by // 2, y), (x + by, y)]
+            yield from stage.drag(path, pause=0.1)
+            yield from stage.until(lambda: refit().FitsRange._running, 10.0, "the fit to begin")
+            yield from stage.screenshot("smooth-running")
+            yield from stage.until(lambda: not refit().FitsRange._running, WARM, "the fit")
+            yield 0.3
+            yield from stage.screenshot("smooth-done")
+            (armature,) = hands()
+            found["strength"].append(armature.manient.smoothing)
+            found["changed"].append(len(_changed(armature, before)))
+            found["kept"].append(_index_at(armature) == own)
+            yield from stage.undo()
+            yield 0.3
+            (armature,) = hands()
+            found["strength"].append(armature.manient.smoothing)
+            found["changed"].append(len(_changed(armature, before)))
+    return found
+
+
 def range_refitted(stage, source):
     """Re-fit Range by its button's click: the dialog, another last frame, and what was changed."""
     yield from stage.open_sidebar()
@@ -361,6 +402,11 @@ def _changed(armature, before) -> list[int]:
     """The frames whose pose is another one now, by more than how single precision rounds."""
     now = {frame: _values_at(armature, frame) for frame in before}
     return [f for f in before if max(abs(a - b) for a, b in zip(before[f], now[f], strict=True)) > 1e-5]
+
+
+def _index_at(armature, frame=30) -> list[float]:
+    bpy.context.scene.frame_set(frame)
+    return [round(v, 6) for row in armature.pose.bones["index_proximal.R"].matrix_basis for v in row]
 
 
 def _values_at(armature, frame) -> tuple[float, ...]:

@@ -1,0 +1,191 @@
+"""Smooth Motion: the strength of smoothing, changed after the capture, by a slider in the panel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.errors import HandfitError, OptionError
+
+from .. import properties
+from ..refiner import Refiner, smoothing_of, why_not_smoothable
+from ..scene.own_keys import captured_poses
+from ..scene.smoothing import smoothed, writing
+from ..scene.store import active_hand
+from ..wording import capitalised, counted
+from .refit_range import FitsRange, RangeWork
+
+_AFTER_CHANGE = 0.3
+"""seconds for which the slider rests before the motion is smoothed"""
+_AGAIN = 0.1
+"""seconds after which is looked again whether another fit is over"""
+
+_wanted: float | None = None
+"""What the slider was moved to and the keys do not have yet"""
+
+
+class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
+    bl_idname = "manient.smooth_motion"
+    bl_label = "Smooth Motion"
+    bl_description = (
+        "Fit the motion anew to the keypoints of the capture, with another strength of smoothing. Frames "
+        "that you corrected, posed or keyed stay as they are; keys around lead there over Spread. Works on "
+        "the preview range where it is used, else on all frames"
+    )
+    doing = "Smoothing"
+
+    strength: bpy.props.FloatProperty(  # type: ignore
+        name="Smoothing", soft_max=3.0, options={"SKIP_SAVE"}, **properties.of_option("smoothing")
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        """A hand whose keypoints are kept."""
+        hand = active_hand(context)
+        why = why_not_smoothable(hand) if hand is not None else None
+        return capitalised(why) if why is not None else super().lacks(context)
+
+    def work(self, context):
+        """The frames of the range, and some around."""
+        strength = self.strength
+        if not self.properties.is_property_set("strength"):
+            strength = smoothing_of(context.scene, active_hand(context).armature)
+        return _Work(context, self.rows, strength)
+
+    def suggest(self, context):
+        """All frames, or the preview range."""
+        refiner = Refiner(active_hand(context).armature)
+        places = refiner.scene_frames()[self.rows(context, refiner)]
+        self.first, self.last = int(np.ceil(places[0])), int(places[-1])
+        if not self.properties.is_property_set("strength"):
+            self.strength = smoothing_of(context.scene, active_hand(context).armature)
+
+    def ask(self):
+        """The strength."""
+        self.layout.prop(self, "strength", slider=True)
+
+    def said(self, context):
+        """How much it is."""
+        try:
+            count = len(self.rows(context, Refiner(active_hand(context).armature)))
+        except HandfitError as error:
+            return capitalised(str(error)), True
+        return f"Smooths {counted(count, 'frame')}; what you corrected or keyed stays", False
+
+    def again(self) -> dict[str, Any]:
+        return {"strength": self.strength}
+
+    def told(self, work: _Work) -> tuple[str, str]:
+        kept = work.count - work.fitted
+        left = f", {kept} left as they were" if kept else ""
+        return "INFO", f"{counted(work.fitted, 'frame')} smoothed{left}"
+
+    def modal(self, context, event):
+        """As for other ranges; the slider's next value takes the place of this one."""
+        if _wanted not in (None, self.strength) and self._writing is None:
+            self._end(context)
+            return {"CANCELLED"}
+        return super().modal(context, event)
+
+    def _end(self, context):
+        global _wanted
+        super()._end(context)
+        if _wanted == self.strength:
+            _wanted = None
+
+
+class _Work(RangeWork):
+    """What is asked of the worker, and what becomes of it."""
+
+    def __init__(self, context, rows_of, strength: float) -> None:
+        self._strength, self._spread = strength, context.scene.manient.spread
+        super().__init__(context, rows_of)
+
+    def _request(self, smoothing: float):
+        # From the captured poses: what comes out does not depend on what was smoothed before.
+        rows = self._asked.tolist()
+        poses, locked = self.refiner.keyed_poses(rows), np.array(self.refiner.armature.manient.locked)
+        quats, locations = captured_poses(self.refiner.hand, self._asked)
+        poses.quats[:, ~locked] = quats[:, ~locked]
+        if not locked[0]:
+            poses.locations[:] = locations
+        none: list[dict[int, Any]] = [{} for _ in rows]
+        return self.refiner.request(rows, none, poses, mode="range", smoothing=self._strength, touches=none)
+
+    def received(self, done: dict[str, Any]) -> None:
+        """The worker's answer."""
+        poses = self.refiner.poses(done, len(self._asked))
+        args = self.refiner.hand, self._asked, self._wanted, poses.quats, poses.locations
+        self._smoothed = smoothed(*args, self._spread)
+        self.fitted = self._smoothed.written
+        if self.fitted == 0:
+            raise OptionError(
+                "no frame of this range can be smoothed: nothing was detected there, or all of it is "
+                "corrected or keyed by hand"
+            )
+
+    def writing(self) -> Iterator[float]:
+        """Write the keys, and note how smooth they are; yields how much is done."""
+        yield from writing(lambda: self.refiner.hand, self._smoothed)
+        self.refiner.armature.manient.smoothing = self._strength
+
+
+def _shown(_owner: Any) -> float:
+    """What the slider says: where it was moved to, else how smooth the active hand's keys are."""
+    hand = active_hand(bpy.context)
+    if _wanted is not None or hand is None:
+        return 1.0 if _wanted is None else _wanted
+    return smoothing_of(bpy.context.scene, hand.armature)
+
+
+def _moved(_owner: Any, value: float) -> None:
+    """The slider was moved: once it rests, the motion follows."""
+    global _wanted
+    _wanted = value
+    if bpy.app.timers.is_registered(_smooth):
+        bpy.app.timers.unregister(_smooth)
+    bpy.app.timers.register(_smooth, first_interval=_AFTER_CHANGE)
+
+
+def _smooth() -> float | None:
+    """Blender's timer: smooth as the slider says, in the first window, once no other fit runs."""
+    global _wanted
+    if _wanted is None:
+        return None
+    if FitsRange.running:
+        return _AGAIN
+    windows = bpy.context.window_manager.windows
+    try:
+        with bpy.context.temp_override(window=bpy.context.window or windows[0]):
+            bpy.ops.manient.smooth_motion("INVOKE_DEFAULT", strength=_wanted, asked=True)
+    except RuntimeError as error:  # its own report
+        print(f"Hand Capture: {error}")
+        _wanted = None
+    return None
+
+
+def register() -> None:
+    """Add the slider. The window manager is in no undo step: the operator's is the only one."""
+    bpy.types.WindowManager.manient_smoothing = bpy.props.FloatProperty(  # type: ignore
+        name="Smoothing",
+        get=_shown,
+        set=_moved,
+        soft_max=3.0,
+        **properties.of_option(
+            "smoothing",
+            said=". The captured motion is fitted anew; frames that you corrected or keyed stay as they are. "
+            "Works on the preview range where it is used",
+        ),
+    )
+
+
+def unregister() -> None:
+    """Take it away."""
+    global _wanted
+    _wanted = None
+    if bpy.app.timers.is_registered(_smooth):
+        bpy.app.timers.unregister(_smooth)
+    del bpy.types.WindowManager.manient_smoothing
