@@ -273,7 +273,7 @@ def worker_killed(stage, source):
 
 
 def smoothed(stage, source):
-    """The panel's slider dragged with the mouse and let go, undone by one step, and dragged again."""
+    """The panel's slider turned up by Ctrl and the wheel, undone by one step, and turned farther."""
     with opened_by_default("MANIENT_PT_refine"):
         yield from stage.open_sidebar()
         yield from capture(stage, source)
@@ -290,11 +290,12 @@ def smoothed(stage, source):
         yield from stage.screenshot("smooth-before")
         slider = yield from stage.find_button(".manient_smoothing", along=0.3)
         assert slider is not None, "no slider"
-        x, y = slider
         found = {"strength": [], "changed": [], "kept": []}
-        for by in (60, 100):
-            path = [(x, y), (x + by // 2, y), (x + by, y)]
-            yield from stage.drag(path, pause=0.1)
+        for notches in (3, 6):
+            yield from stage.move_to(slider)
+            for _ in range(notches):
+                yield from stage.key("WHEELUPMOUSE", ctrl=True)
+                yield 0.05
             yield from stage.until(lambda: refit().FitsRange._running, 10.0, "the fit to begin")
             yield from stage.screenshot("smooth-running")
             yield from stage.until(lambda: not refit().FitsRange._running, WARM, "the fit")
