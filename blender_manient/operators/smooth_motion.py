@@ -16,6 +16,7 @@ from ..scene.own_keys import captured_poses
 from ..scene.smoothing import smoothed, writing
 from ..scene.store import active_hand
 from ..wording import capitalised, counted
+from .needs_hand import hand_in
 from .refit_range import FitsRange, RangeWork
 
 _AFTER_CHANGE = 0.3
@@ -52,16 +53,16 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
         """The frames of the range, and some around."""
         strength = self.strength
         if not self.properties.is_property_set("strength"):
-            strength = smoothing_of(context.scene, active_hand(context).armature)
+            strength = smoothing_of(context.scene, hand_in(context).armature)
         return _Work(context, self.rows, strength)
 
     def suggest(self, context):
         """All frames, or the preview range."""
-        refiner = Refiner(active_hand(context).armature)
+        refiner = Refiner(hand_in(context).armature)
         places = refiner.scene_frames()[self.rows(context, refiner)]
         self.first, self.last = int(np.ceil(places[0])), int(places[-1])
         if not self.properties.is_property_set("strength"):
-            self.strength = smoothing_of(context.scene, active_hand(context).armature)
+            self.strength = smoothing_of(context.scene, hand_in(context).armature)
 
     def ask(self):
         """The strength."""
@@ -70,7 +71,7 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
     def said(self, context):
         """How much it is."""
         try:
-            count = len(self.rows(context, Refiner(active_hand(context).armature)))
+            count = len(self.rows(context, Refiner(hand_in(context).armature)))
         except HandfitError as error:
             return capitalised(str(error)), True
         return f"Smooths {counted(count, 'frame')}; what you corrected or keyed stays", False

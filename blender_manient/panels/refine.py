@@ -63,16 +63,14 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
             self._fitting(row.row(align=True), "manient.smooth_motion", "PREVIEW_RANGE", text="", stop="")
         self._fitting(layout.row(), "manient.touch", "SNAP_ON")
 
-    def _fitting(
-        self, row, operator: str, icon: str, *, text: str | None = None, stop: str = "Stop"
-    ) -> None:
+    def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""
         begun = FitsRange.running == operator
         row.enabled = settled(operator, "stop" if begun else "begin") and (not begun or FitsRange.can_stop)
         if begun:
             row.operator("manient.leave", text=stop, icon="CANCEL").what = "FIT"
         else:
-            row.operator(operator, text=text, icon=icon)
+            row.operator(operator, icon=icon, **shown)
 
     def _locks(self, armature: bpy.types.Object) -> None:
         locked = sum(armature.manient.locked)

@@ -63,7 +63,7 @@ def smoothed(
     """
     places = scene_frames(hand.collection, hand.take)[rows]
     numbers = np.asarray(hand.take.frame_numbers, dtype=np.float64)[rows]
-    there = np.isfinite(locations).all(axis=1)
+    there = np.asarray(np.isfinite(locations).all(axis=1))
     shown, shown_at = pose_at(hand.rig, places)
     quats, locations = (
         np.where(there[:, None, None], quats, shown),
