@@ -23,11 +23,14 @@ from tests.takes import correctable, take_of, track_of
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
 
-def write_clip(python: str, path: Path, frames: int, blank_from: int | None = None) -> None:
-    """A video of the bundled hand, to and fro; its frames from `blank_from` on show nothing. `python` has
-    OpenCV."""
+def write_clip(
+    python: str, path: Path, frames: int, blank_from: int | None = None, fps: float = 25.0, bar: int = 0
+) -> None:
+    """A video of the bundled hand, to and fro; its frames from `blank_from` on show nothing. Where `bar` is
+    not 0, a white bar of so many pixels along the upper edge grows from the left by a part of the width with
+    each frame. `python` has OpenCV."""
     blank = frames if blank_from is None else blank_from
-    arguments = [str(RENDERED_HAND), str(path), str(frames), str(blank)]
+    arguments = [str(RENDERED_HAND), str(path), *map(str, (frames, blank, fps, bar))]
     subprocess.run([python, "-c", _WRITE_CLIP, *arguments], check=True, timeout=120)
 
 
@@ -60,12 +63,18 @@ _WRITE_CLIP = """
 import pathlib, sys
 import cv2, numpy as np
 folder, output, frames, blank = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+fps, bar = float(sys.argv[5]), int(sys.argv[6])
 pictures = [cv2.imread(str(p)) for p in sorted(pathlib.Path(folder).glob("*.jpg"))]
 pictures += pictures[-2:0:-1]
 height, width = pictures[0].shape[:2]
-writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (width, height))
+writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), fps, (width, height))
 for i in range(frames):
-    writer.write(pictures[i % len(pictures)] if i < blank else np.full_like(pictures[0], 90))
+    picture = pictures[i % len(pictures)].copy() if i < blank else np.full_like(pictures[0], 90)
+    if bar:
+        picture[:bar] = 0
+        picture[:bar, : round((i + 1) * width / frames)] = 255
+        cv2.putText(picture, str(i + 1), (10, bar + 60), cv2.FONT_HERSHEY_SIMPLEX, 2.0, (255, 255, 255), 4)
+    writer.write(picture)
 writer.release()
 """
 
