@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+
 from handfit_core.interchange.writers import writer_for
 from handfit_core.take import Take
 
@@ -55,6 +57,19 @@ def test_what_keeps_a_character_from_motion_is_said(blender, make_long_take, tmp
     assert "This character has a negative scale" in mirrored[0]
     assert edited[1] == mirrored[1] == 0
     assert [hand["side"] for hand in json.loads(preset.read_text(encoding="utf-8"))] == ["left", "right"]
+
+
+def test_a_hands_travel_and_offset_are_changed_after_its_motion_was_applied(blender, make_long_take):
+    seen = blender.play("character.moved", take=make_long_take(FRAMES), timeout=400).value
+    assert seen["marked"] == 30
+    assert seen["active"] == "rig left hand offset"
+    whole, half, dragged, undone, redone = (np.array(places) for places in seen["places"])
+    assert np.abs(whole - whole[0]).max() > 0.01
+    np.testing.assert_allclose(half - half[0], 0.5 * (whole - whole[0]), atol=1e-3)
+    np.testing.assert_allclose(half[0], whole[0], atol=1e-3)
+    np.testing.assert_allclose(dragged, half + [0.3, 0.0, 0.0], atol=1e-3)
+    np.testing.assert_allclose(undone, half, atol=1e-3)
+    np.testing.assert_allclose(redone, dragged, atol=1e-3)
 
 
 def test_a_character_follows_a_drag_by_the_live_link(blender, make_clip):

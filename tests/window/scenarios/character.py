@@ -273,3 +273,65 @@ def _scrolled_to(stage, button: str):
             yield from stage.key("WHEELDOWNMOUSE")
         yield 0.3
     raise AssertionError(f"the sidebar has no {button}")
+
+
+def moved(stage, take):
+    """A character's hand turned and moved; then its travel halved, and its offset dragged by keys; the drag
+    undone and redone."""
+    yield from stood_beside(stage, take)
+    with opened_by_default("MANIENT_PT_character"):
+        rig, scene = _rig(), bpy.context.scene
+        rig.manient.character.wrist = "PLACED"
+        rig.manient.character.right.use = False
+        yield from stage.open_sidebar()
+        scene.frame_set(30)
+        yield 0.5
+        with stage.override():
+            bpy.ops.manient.mark_frame()
+        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.until(lambda: _keys() > 0, 60.0, "keys on the character")
+        yield 0.5
+        seen = {"marked": rig.manient.character.reference, "places": [_places()]}
+        yield from stage.leave_popups()
+        yield from stage.screenshot("character-moved")
+        rig.manient.character.travel = 0.5
+        with stage.override():
+            bpy.ops.ed.undo_push(message="Travel")
+        yield from stage.until(lambda: _places() != seen["places"][0], 10.0, "keys with half the travel")
+        yield 0.5
+        seen["places"].append(_places())
+        scene.frame_set(60)
+        yield from press(stage, "bpy.ops.manient.add_hand_offset(")
+        yield 0.5
+        seen["active"] = bpy.context.active_object.name
+        yield from stage.screenshot("character-offset")
+        yield from stage.move_to(stage.region())
+        for key in ("G", "X"):
+            yield from stage.key(key)
+        yield from stage.write("0.3")
+        yield from stage.key("RET")
+        yield from stage.until(lambda: _places() != seen["places"][1], 10.0, "keys with the offset")
+        yield 0.5
+        seen["places"].append(_places())
+        scene.frame_set(60)
+        yield 0.5
+        yield from stage.screenshot("character-offset-dragged")
+        for step in (stage.undo, stage.redo):
+            before = _places()
+            yield from step()
+            yield from stage.until(lambda before=before: _places() != before, 10.0, "the keys to follow")
+            yield 0.5
+            seen["places"].append(_places())
+    return seen
+
+
+def _places() -> list[list[float]]:
+    """Where the left hand is in some frames, in the armature's space."""
+    scene, name = bpy.context.scene, part("scene.characters").table_of(_rig(), "left").bones[0]
+    now, found = scene.frame_current, []
+    for frame in (30, 60, 90):
+        scene.frame_set(frame)
+        shown = _rig().evaluated_get(bpy.context.evaluated_depsgraph_get())
+        found.append([round(value, 4) for value in shown.pose.bones[name].head])
+    scene.frame_set(now)
+    return found
