@@ -109,11 +109,11 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
 
     def _offsets(self, layout, character) -> None:
-        row = layout.row(align=True, heading="Offset")
+        row = layout.row(align=True)
         for side in SIDES:
             if getattr(character, side).use:
                 row.operator(
-                    "manient.add_hand_offset", text=side.capitalize(), icon="EMPTY_ARROWS"
+                    "manient.add_hand_offset", text=f"{side.capitalize()} Offset", icon="EMPTY_ARROWS"
                 ).side = side
 
 

@@ -297,8 +297,7 @@ def moved(stage, take):
         rig.manient.character.travel = 0.5
         with stage.override():
             bpy.ops.ed.undo_push(message="Travel")
-        yield from stage.until(lambda: _places() != seen["places"][0], 10.0, "keys with half the travel")
-        yield 0.5
+        yield from stage.until(_is_adjusted, 120.0, "keys with half the travel")
         seen["places"].append(_places())
         scene.frame_set(60)
         yield from press(stage, "bpy.ops.manient.add_hand_offset(")
@@ -310,19 +309,22 @@ def moved(stage, take):
             yield from stage.key(key)
         yield from stage.write("0.3")
         yield from stage.key("RET")
-        yield from stage.until(lambda: _places() != seen["places"][1], 10.0, "keys with the offset")
-        yield 0.5
+        yield from stage.until(_is_adjusted, 120.0, "keys with the offset")
         seen["places"].append(_places())
         scene.frame_set(60)
         yield 0.5
         yield from stage.screenshot("character-offset-dragged")
         for step in (stage.undo, stage.redo):
-            before = _places()
             yield from step()
-            yield from stage.until(lambda before=before: _places() != before, 10.0, "the keys to follow")
-            yield 0.5
+            yield from stage.until(_is_adjusted, 120.0, "the keys to follow")
             seen["places"].append(_places())
     return seen
+
+
+def _is_adjusted() -> bool:
+    """Whether the keys are as the settings are, and nothing is being written."""
+    idle = not bpy.app.timers.is_registered(part("hand_adjusting").step)
+    return idle and part("scene.onto_character").is_adjusted(_rig())
 
 
 def _places() -> list[list[float]]:
