@@ -36,7 +36,7 @@ class MANIENT_UL_captures(bpy.types.UIList):
     def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
         """The source's name, frames and rate, and how many hands were built."""
         shown = captures.is_shown(item, context.view_layer)
-        split = layout.split(factor=0.4)
+        split = layout.split(factor=0.36)
         split.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")
         row = split.row(align=True)
         row.active, row.alignment = shown, "RIGHT"

@@ -131,7 +131,9 @@ def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     that another collection holds as well stay there and keep their take. A collection that another scene
     has, too, or that is linked from a file, only leaves this scene.
     """
-    was_active = active_capture(scene) == capture
+    left = [c for c in captures(scene) if c != capture]
+    if left and active_capture(scene) == capture:  # first, since a view without a camera turns away
+        show(scene, next((c for c in left if is_shown(c, _layer_of(scene))), left[-1]))
     elsewhere = any(capture in s.collection.children_recursive for s in bpy.data.scenes if s != scene)
     if scene.manient.capture == capture:
         scene.manient.capture = None
@@ -139,9 +141,6 @@ def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
         _unlink(scene, capture)
     else:
         _delete(scene, capture)
-    left = captures(scene)
-    if was_active and left:
-        show(scene, next((c for c in left if is_shown(c, _layer_of(scene))), left[-1]))
 
 
 def facts(capture: bpy.types.Collection) -> str:
@@ -158,7 +157,7 @@ def facts(capture: bpy.types.Collection) -> str:
 
 def _facts_of(take: Take) -> str:
     count = len(take.frame_numbers)
-    return f"{count} fr, {take.fps:.4g} fps" if count > 1 else "1 frame"
+    return f"{count}f {take.fps:.4g}fps" if count > 1 else "1f"
 
 
 def _name(block: bpy.types.ID) -> str:

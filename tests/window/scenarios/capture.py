@@ -231,6 +231,7 @@ def several(stage, sources):
         yield from stage.click(cross)
         yield 0.5
         yield from stage.screenshot("captures-removed")
+        assert stage.area().spaces[0].region_3d.view_perspective == "CAMERA"
         seen.append(_shown())
         yield from stage.undo()
         yield 0.5
