@@ -73,6 +73,8 @@ class Exports:
         default="SCENE",
     )
     file_format: Any
+    character: bool
+    """Whether it writes characters, and not captured hands"""
 
     def _title(self, context: bpy.types.Context) -> str:
         """The file's name where nobody gives one."""
