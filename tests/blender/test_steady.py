@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import textwrap
 from pathlib import Path
 
 import bpy
@@ -63,7 +64,9 @@ def sources(tmp_path) -> dict[str, Path]:
 
 @pytest.mark.parametrize("kind", ["photo", "sequence", "video", "data"])
 @pytest.mark.parametrize("matching", ["AUTO", "MATCH", "KEEP"])
-def test_rows_stay_when_the_worker_answers(settings, tmp_path, kind, matching):
+def test_rows_stay_when_the_worker_answers(settings, tmp_path, kind, matching, monkeypatch):
+    # As narrow as a sidebar: no window tells here how wide letters are.
+    monkeypatch.setattr("blender_manient.section.wrapped", lambda text, _: textwrap.wrap(text, 28) or [""])
     settings.source, settings.matching = str(sources(tmp_path)[kind]), matching
     info = source_info.of(settings)
     assert info.files is not None
