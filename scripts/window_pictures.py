@@ -30,7 +30,7 @@ SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
 PICTURES = (
     *("empty", "capturing", "captured", "keypoints", "touch", "find", "box"),
-    *("add-laid", "add-point-12", "character"),
+    *("add-laid", "add-point-12", "character", "captures", "pose-range"),
 )
 
 
@@ -49,6 +49,8 @@ def main() -> int:
             window.play("pictures.tour", folder=folder, source="wave", timeout=300)
             window.play("pictures.choosing", folder=folder, source="mona_lisa.jpg", timeout=300)
             window.play("pictures.onto_a_character", folder=folder, source="wave", timeout=300)
+            window.play("pictures.several", folder=folder, sources=["mona_lisa.jpg", "wave"], timeout=300)
+            window.play("pictures.posing", folder=folder, source="wave", timeout=300)
             points = write_robot_hand(Path(folder) / "robot.png").tolist()
             order = [(k, points[k]) for k in (0, 9, 8, 4, 20, 12)]
             window.play("pictures.placing", folder=folder, source="robot.png", points=order, timeout=300)

@@ -70,6 +70,37 @@ def choosing(stage, folder, source):
     yield from stage.key("ESC")
 
 
+def several(stage, folder, sources):
+    """Two captures in the list, the second in front."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/several.blend")
+    with opened_by_default("MANIENT_PT_result"):
+        yield from stage.open_sidebar()
+        for source in sources:
+            yield from capture(stage, f"//{source}")
+        bpy.context.scene.frame_set(12)
+        yield from stage.look_through_camera()
+        yield from stage.leave_popups()
+        yield 12.0  # until Blender's message in the status bar is gone
+        yield from stage.screenshot("captures")
+
+
+def posing(stage, folder, source):
+    """A fist on a range of frames."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/posing.blend")
+    with opened_by_default("MANIENT_PT_poses"):
+        yield from stage.open_sidebar()
+        yield from capture(stage, f"//{source}")
+        bpy.context.scene.frame_set(12)
+        settings = bpy.context.scene.manient
+        settings.pose, settings.pose_scope = "Fist", "RANGE"
+        settings.pose_first, settings.pose_last = 8, 16
+        yield from press(stage, "bpy.ops.manient.apply_pose(")
+        yield from stage.look_through_camera()
+        yield from stage.leave_popups()
+        yield 12.0  # until Blender's message in the status bar is gone
+        yield from stage.screenshot("pose-range")
+
+
 def placing(stage, folder, source, points):
     """A drawn hand is laid into its picture and posed by some points, as `adding.posed` takes them."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/drawing.blend")
