@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import bpy
 
 from scenarios.capturing import hands, keys_of, part
@@ -46,6 +48,46 @@ def simplified(stage, take):
         seen["layer"].append(_tracks())
         seen["keys"].append(_keys())
     return seen
+
+
+def merged(stage, take, folder, frame=24):
+    """A saved file is opened, and what a layer changes in a frame is merged and simplified at once. Returns
+    the changed bone's turn as captured, after Merge, and after Simplify."""
+    with stage.override():
+        bpy.ops.manient.import_take(filepath=str(take))
+    path = f"{folder}/merged.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    yield 0.5
+    with opened_by_default("MANIENT_PT_shape", "MANIENT_PT_keys"):
+        yield from stage.open_sidebar()
+        armature = hands()[0]
+        armature.select_set(True)
+        bpy.context.view_layer.objects.active = armature
+        yield from stage.until(_found, 60.0, "the preview")
+        turns = [_turn(frame)]
+        yield from _press(stage, "manient.add_key_layer")
+        bone = _bone()
+        for at, turned in ((frame - 4, 0.0), (frame, 0.5), (frame + 4, 0.0)):
+            bone.rotation_quaternion = (math.cos(turned / 2), math.sin(turned / 2), 0.0, 0.0)
+            bone.keyframe_insert("rotation_quaternion", frame=at)
+        bpy.ops.ed.undo_push(message="By hand")
+        yield from _press(stage, "manient.end_key_layer")
+        turns.append(_turn(frame))
+        yield from stage.screenshot("keys-merged")
+        yield from _press(stage, "manient.simplify_keys")
+        turns.append(_turn(frame))
+        yield from stage.screenshot("keys-merged-simplified")
+    return turns
+
+
+def _bone():
+    return next(bone for bone in hands()[0].pose.bones if bone.name.startswith("middle_proximal"))
+
+
+def _turn(frame):
+    bpy.context.scene.frame_set(frame)
+    return list(_bone().matrix_basis.to_quaternion())
 
 
 def _press(stage, operator):
