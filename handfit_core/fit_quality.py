@@ -92,9 +92,10 @@ def expected_scale(frames: float) -> Scale:
 
 
 def error_is_known(track: HandTrack) -> bool:
-    """Whether somebody can tell of some frame how far off the hand is likely to be, or how far off it is
-    called goes by the picture, as in older takes."""
-    return track.expected_error is None or bool(np.isfinite(track.expected_error).any())
+    """Whether somebody can tell how far off the hand is likely to be, or how far off it is called goes by the
+    picture, as in older takes. Of a hand that was doubted it is known, though a person has corrected it."""
+    expected = track.expected_error
+    return expected is None or track.doubtful is not None or bool(np.isfinite(expected).any())
 
 
 def mean_relative_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:

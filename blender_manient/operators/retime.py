@@ -49,5 +49,5 @@ class MANIENT_OT_retime(Refuses, bpy.types.Operator):
             put_rate_back(context.scene, collection)
             return {"FINISHED"}
         hands = retime(context.scene, collection)
-        self.report({"INFO"}, f"{counted(len(hands), 'hand')} retimed to the scene's rate")
+        self.report({"INFO"}, f"{counted(len(hands), 'hand')} retimed to the scene's rate, with all keys")
         return {"FINISHED"}

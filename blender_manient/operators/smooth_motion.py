@@ -24,8 +24,8 @@ _AFTER_CHANGE = 0.3
 _AGAIN = 0.1
 """seconds after which is looked again whether another fit is over"""
 
-_wanted: float | None = None
-"""What the slider was moved to and the keys do not have yet"""
+_wanted: tuple[int, float] | None = None
+"""The hand, by its armature's session_uid, and what its slider was moved to and its keys do not have yet"""
 
 
 class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
@@ -86,7 +86,7 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
 
     def modal(self, context, event):
         """As for other ranges; the slider's next value takes the place of this one."""
-        if _wanted not in (None, self.strength) and self._writing is None:
+        if _wanted is not None and _wanted[1] != self.strength and self._writing is None:
             self._end(context)
             return {"CANCELLED"}
         return super().modal(context, event)
@@ -94,7 +94,7 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
     def _end(self, context):
         global _wanted
         super()._end(context)
-        if _wanted == self.strength:
+        if _wanted is not None and _wanted[1] == self.strength:
             _wanted = None
 
 
@@ -137,18 +137,32 @@ class _Work(RangeWork):
 def _shown(_owner: Any) -> float:
     """What the slider says: where it was moved to, else how smooth the active hand's keys are."""
     hand = active_hand(bpy.context)
-    if _wanted is not None or hand is None:
-        return 1.0 if _wanted is None else _wanted
+    if hand is None:
+        return 1.0
+    if _wanted is not None and _wanted[0] == hand.armature.session_uid:
+        return _wanted[1]
     return smoothing_of(bpy.context.scene, hand.armature)
 
 
 def _moved(_owner: Any, value: float) -> None:
     """The slider was moved: once it rests, the motion follows."""
     global _wanted
-    _wanted = value
+    hand = active_hand(bpy.context)
+    if hand is None:
+        return
+    _wanted = hand.armature.session_uid, value
     if bpy.app.timers.is_registered(_smooth):
         bpy.app.timers.unregister(_smooth)
     bpy.app.timers.register(_smooth, first_interval=_AFTER_CHANGE)
+
+
+def _forget(*_: Any) -> None:
+    """Another file is open: its keys are as smooth as they are."""
+    global _wanted
+    _wanted = None
+
+
+HANDLERS = {"load_post": _forget}
 
 
 def _smooth() -> float | None:
@@ -161,7 +175,11 @@ def _smooth() -> float | None:
     windows = bpy.context.window_manager.windows
     try:
         with bpy.context.temp_override(window=bpy.context.window or windows[0]):
-            bpy.ops.manient.smooth_motion("INVOKE_DEFAULT", strength=_wanted, asked=True)
+            hand = active_hand(bpy.context)
+            if hand is None or hand.armature.session_uid != _wanted[0]:  # another hand was chosen meanwhile
+                _wanted = None
+                return None
+            bpy.ops.manient.smooth_motion("INVOKE_DEFAULT", strength=_wanted[1], asked=True)
     except RuntimeError as error:  # its own report
         print(f"Hand Capture: {error}")
         _wanted = None
@@ -185,8 +203,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Take it away."""
-    global _wanted
-    _wanted = None
+    _forget()
     if bpy.app.timers.is_registered(_smooth):
         bpy.app.timers.unregister(_smooth)
     del bpy.types.WindowManager.manient_smoothing

@@ -127,9 +127,10 @@ def _activate(scene: bpy.types.Scene, capture: bpy.types.Collection, alone: bool
 def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     """Take a capture out of the scene, with its hands, their actions, its camera, lights and picture.
 
-    What the artist has put into its collection moves to the scene's own, and stands where it stood. Hands
-    that another collection holds as well stay there and keep their take. A collection that another scene
-    has, too, or that is linked from a file, only leaves this scene.
+    What the artist has put into its collection moves to the scene's own, as do copies of hands; that and what
+    hangs on its objects elsewhere stands where it stood. Hands that another collection holds as well stay
+    there, and these and copies keep their take. A collection that another scene has, too, or that is linked
+    from a file, only leaves this scene.
     """
     left = [c for c in captures(scene) if c != capture]
     if left and active_capture(scene) == capture:  # first, since a view without a camera turns away
@@ -241,6 +242,8 @@ def _unlink(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 
 def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    _show(capture, scene)  # of what is hidden nobody knows where it stands
+    _layer_of(scene).update()
     own = [thing for thing in capture.objects if _is_own(thing, capture)]
     kept = [thing for thing in capture.objects if thing not in own]
     shared = {thing for thing in own if len(thing.users_collection) > 1}
@@ -248,8 +251,8 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     active = _layer_of(scene).objects.active
     if active in gone and active.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
-    for thing in kept:
-        if thing.parent in gone:
+    for thing in bpy.data.objects:
+        if thing.parent in gone and thing not in gone and thing.is_editable:
             place = thing.matrix_world.copy()
             thing.parent = None
             thing.matrix_world = place
@@ -262,7 +265,7 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
             scene.collection.children.link(child)
     _unlink(scene, capture)
     blocks: list[bpy.types.ID] = list(gone)
-    if any(thing.type == "ARMATURE" for thing in shared):  # their take is here
+    if any(thing.manient.is_hand for thing in (*shared, *kept)):  # their take is here
         for thing in list(capture.objects):
             capture.objects.unlink(thing)
     else:
@@ -272,12 +275,13 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:
     """Whether a capture has made an object of its collection: a hand, a mesh, the camera, lights, card."""
+    if thing == capture.manient.camera or OURS in thing:
+        return True
+    stem, _, number = thing.name.rpartition(".")
+    if number.isdigit() and stem in capture.objects:  # Blender names copies so
+        return False
     hand = thing if thing.manient.is_hand else thing.parent
-    return (
-        thing == capture.manient.camera
-        or OURS in thing
-        or (hand is not None and hand.manient.capture == capture and thing in (hand, hand.manient.mesh))
-    )
+    return hand is not None and hand.manient.capture == capture and thing in (hand, hand.manient.mesh)
 
 
 def _left_behind(blocks: Iterable[bpy.types.ID]) -> list[bpy.types.ID]:

@@ -27,6 +27,7 @@ from .keys import PoseKeys, align_signs, is_smooth, pose_at, read_pose_keys, rem
 from .markers import is_marked, mark_doubtful
 from .own_keys import keyed_by_hand, note_fitted
 from .plate import movie_plate
+from .simplify import forget_all_keys
 from .store import (
     CapturedHand,
     captured_take,
@@ -167,6 +168,9 @@ def _write(armature: bpy.types.Object, keys: PoseKeys, first: int, ratio: float)
         curve.update()
     write_pose_keys(rig, keys)
     align_signs(rig)
+    data = armature.animation_data
+    if data is not None and data.action is not None:
+        forget_all_keys(data.action)  # they are of the former rate
 
 
 def _other_curves(hand: CapturedHand) -> Iterator[bpy.types.FCurve]:

@@ -207,6 +207,41 @@ def test_what_is_not_the_captures_stays(imported):
     assert captures.captures(scene) == []
 
 
+def test_what_hangs_on_a_hidden_hand_stays_where_it_stood(imported, tmp_path):
+    a = imported("a")
+    armature = next(o for o in a.objects if o.type == "ARMATURE")
+    armature.location = (3.0, 0.0, 0.0)
+    props = bpy.data.collections.new("props")
+    bpy.context.scene.collection.children.link(props)
+    for collection in (a, props):
+        prop = bpy.data.objects.new(f"prop of {collection.name}", None)
+        prop.parent, prop.location = armature, (0.0, 2.0, 0.0)
+        collection.objects.link(prop)
+    imported("b")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert bpy.data.collections["a"].hide_viewport
+    bpy.ops.manient.remove_capture(capture="a")
+    bpy.context.view_layer.update()
+    for name in ("prop of a", "prop of props"):
+        place = bpy.data.objects[name].matrix_world.translation
+        np.testing.assert_allclose(place, (3.0, 2.0, 0.0), atol=1e-5)
+
+
+def test_a_copied_hand_stays(imported):
+    a = imported("a")
+    armature = next(o for o in a.objects if o.type == "ARMATURE")
+    (mesh,) = armature.children
+    copy, skin = armature.copy(), mesh.copy()
+    skin.parent = copy
+    for thing in (copy, skin):
+        a.objects.link(thing)
+    bpy.ops.manient.remove_capture(capture="a")
+    assert [o.name for o in store.captured_hands(bpy.context.scene)] == [copy.name]
+    assert store.hand_of(copy) is not None
+    assert skin.name in bpy.context.scene.objects
+
+
 def test_a_hand_that_lies_elsewhere_too_keeps_its_take(imported):
     scene = bpy.context.scene
     a = imported("a")

@@ -321,6 +321,16 @@ def test_there_and_back_keeps_the_correction(take):
     np.testing.assert_allclose(np.abs((now[0] * pose[0]).sum(axis=-1)), 1.0, atol=1e-6)
 
 
+def test_keys_of_the_former_rate_do_not_come_back(take):
+    scene = scene_of(24.0)
+    armature = build_take(take, match_scene=False).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    assert bpy.ops.manient.simplify_keys() == {"FINISHED"}
+    scene.render.fps = 48
+    assert bpy.ops.manient.retime(hand=armature.name) == {"FINISHED"}
+    assert not bpy.ops.manient.restore_keys.poll()
+
+
 def test_clearing_works_after_it(take):
     """Without its correction the frame is as its neighbours lead to it."""
     scene = scene_of(24.0)

@@ -75,7 +75,9 @@ def test_nobody_knows(take: Take) -> None:
     track = take.hands[0]
     expected = np.full((len(take.frame_numbers), 5), np.nan)
     assert error_is_known(track), "an older take"
-    assert not error_is_known(replace(track, expected_error=expected))
+    assert not error_is_known(replace(track, expected_error=expected, doubtful=None))
+    doubted = np.zeros(len(expected), dtype=bool)
+    assert error_is_known(replace(track, expected_error=expected, doubtful=doubted)), "all corrected"
     expected[2] = 0.01
     assert error_is_known(replace(track, expected_error=expected))
 
