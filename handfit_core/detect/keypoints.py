@@ -154,11 +154,12 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
                 known[name] = value if shape else float(value)
         known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
         hands.append(HandDetection(SIDES[side], **known))
-    check_crowd(np.repeat(np.arange(len(arrays["counts"])), arrays["counts"]))
-    ends = np.cumsum(arrays["counts"])
-    if ends[-1:].tolist() not in ([], [len(hands)]):
+    counts = arrays["counts"]
+    # Each first, so that their sum does not overflow.
+    if np.any((counts < 0) | (counts > len(hands))) or counts.sum() != len(hands):
         raise ValueError(f"{len(hands)} hands are not as many as its frames count")
-    return [tuple(hands[end - n : end]) for n, end in zip(arrays["counts"], ends, strict=True)]
+    check_crowd(np.repeat(np.arange(len(counts)), counts))
+    return [tuple(hands[end - n : end]) for n, end in zip(counts, np.cumsum(counts), strict=True)]
 
 
 class SideBySide(Sequence[HandDetection | None]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection, hands_from_arrays, hands_to_arrays
 from handfit_core.skeleton import SIDES, Side, other_side
 
 POINTS = np.arange(63.0).reshape(21, 3)
@@ -38,3 +38,10 @@ def test_extent_and_track() -> None:
     assert detection("left").extent == 60.0
     track = DetectedTrack("left", (None, detection("left"), None))
     np.testing.assert_array_equal(track.detected, [False, True, False])
+
+
+@pytest.mark.parametrize("counts", [[10**15], [-1, 2], [2**62, 2**62, 2**62, 2**62, 1], []])
+def test_wrong_counts(counts: list[int]) -> None:
+    arrays = hands_to_arrays([[detection("left")]])
+    with pytest.raises(ValueError, match="as its frames count"):
+        hands_from_arrays(arrays | {"counts": np.array(counts, dtype=np.int64)})
