@@ -25,7 +25,7 @@ from ..rigs import rig_of
 from ..rigs.controls import control_bones
 from .animation import new_curve
 from .deform_bones import deforming_tree
-from .sampling import Sampled, rotations_of, sample
+from .sampling import Sampled, rotations_of, sample, stepped
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ def clean_rig(
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
     the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
     in the open scene, which has the copy instead afterwards; its names are lent to the copy. When the context
-    ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy.
+    ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy;
+    one that no bone of the copy moves has keys of its own, and no parent, where it moves.
     """
     scene = bpy.context.scene
     turned = np.eye(4)
@@ -70,6 +71,13 @@ def clean_rig(
         sampled = sample(hand.armature, frames, scene).without(control_bones(hand.armature).values())
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
+    carriers = [_carrier(hand.armature, mesh) for mesh in hand.meshes]
+    free = [
+        mesh
+        for mesh, carrier in zip(hand.meshes, carriers, strict=True)
+        if not (_deformed(hand.armature, mesh) or standing.get(carrier, ""))
+    ]
+    places = dict(zip(free, _places(free, frames, scene), strict=True))
 
     originals = [hand.armature, *hand.meshes]
     names = [o.name for o in originals]
@@ -77,35 +85,40 @@ def clean_rig(
     for original in lent:
         original.name = f"{original.name} (source)"
     copies = [_copy(original, scene) for original in originals]
-    action = None
+    actions = []
     try:
         armature = copies[0]
         armature.name = name or names[0]
         armature.data.transform(Matrix(grow))
         armature.matrix_basis = Matrix(np.linalg.inv(turned))
-        for mesh, copied, own in zip(originals[1:], copies[1:], names[1:], strict=True):
-            carrier = mesh.parent_bone if mesh.parent == hand.armature and mesh.parent_type == "BONE" else ""
-            local = _at_rest(hand.armature, mesh, carrier)
+        in_metres = np.diag([units * metres_per_unit] * 3 + [1.0])
+        for mesh, copied, own, carrier in zip(hand.meshes, copies[1:], names[1:], carriers, strict=True):
             copied.name = own
-            copied.data.transform(Matrix(grow @ local), shape_keys=True)
             copied.parent = armature
             copied.matrix_parent_inverse = Matrix.Identity(4)
             copied.matrix_basis = Matrix.Identity(4)
+            if mesh in places:
+                placed, motion = _from_largest(turned @ in_metres @ places[mesh])
+                if np.abs(motion - np.eye(4)).max() > _STILL * size:
+                    copied.parent = None  # Blender's FBX importer ignores keys of what an armature carries.
+                    actions.append(_key(copied, np.linalg.inv(turned) @ motion, frames))
+            else:
+                placed = grow @ _at_rest(hand.armature, mesh, carrier)
+            copied.data.transform(Matrix(placed), shape_keys=True)
             _retarget(copied, hand.armature, armature, tree)
-            if carrier and not any(m.type == "ARMATURE" for m in copied.modifiers):
-                _deform_by(copied, armature, standing[carrier])
+            if mesh not in places and not _has_modifier(armature, copied):
+                _deform_by(copied, armature, standing[carrier] if carrier else "")
         if not tree and control_bones(armature):
             rig_of(armature, hand.side).remove_controls()
         _plain_bones(armature)
         if tree:
             _hang(armature, tree)
-        metres = np.diag([units * metres_per_unit] * 3 + [1.0]) @ sampled.world
-        action = _bake(armature, sampled, turned @ metres, size, frames)
+        actions.append(_bake(armature, sampled, turned @ in_metres @ sampled.world, size, frames))
         for original in originals:
             scene.collection.objects.unlink(original)
         yield CleanHand(hand.side, armature, tuple(copies[1:]))
     finally:
-        bpy.data.batch_remove([*copies, *(o.data for o in copies), *([action] if action else [])])
+        bpy.data.batch_remove([*copies, *(o.data for o in copies), *actions])
         for original, old in zip(originals, names, strict=True):
             if original in lent:
                 original.name = old
@@ -125,9 +138,43 @@ def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Objec
     for constraint in list(obj.constraints):
         obj.constraints.remove(constraint)
     obj.rotation_mode = "QUATERNION"
+    obj.delta_location, obj.delta_scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    obj.delta_rotation_quaternion = (1.0, 0.0, 0.0, 0.0)
     obj.hide_viewport = obj.hide_render = False
     scene.collection.objects.link(obj)
     return obj
+
+
+def _carrier(armature: bpy.types.Object, mesh: bpy.types.Object) -> str:
+    """The bone that carries a mesh; empty: none."""
+    return mesh.parent_bone if mesh.parent == armature and mesh.parent_type == "BONE" else ""
+
+
+def _has_modifier(armature: bpy.types.Object, mesh: bpy.types.Object) -> bool:
+    return any(m.type == "ARMATURE" and m.object == armature for m in mesh.modifiers)
+
+
+def _deformed(armature: bpy.types.Object, mesh: bpy.types.Object) -> bool:
+    """Whether the armature deforms a mesh, by a modifier or as its parent."""
+    return _has_modifier(armature, mesh) or (mesh.parent == armature and mesh.parent_type == "ARMATURE")
+
+
+def _places(
+    meshes: Sequence[bpy.types.Object], frames: Sequence[int], scene: bpy.types.Scene
+) -> list[np.ndarray]:
+    """(N, 4, 4) each mesh in the world on every frame."""
+    found = [
+        [np.array(mesh.evaluated_get(depsgraph).matrix_world, dtype=np.float64) for mesh in meshes]
+        for depsgraph in (stepped(scene, frames) if meshes else ())
+    ]
+    return [np.array(places) for places in zip(*found, strict=True)]
+
+
+def _from_largest(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(4, 4) the place where an object is largest, and (N, 4, 4) from there to all of its places."""
+    sizes = np.abs(np.linalg.det(places[:, :3, :3]))
+    largest = places[int((sizes > sizes.max() * (1.0 - 1e-4)).argmax())]
+    return largest, places @ np.linalg.pinv(largest)
 
 
 def _at_rest(armature: bpy.types.Object, mesh: bpy.types.Object, carrier: str) -> np.ndarray:
@@ -140,11 +187,12 @@ def _at_rest(armature: bpy.types.Object, mesh: bpy.types.Object, carrier: str) -
 
 
 def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) -> None:
-    """Have one bone alone deform a mesh; without a name it stays where it is."""
+    """Have one bone alone deform a mesh, or, without a name, those that its vertex groups name."""
     if bone:
         mesh.vertex_groups.clear()
         mesh.vertex_groups.new(name=bone).add(range(len(mesh.data.vertices)), 1.0, "REPLACE")
-        mesh.modifiers.new("Armature", "ARMATURE").object = armature
+    mesh.modifiers.new("Armature", "ARMATURE").object = armature
+    mesh.modifiers.move(len(mesh.modifiers) - 1, 0)  # where Blender deforms by a parent
 
 
 def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
@@ -219,4 +267,19 @@ def _bake(
             for index in range(values.shape[1]):
                 path = f'pose.bones["{name}"].{attribute}'
                 new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
+    return action
+
+
+def _key(obj: bpy.types.Object, motion: np.ndarray, frames: Sequence[int]) -> bpy.types.Action:
+    """Key an object's motion (N, 4, 4) in the world."""
+    action = bpy.data.actions.new(obj.name)
+    assign_action(obj, action)
+    channels = {
+        "location": motion[:, :3, 3],
+        "rotation_quaternion": unflip_quats(rotmat_to_quat(rotations_of(motion))),
+        "scale": np.linalg.norm(motion[:, :3, :3], axis=-2),
+    }
+    for path, values in channels.items():
+        for index in range(values.shape[1]):
+            new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
     return action

@@ -267,6 +267,43 @@ def test_what_a_bone_carries_goes_with_it(tmp_path):
     assert np.abs(expected[:, None] - found[None]).max(-1).min(1).max() < 1e-4
 
 
+def places(names: list[str], frame: int) -> list[np.ndarray]:
+    """The corners of meshes in the world."""
+    bpy.context.scene.frame_set(frame)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    shown = [bpy.data.objects[name].evaluated_get(depsgraph) for name in names]
+    return [np.array([o.matrix_world @ v.co for v in o.data.vertices]) for o in shown]
+
+
+@pytest.mark.parametrize("moves", [True, False])
+@pytest.mark.parametrize("preset", ["PLAIN", "UNITY", "UNREAL"])
+@pytest.mark.parametrize("fmt", ["fbx", "glb"])
+def test_meshes_without_a_modifier(tmp_path, fmt, preset, moves):
+    """A parent deforms one; of the others the object carries one, and a bone that is left out one."""
+    specs = [BoneSpec("control", "", (0, 0, 0), (1, 0, 0)), BoneSpec("root", "", (0, 0, 0), (0, 0, 1))]
+    rig = build_armature(specs)
+    rig.data.bones["control"].use_deform = False
+    rig.location, rig.scale = (3.0, 0.0, 0.0), (2.0, 2.0, 2.0)
+    if moves:
+        for frame, x, turn in ((1, 3.0, 0.0), (11, 5.0, 0.7)):
+            rig.location.x, rig.rotation_euler.z = x, turn
+            rig.keyframe_insert("location", frame=frame)
+            rig.keyframe_insert("rotation_euler", frame=frame)
+    moved(rig, ["control", "root"])
+    names = ["Legacy of a hand", "Hat of a hand", "Held of a hand"]
+    for name, kind in zip(names, ("ARMATURE", "OBJECT", "BONE"), strict=True):
+        data = bpy.data.meshes.new(name)
+        data.from_pydata([(0.1, 0.2, 0.3), (0.5, 0.2, 0.3), (0.1, 0.9, 0.3)], [], [(0, 1, 2)])
+        mesh = bpy.data.objects.new(name, data)
+        bpy.context.collection.objects.link(mesh)
+        mesh.vertex_groups.new(name="root").add(range(3), 1.0, "REPLACE")
+        mesh.parent, mesh.parent_type, mesh.parent_bone = rig, kind, "control" if kind == "BONE" else ""
+        mesh.location, mesh.rotation_euler.x, mesh.delta_location.z = (0.1, 0.0, 0.4), 0.3, 0.2
+    expected = [places(names, frame) for frame in FRAMES]
+    read_back(export(tmp_path / f"x.{fmt}", rig, file_format=fmt, preset=preset))
+    np.testing.assert_allclose([places(names, frame) for frame in FRAMES], expected, atol=1e-3)
+
+
 def linked(path, kind: str) -> bpy.types.Object:
     """A character out of another file: linked as it is, overridden, or shown as an instance."""
     rig, names = mixamo()
