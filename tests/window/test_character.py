@@ -21,7 +21,8 @@ def test_motion_on_a_rigify_character(blender, make_long_take, tmp_path):
     assert seen["changed"] == other
     keyed = [f"{name}.0{i}.{s}" for s in "LR" for name in NAMES for i in (1, 2, 3)]
     assert seen["keyed"] == sorted(set(keyed) - {own})
-    keys = 4 * FRAMES * len(seen["keyed"])
+    # The clip of 25 frames per second is retimed to the scene's 24.
+    keys = 4 * (1 + (FRAMES - 1) * 24 // 25) * len(seen["keyed"])
     # Applied; two undos, of the motion and of the table; two redos; saved and opened again.
     assert seen["keys"] == [keys, 0, 0, 0, keys, keys]
     assert seen["kept"] == [own, other, other, own, other, other, other]
@@ -75,8 +76,7 @@ def test_a_hands_travel_and_offset_are_changed_after_its_motion_was_applied(blen
 def test_a_character_follows_a_drag_by_the_live_link(blender, make_clip):
     played = blender.play("character.linked", source=make_clip(60), timeout=300).value
     assert played["trouble"] is None
-    # The last move has been waited for; those before it may lag behind by a fit.
-    assert played["behind"][-1] < 0.02
+    assert played["behind"] < 0.02
     assert {28, 30, 32} <= set(played["moved"]) <= {28, 30, 32}
     assert played["off"] < 1e-3
 
