@@ -149,17 +149,19 @@ def linked(stage, source, steps=12):
     x, y = stage.mouse
     stage.window.event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=y)
     yield from stage.until(lambda: refine.state()["dragged"] is not None, 3.0, "the point to be taken")
-    behind = []
     for number in range(1, steps + 1):
-        yield from stage.move_to((start[0] + 60 * number / steps, start[1] + 10))
+        yield from stage.move_to((start[0] + 160 * number / steps, start[1] + 10))
         yield 0.15
-        behind.append(_behind(armature, follower))
+    yield from stage.until(lambda: _behind(armature, follower) < 0.02, 10.0, "the follower")
+    behind = _behind(armature, follower)
     yield from stage.screenshot("live-dragged")
     x, y = stage.mouse
     stage.window.event_simulate(type="LEFTMOUSE", value="RELEASE", x=x, y=y)
     yield from stage.until(lambda: refine.state()["dragged"] is None, 10.0, "the last fit")
     yield from stage.key("RET")
-    yield 2.0
+    yield from stage.until(lambda: not refine.operator().running(), 5.0, "the mode to end")
+    yield 1.0
+    yield from stage.until(lambda: part("live_link").keyed(follower) is None, 20.0, "the follower's keys")
     after, ours = _index_turns(follower), _index_turns(armature)
     return {
         "behind": behind,
