@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.doors.values import Unfit
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.gather import Gathering, check_some, seen_hands
 from handfit_core.interchange.point_names import point_named, side_named
@@ -37,7 +38,8 @@ def _recognises(document: Document) -> bool:
 
 def _read(document: Document, asked: Asked) -> Recording:
     table = document.table
-    assert table is not None
+    if table is None:
+        raise Unfit("it is no table: its lines differ in length, or its name ends in neither .csv nor .txt")
     frames, hands, points = _whole(table, "frame"), _hands(table), _points(table)
     numbers, row = np.unique(frames, return_inverse=True)
     sides = table.texts("side")

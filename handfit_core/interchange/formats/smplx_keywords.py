@@ -69,8 +69,8 @@ def _hands(document: Document, asked: Asked) -> Recording:
         }
         if values["hand_pose"] is None:
             continue
-        orient = mano.rotations(f"{side}_global_orient", values["global_orient"], 1)
-        pose = mano.rotations(f"{side}_hand_pose", values["hand_pose"], 15, len(orient))
+        pose = mano.rotations(f"{side}_hand_pose", values["hand_pose"], 15)
+        orient = mano.rotations(f"{side}_global_orient", values["global_orient"], 1, len(pose))
         pose = mano.from_flat(pose, side, asked, "flat")
         place = values["transl"]
         transl = None if place is None else mano.numbers(f"{side}_transl", place, 3)
@@ -101,13 +101,19 @@ def _size_and_camera(document: Document) -> tuple[tuple[int, int] | None, Intrin
 def _sequence(document: Document, asked: Asked) -> Recording:
     """A body over a sequence, with the flat hands that ARCTIC's bodies are posed with."""
     assumed = [mano.NO_PLACE]
-    pelvis = mano.rotations("global_orient", document.value("global_orient"), 1)
+    pelvis = _pelvis(document)
     turn = mano.standing(pelvis, assumed)
     posed = [mano.seen_from(hand, asked, turn) for hand in _of_one_body(document, asked, pelvis, "flat")]
     told = next((document.value(n) for n in ("mocap_frame_rate", "fps") if n in document.names), None)
     fps = mano.rate(told, asked)
     frames = np.arange(1, len(pelvis) + 1)
     return mano.recording_of("smplx-keywords", document, fps, frames, posed, asked, assumed)
+
+
+def _pelvis(document: Document) -> np.ndarray:
+    """(T, 3), of as many frames as the rest of the body, which tells three turns from one matrix."""
+    body = mano.rotations("body_pose", document.value("body_pose"), mano.BODY_JOINTS)
+    return mano.rotations("global_orient", document.value("global_orient"), 1, len(body))
 
 
 def _of_one_body(
@@ -139,7 +145,7 @@ def _smpler_x(document: Document, asked: Asked) -> Recording:
         one = Document(path)
         if not _of_body(one):
             raise Unfit(f"{path.name} must hold a body of SMPL-X, and is {one.found}")
-        pelvis = mano.rotations("global_orient", one.value("global_orient"), 1)
+        pelvis = _pelvis(one)
         if len(pelvis) != 1:
             raise Unfit(f"{path.name} must hold one body, and has {len(pelvis)}")
         for hand in _of_one_body(one, asked, pelvis, "mean"):

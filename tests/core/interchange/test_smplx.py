@@ -15,9 +15,10 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.mano import Y_UP, Z_UP
 from handfit_core.interchange.writers import writer_for
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.take import Take
+from handfit_core.take import Take, chosen
 from tests.core.interchange.known_hands import (
     EXACT,
     FRAMES,
@@ -298,6 +299,15 @@ def test_what_is_written_is_read_back(take: Take, tmp_path: Path, ending: str) -
             np.testing.assert_allclose(found.transl[there], hand.transl[there], atol=EXACT)
             assert recording.intrinsics == take.intrinsics
             np.testing.assert_array_equal(recording.frame_numbers, take.frame_numbers)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_few_frames(take: Take, tmp_path: Path, count: int) -> None:
+    few = chosen(take, "right", FrameRange(4, 3 + count), None)
+    path = tmp_path / "out.mano.npz"
+    writer_for(path).write(few, path)
+    found = hand_of(read(path), "right")
+    assert_same_turns(found.global_orient, few.hands[0].global_orient)
 
 
 def test_smplx_as_amass_tools_read_it(take: Take, tmp_path: Path) -> None:
