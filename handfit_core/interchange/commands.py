@@ -128,7 +128,8 @@ def _convert(args: argparse.Namespace) -> int:
 def _check_readable(writer: Writer, take: Take, path: Path) -> None:
     """Read hands again in a format that is read here, too. Raises InputError."""
     name = next((name for name, each in WRITERS.all().items() if each is writer), None)
-    if name in READERS.built_in() and take.hands and path.suffix in {Path(e).suffix for e in writer.endings}:
+    taken = path.suffix.lower() in {ending[ending.rindex(".") :] for ending in writer.endings}
+    if name in READERS.built_in() and take.hands and taken:
         with contextlib.suppress(OptionError):  # it wants to know more
             read_recording(path, CaptureOptions(reader=name))
 
