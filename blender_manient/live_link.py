@@ -190,7 +190,7 @@ def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None
 
 
 def _part(steps: Generator[float, None, _T], before: float, share: float) -> Generator[float, None, _T]:
-    """The same steps, which tell of a part of the whole: it has `share` of that, after what is `before`."""
+    """Go through steps that are `share` of the whole and come after its part `before`; yields the progress."""
     while True:
         try:
             done = next(steps)

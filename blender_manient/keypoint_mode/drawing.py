@@ -30,7 +30,7 @@ LETTERS: Final = 13.0
 RADIUS: Final = 5.0
 """pixels of a handle with room around it, at a user interface scale of 1"""
 _LEAST_RADIUS: Final = 1.5
-"""The same of one that others nearly cover"""
+"""Pixels: the size of a handle that others nearly cover"""
 _RIM: Final = 1.5
 """pixels of the dark edge around it, likewise"""
 _ACTIVE, _PINNED = 1.35, 2.1

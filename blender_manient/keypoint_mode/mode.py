@@ -31,7 +31,7 @@ from . import drawing, view
 REACH: Final = 14.0
 """pixels from a handle within which the mouse takes it, at a user interface scale of 1"""
 _LEAST_REACH: Final = 5.0
-"""The same of a handle with others close by"""
+"""Pixels: how near the mouse must come to a handle with others close by"""
 _SLOW: Final = 0.06
 """seconds after which the dragged point is drawn without the hand. Before that the answer is nearly there,
 and drawing twice would only make it later"""

@@ -85,7 +85,7 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
         return "INFO", f"{counted(work.fitted, 'frame')} smoothed{left}"
 
     def modal(self, context, event):
-        """As for other ranges; the slider's next value takes the place of this one."""
+        """Wait for the fit, unless the slider was moved on: then its next value is fitted instead."""
         if _wanted is not None and _wanted[1] != self.strength and self._writing is None:
             self._end(context)
             return {"CANCELLED"}

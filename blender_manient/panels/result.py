@@ -25,7 +25,7 @@ class MANIENT_UL_captures(bpy.types.UIList):
     bl_idname = "MANIENT_UL_captures"
 
     def filter_items(self, context, data, propname):
-        """Those of the scene whose name has what is typed."""
+        """Show the captures of the scene whose name has what is typed."""
         items = getattr(data, propname)
         here = {capture.session_uid for capture in captures.captures(context.scene)}
         flags = bpy.types.UI_UL_list.filter_items_by_name(

@@ -55,7 +55,7 @@ class Noted:
     offset: np.ndarray
     """(3,) as `BoneKeys.offset`"""
     settings: tuple[float, ...]
-    """As `BoneKeys.settings`"""
+    """The settings that the keys were made with, as in `BoneKeys.settings`"""
 
     @property
     def placed(self) -> bool:
