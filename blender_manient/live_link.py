@@ -190,7 +190,7 @@ def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None
 
 
 def _part(steps: Generator[float, None, _T], before: float, share: float) -> Generator[float, None, _T]:
-    """Go through steps that are `share` of the whole and come after its part `before`; yields the progress."""
+    """Go through steps that are `share` of the whole, after its part `before`; yields the progress."""
     while True:
         try:
             done = next(steps)
