@@ -14,8 +14,9 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
+from handfit_core.detect.detector import Quality
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -323,6 +324,14 @@ class CaptureOptions:
     )
     plain_detection: bool = _option(
         False, _flag, "look once at the whole picture: faster for photos, misses more hands"
+    )
+    quality: Quality = _option(
+        "standard",
+        _text,
+        "how closely hands are looked at: draft is the fastest, best the most exact",
+        "CHOICE",
+        choices=lambda: get_args(Quality),
+        closed=True,
     )
     landmark_model: str | None = _option(
         None, _path, "MediaPipe's hand_landmarker.task", "PATH", by_default="the one that was fetched"

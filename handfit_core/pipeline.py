@@ -14,8 +14,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from handfit_core.batch import slices
-from handfit_core.detect.detector import DETECTORS, Detected
-from handfit_core.detect.keypoints import DetectedTrack, SideBySide
+from handfit_core.detect.detector import DETECTORS, Detected, Quality
+from handfit_core.detect.keypoints import DetectedTrack, SideBySide, largest_extent
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
@@ -100,6 +100,7 @@ def capture(
     detector: str = "direct",
     threshold: float = 0.5,
     plain_detection: bool = False,
+    quality: Quality = "standard",
     processes: int | None = None,
     landmark_model: str | os.PathLike[str] | None = None,
     smoothing: float = 1.0,
@@ -158,7 +159,8 @@ def capture_with(
         log.warning("the solver %s takes no notice of the hand's length; the solver fast does", solver)
     stop = should_stop or never
     report = progress or (lambda _: None)
-    media, intrinsics = _opened(source, options)
+    media, known = _opened(source, options)
+    intrinsics = known or Intrinsics.assumed(media.width, media.height)
     recording = _recording(media, options)
     if recording is not None and recording.seen is None:
         if recording.intrinsics and options.intrinsics is None and options.lens is None:
@@ -187,6 +189,9 @@ def capture_with(
         numbers = seen.numbers
         tracks = [replace(track, calibrated=calibrated) for track in _linked(media, options, seen, stop)]
         del seen
+        if known is None:
+            extent = largest_extent(d for track in tracks for d in track.detections if d is not None)
+            intrinsics = Intrinsics.assumed(media.width, media.height, extent)
     if stop():
         stop = _after(LAST_FITS_SECONDS) if can.slow else never
 
@@ -346,7 +351,8 @@ def _posed_take(
 def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
     """A take of that source in which nobody has looked for hands: its frames, size and camera. Raises what
     `capture` raises before it looks at the pictures."""
-    media, intrinsics = _opened(source, options)
+    media, known = _opened(source, options)
+    intrinsics = known or Intrinsics.assumed(media.width, media.height)
     files = [Path(file) for file in media.source.files]
     numbers = sequence_numbers(files) if media.source.kind == "sequence" else None
     wanted = options.frames if isinstance(options.frames, FrameRange) else FrameRange()
@@ -354,8 +360,8 @@ def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
     return _without_hands(media, options, intrinsics, list(used))
 
 
-def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsics]:
-    """The input and the camera that took it. Raises InputError and OptionError, and HandModelError for a
+def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsics | None]:
+    """The input and the camera that took it, None where nobody tells. Raises InputError and OptionError, and HandModelError for a
     model of neither side: before the long part, which a wrong path should not cost."""
     media = open_input(source, options)
     intrinsics = options.intrinsics
@@ -367,7 +373,7 @@ def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrins
     if options.model is not None:
         _check_some_side(options.model)
     known = media.recording.intrinsics if isinstance(media, RecordedMedia) else known_intrinsics(media)
-    return media, intrinsics or known or Intrinsics.assumed(media.width, media.height)
+    return media, intrinsics or known
 
 
 def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics, numbers: list[int]) -> Take:
@@ -508,7 +514,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
     """What a take keeps of one fitted track: the parameters and what follows from them."""
     # A hand of hours has its arrays once here, and no list of its detections.
     count, seen, present = len(track.detections), track.detected, fit.present
-    points, world, joints_3d = (np.full((count, NUM_KEYPOINTS, 3), np.nan) for _ in range(3))
+    points, world, second, joints_3d = (np.full((count, NUM_KEYPOINTS, 3), np.nan) for _ in range(4))
     score, right_side = np.full(count, np.nan), np.full(count, np.nan)
     other_side, overlapped = np.zeros(count, dtype=bool), np.zeros((count, NUM_KEYPOINTS), dtype=bool)
     for row in np.flatnonzero(seen).tolist():
@@ -520,6 +526,8 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
             d.score,
             d.side != track.side,
         )
+        if d.keypoints_2020 is not None:
+            second[row] = d.keypoints_2020
         if d.right_side is not None:
             right_side[row] = d.right_side
         if d.overlapped is not None:
@@ -550,6 +558,7 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
         expected_error=expected,
         keypoints_depth=points[..., 2],
         world_landmarks=world,
+        keypoints_2020=second if np.isfinite(second).any() else None,
         right_side=right_side,
         other_side=other_side,
         overlapped=overlapped if overlapped.any() else None,

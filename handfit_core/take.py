@@ -80,6 +80,7 @@ _ARRAYS: Final[dict[str, _Array]] = {
     "expected_error": _Array((len(FINGERS),), finite="none", optional=True),
     "keypoints_depth": _Array((21,), optional=True),
     "world_landmarks": _Array((21, 3), optional=True),
+    "keypoints_2020": _Array((21, 3), finite="none", optional=True),
     "right_side": _Array(finite="none", optional=True),
     "other_side": _Array(kind="b", optional=True),
     "overlapped": _Array((21,), kind="b", optional=True),
@@ -133,6 +134,9 @@ class HandTrack:
     kept"""
     world_landmarks: np.ndarray | None = None
     """(T, 21, 3) metres about the hand's centre, axes as the camera frame's, as detected; None: not kept"""
+    keypoints_2020: np.ndarray | None = None
+    """(T, 21, 3) what the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN where it
+    was not asked; None: nowhere"""
     right_side: np.ndarray | None = None
     """(T,) probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
     other_side: np.ndarray | None = None
@@ -207,12 +211,14 @@ class HandTrack:
         named = self.side
         if self.other_side is not None and self.other_side[row]:
             named = other_side(self.side)
+        second = None if self.keypoints_2020 is None else np.array(self.keypoints_2020[row])
         judged = np.nan if self.right_side is None else float(self.right_side[row])
         return HandDetection(
             side=named,
             score=float(self.score[row]),
             keypoints=np.column_stack([self.keypoints_2d[row], self.keypoints_depth[row]]),
             world=np.array(self.world_landmarks[row]),
+            keypoints_2020=None if second is None or not np.isfinite(second).all() else second,
             right_side=None if np.isnan(judged) else judged,
             overlapped=None if self.overlapped is None else np.array(self.overlapped[row]),
         )

@@ -132,7 +132,7 @@ class ClipFinder(Detector):
         hand = followed or self._searching.hand_in(rgb, box)
         if hand is None:
             return None
-        hand = replace(hand, shown=True, given_side=side)
+        hand = replace(self._networks.seen_twice(rgb, hand), shown=True, given_side=side)
         index = len(self.frames) - 1
         known = [f for f in self.followed if f.last is followed or same_hand(hand, f.last)]
         self.followed = [f for f in self.followed if f not in known]
@@ -203,19 +203,19 @@ class ClipFinder(Detector):
                 hand = followed.last
                 centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
                 view = View.of_square(centre, AROUND * max(hand.extent, 8.0), PALM_SIZE)
-                self._take(self._seen_in(rgb, [view]), new)
+                self._take(rgb, self._seen_in(rgb, [view]), new)
                 followed.missed()
         self._lost = [f for f in self._lost if not (f.hopeless or (self._known(f.last) and not f.beside))]
         if (lost_one and not self._full) or index % SEARCH_EVERY == 0:
             height, width = rgb.shape[:2]
             there = self._seen_in(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.followed) + len(there))
-            self._take(there, new)
+            self._take(rgb, there, new)
         if not self.followed:
             if self._search_wait > 0:
                 self._search_wait -= 1
             else:
-                self._take(self._searching.every_hand(rgb), new)
+                self._take(rgb, self._searching.every_hand(rgb), new)
                 self._searches += 1
                 self._search_wait = min(FIRST_WAIT * 2**self._searches, LONGEST_WAIT)
         return new
@@ -224,11 +224,11 @@ class ClipFinder(Detector):
         known = [followed.last for followed in self.followed]
         return self._searching.more_hands(rgb, views, known)
 
-    def _take(self, hands: list[HandDetection], new: list[Followed]) -> None:
+    def _take(self, rgb: np.ndarray, hands: list[HandDetection], new: list[Followed]) -> None:
         """Follow hands that are not followed, and add them to the new ones."""
         for hand in hands:
             if not self._full and not self._known(hand):
-                new.append(self._follow_new(hand))
+                new.append(self._follow_new(self._networks.seen_twice(rgb, hand)))
                 self._searches, self._search_wait = 0, FIRST_WAIT
 
     def _follow_new(self, hand: HandDetection) -> Followed:
@@ -246,10 +246,10 @@ class ClipFinder(Detector):
 def there(networks: Networks, rgb: np.ndarray, followed: Followed) -> HandDetection | None:
     """A followed hand where it should be; looked at once more where it has moved away from there."""
     expected = followed.expected()
-    look = networks.look(rgb, view_of(expected))
+    look = networks.look(rgb, view_of(expected), twice=True)
     off = np.linalg.norm(look.hand.keypoints_2d - expected, axis=-1).mean()
     if look.presence >= followed.least and off > ASTRAY * look.hand.extent:
-        look = networks.look(rgb, view_of(look.hand.keypoints))
+        look = networks.look(rgb, view_of(look.hand.keypoints), twice=True)
     return replace(look.hand, shown=followed.last.shown) if look.presence >= followed.least else None
 
 

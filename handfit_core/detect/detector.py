@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Literal, Protocol, Self
 
 import numpy as np
 
@@ -18,6 +18,11 @@ from handfit_core.errors import OptionError
 from handfit_core.media.source import Media
 from handfit_core.registry import Registry
 from handfit_core.skeleton import Side
+
+
+Quality = Literal["draft", "standard", "best"]
+"""How closely hands are looked at. `draft`: by the fastest landmark network alone, once. `standard`: by two. `best`:
+also in clips from several turns, and mirrored."""
 
 
 class Detector:
@@ -84,6 +89,7 @@ class DetectorSettings:
     """How sure a hand must be, 0..1"""
     landmark_model: str | os.PathLike[str] | None = None
     """A model file in place of the backend's own"""
+    quality: Quality = "standard"
     first_word: bool = False
     """Whether one look at the whole picture is enough: faster, and finds less"""
 

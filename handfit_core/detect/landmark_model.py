@@ -100,3 +100,9 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
             info.extra = struct.pack("<HH", _PADDING_FIELD, padding) + b"\0" * padding
             task.writestr(info, source.read(member))
     return destination
+
+
+def landmarks_2020_path() -> Path | None:
+    path = cache_dir() / "hand_landmarks_2020.tflite"
+    named = os.environ.get("HANDFIT_LANDMARKS_2020")
+    return None if named == "none" or not path.is_file() else path

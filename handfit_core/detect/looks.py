@@ -244,10 +244,12 @@ class View:
 
     def to_picture(self, found: HandDetection) -> HandDetection:
         """A hand found in the view, as one of the picture: pixels, camera axes and side."""
-        keypoints, world = found.keypoints.copy(), found.world.copy()
-        back = np.linalg.inv(self.linear)
-        keypoints[:, :2] = (keypoints[:, :2] - self.offset) @ back.T
-        keypoints[:, 2] /= self.scale
+        world, back = found.world.copy(), np.linalg.inv(self.linear)
         world[:, :2] = world[:, :2] @ (back * self.scale).T
         side = other_side(found.side) if self.mirrored else found.side
-        return HandDetection(side, found.score, keypoints, world)
+        return HandDetection(side, found.score, self.points_to_picture(found.keypoints), world)
+
+    def points_to_picture(self, points: np.ndarray) -> np.ndarray:
+        """(21, 3) points of the view with their depth, in its pixels -> of the picture, in its pixels."""
+        plane = (points[:, :2] - self.offset) @ np.linalg.inv(self.linear).T
+        return np.column_stack([plane, points[:, 2] / self.scale])

@@ -1,6 +1,7 @@
 """MediaPipe's palm and landmark networks, run directly on any view of a picture.
 
-The two networks lie in the landmark model file. MediaPipe's own graph shows them crops of its own choice;
+Palm and landmark network lie in the landmark model file; a landmark network of December 2020, whose depth is
+better and which is faster, in a file of its own that may be absent. MediaPipe's own graph shows them crops of its own choice;
 its image embedder runs any network on any picture and returns all of its outputs, which is all that is
 needed here. Crops are MediaPipe's: "MediaPipe Hands: On-device Real-time Hand Tracking" (Zhang et al., 2020).
 """
@@ -12,9 +13,9 @@ import sys
 import zipfile
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
 from queue import SimpleQueue
@@ -22,12 +23,13 @@ from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
+from handfit_core.detect.detector import Quality
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.landmark_model import landmark_model_path
+from handfit_core.detect.landmark_model import landmark_model_path, landmarks_2020_path
 from handfit_core.detect.looks import View
 from handfit_core.errors import LandmarkModelError
 from handfit_core.machine import usable_cores
-from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
 
 PALM_SIZE: Final = 192
 """Pixels a side of what the palm network sees"""
@@ -51,6 +53,9 @@ OF_HAND: Final = 2.0
 BEYOND_HAND: Final = 0.1
 _BOXED: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
 """Landmarks that the box of a hand is about"""
+
+MEAN_BONE: Final = 0.0385
+"""metres, the mean of the 20 bones between an average hand's keypoints"""
 
 MOST_THREADS: Final = 4
 """Each has networks of its own: some 30 MB"""
@@ -141,17 +146,23 @@ def _upright(up: np.ndarray) -> float:
 
 
 class Networks:
-    """Both networks of a landmark model file. Use as a context manager.
+    """The palm network and the landmark networks. Use as a context manager.
 
-    Raises LandmarkModelError when the file is missing or damaged.
+    Of quality `draft`, the landmark network of December 2020 stands in for the present one, where it is there. Raises
+    LandmarkModelError when the landmark model file is missing or damaged.
     """
 
-    def __init__(self, landmark_model: str | os.PathLike[str] | None = None) -> None:
+    def __init__(
+        self, landmark_model: str | os.PathLike[str] | None = None, *, quality: Quality = "standard"
+    ) -> None:
         path = landmark_model_path(landmark_model)
+        self.quality: Quality = quality
         self.threads = min(usable_threads(), MOST_THREADS)
         """How many run the networks where several views of a picture are to be looked at"""
         self._landmark_model = landmark_model
         self._pool: ThreadPoolExecutor | None = None
+        self._beside: ThreadPoolExecutor | None = None
+        """Runs the second landmark network while the first one runs"""
         self._idle: SimpleQueue[Networks | None] = SimpleQueue()
         """What threads run; None: networks that are not loaded yet"""
         # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
@@ -161,20 +172,13 @@ class Networks:
 
         _forget_tracebacks()
         self._mp = mp
-        vision = mp.tasks.vision
         self._open = ExitStack()
         try:
             with zipfile.ZipFile(path) as task:
-                self._palms, self._hand = (
-                    self._open.enter_context(
-                        vision.ImageEmbedder.create_from_options(
-                            vision.ImageEmbedderOptions(
-                                mp.tasks.BaseOptions(model_asset_buffer=task.read(name))
-                            )
-                        )
-                    )
-                    for name in ("hand_detector.tflite", "hand_landmarks_detector.tflite")
-                )
+                self._palms = self._opened(task.read("hand_detector.tflite"))
+                self._hand = self._opened(task.read("hand_landmarks_detector.tflite"))
+            second = landmarks_2020_path()
+            self._hand_2020 = None if second is None else self._opened(second.read_bytes())
         except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError) as error:
             self._open.close()
             raise LandmarkModelError(
@@ -190,9 +194,10 @@ class Networks:
 
     def close(self) -> None:
         """Give MediaPipe's threads and memory back."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
+        for pool in (self._pool, self._beside):
+            if pool is not None:
+                pool.shutdown(cancel_futures=True)
+        self._pool = self._beside = None
         while not self._idle.empty():
             if (other := self._idle.get()) not in (None, self):
                 other.close()
@@ -223,11 +228,21 @@ class Networks:
 
     def _lent(self, do: Callable[[Networks, Item], Result], item: Item) -> Result:
         """Do something with networks that nobody else uses."""
-        networks = self._idle.get() or Networks(self._landmark_model)
+        networks = self._idle.get() or Networks(self._landmark_model, quality=self.quality)
         try:
             return do(networks, item)
         finally:
             self._idle.put(networks)
+
+    def _opened(self, network: bytes) -> Any:
+        vision, base = self._mp.tasks.vision, self._mp.tasks.BaseOptions(model_asset_buffer=network)
+        options = vision.ImageEmbedderOptions(base)
+        return self._open.enter_context(vision.ImageEmbedder.create_from_options(options))
+
+    @property
+    def is_draft(self) -> bool:
+        """Whether the landmark network of December 2020 looks alone."""
+        return self.quality == "draft" and self._hand_2020 is not None
 
     def _run(self, network: Any, rgb: np.ndarray) -> Sequence[np.ndarray]:
         image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=rgb)
@@ -250,19 +265,61 @@ class Networks:
             points=(numbers[:, 2:] - view.offset) @ back.T,
         )
 
-    def look(self, rgb: np.ndarray, view: View) -> Look:
-        """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB."""
-        landmarks, presence, handedness, world = self._run(self._hand, view.render(rgb))
-        keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
-        keypoints[:, 2] /= DEPTH_SCALE
+    def look(self, rgb: np.ndarray, view: View, *, twice: bool = False) -> Look:
+        """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB; `twice`: and
+        that of December 2020, where it is there."""
+        crop = view.render(rgb)
+        if self.is_draft:
+            return self._draft(crop, view)
+        second: Future[np.ndarray] | None = None
+        twice = twice and self._hand_2020 is not None
+        if twice and self.threads > 1:
+            self._beside = self._beside or ThreadPoolExecutor(1, "handfit-2020")
+            second = self._beside.submit(self._seen_2020, crop)
+        landmarks, presence, handedness, world = self._run(self._hand, crop)
         right = float(handedness[0])
         found = HandDetection(
             side="right" if right >= 0.5 else "left",
             score=max(right, 1.0 - right),
-            keypoints=keypoints,
+            keypoints=_with_depth(landmarks),
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
         )
-        return Look(float(presence[0]), view.to_picture(found))
+        hand = view.to_picture(found)
+        if twice:
+            points = self._seen_2020(crop) if second is None else second.result()
+            hand = replace(hand, keypoints_2020=view.points_to_picture(points))
+        return Look(float(presence[0]), hand)
+
+    def seen_twice(self, rgb: np.ndarray, hand: HandDetection) -> HandDetection:
+        """A hand of a picture (H, W, 3) uint8 RGB with what the landmark network of December 2020 sees of it, where
+        that is there and has not been asked."""
+        if self._hand_2020 is None or hand.keypoints_2020 is not None:
+            return hand
+        view = view_of(hand.keypoints)
+        points = self._seen_2020(view.render(rgb))
+        return replace(hand, keypoints_2020=view.points_to_picture(points))
+
+    def _seen_2020(self, crop: np.ndarray) -> np.ndarray:
+        """(21, 3) pixels of the crop, with depth."""
+        return _with_depth(self._run(self._hand_2020, crop)[0])
+
+    def _draft(self, crop: np.ndarray, view: View) -> Look:
+        """What the landmark network of December 2020 alone makes of a crop of that view. Its world landmarks are its
+        keypoints at the size of an average hand."""
+        landmarks, presence, handedness = self._run(self._hand_2020, crop)
+        keypoints, right = _with_depth(landmarks), float(handedness[0])
+        bones = np.linalg.norm(keypoints[1:] - keypoints[KEYPOINT_PARENTS[1:]], axis=-1)
+        world = (keypoints - keypoints.mean(axis=0)) * (MEAN_BONE / max(float(bones.mean()), 1e-9))
+        side = "right" if right >= 0.5 else "left"
+        hand = view.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))
+        return Look(float(presence[0]), replace(hand, keypoints_2020=hand.keypoints))
+
+
+def _with_depth(landmarks: np.ndarray) -> np.ndarray:
+    """(63,) what a landmark network says -> (21, 3) pixels of its crop, depth on the scale of x."""
+    keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
+    keypoints[:, 2] /= DEPTH_SCALE
+    return keypoints
 
 
 def _forget_tracebacks() -> None:

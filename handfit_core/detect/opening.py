@@ -13,6 +13,7 @@ def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSett
         video,
         options.threshold,
         options.landmark_model,
+        options.quality,
         first_word=options.plain_detection,
     )
 

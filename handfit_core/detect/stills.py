@@ -21,7 +21,7 @@ class StillFinder(Detector):
 
     def __init__(self, settings: DetectorSettings) -> None:
         self._most = settings.max_hands
-        self._networks = Networks(settings.landmark_model)
+        self._networks = Networks(settings.landmark_model, quality=settings.quality)
         self._search = Search(self._networks, settings.threshold, first_word=settings.first_word)
         self._counts = [0]
         self._last: list[HandDetection] = []
@@ -40,7 +40,8 @@ class StillFinder(Detector):
         """As `Detector.find`, with sides judged."""
         self._last = [] if rgb is None else self._search.every_hand(rgb)
         self._counts.append(len(self._last))
-        return tuple(with_side_judged(self._last[: self._most]))
+        hands = [self._networks.seen_twice(rgb, hand) for hand in self._last[: self._most] if rgb is not None]
+        return tuple(with_side_judged(hands))
 
     def look_in(
         self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
@@ -49,4 +50,5 @@ class StillFinder(Detector):
         hand = hand_of_box(self._last, box) or self._search.hand_in(rgb, box)
         if hand is None:
             return None
+        hand = self._networks.seen_twice(rgb, hand)
         return replace(with_side_judged([hand])[0], shown=True, given_side=side)

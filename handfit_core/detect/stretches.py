@@ -110,7 +110,7 @@ class ClipDetector:
         self.media = media
         self._options = options
         self._settings = settings_of(options, video=True)
-        self._networks = Networks(options.landmark_model)
+        self._networks = Networks(options.landmark_model, quality=options.quality)
 
     def __enter__(self) -> Self:
         return self

@@ -33,14 +33,15 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
     """A hand as JSON's types: the `hand` of a `refit` request.
 
     Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
-    (whether the detector named this side), NaN rows where there is none; `overlapped` (T, 21) bool where a
+    (whether the detector named this side), NaN rows where there is none; `keypoints_2020` (T, 21, 3) and `overlapped` (T, 21) bool where a
     detection has it; `touches` (T, 21) where points do.
     """
     count, there = len(hand), hand.detected
     found = [d for d in hand.detections if d is not None]
     points = {name: np.reshape([getattr(d, name) for d in found], (-1, NUM_KEYPOINTS, 3)) for name in _POINTS}
     camera = hand.intrinsics
-    nowhere = np.zeros(NUM_KEYPOINTS, dtype=bool)
+    nowhere, unasked = np.zeros(NUM_KEYPOINTS, dtype=bool), np.full((NUM_KEYPOINTS, 3), np.nan)
+    second = [unasked if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
     overlapped = [nowhere if d.overlapped is None else d.overlapped for d in found]
     return {
         "side": hand.side,
@@ -57,14 +58,19 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         **{name: pack(spread(rows, there, count).astype(np.float32)) for name, rows in points.items()},
         "score": pack(spread([d.score for d in found], there, count).astype(np.float32)),
         "agrees": pack(spread([d.side == hand.side for d in found], there, count, True)),
+        **(
+            {"keypoints_2020": pack(spread(second, there, count).astype(np.float32))}
+            if np.isfinite(second).any()
+            else {}
+        ),
         **({"overlapped": pack(spread(overlapped, there, count, False))} if np.any(overlapped) else {}),
         **({"touches": pack(np.asarray(hand.touches, dtype=np.float64))} if hand.touches is not None else {}),
     }
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
-    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees`, `overlapped` and
-    `touches` may be missing.
+    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees`, `keypoints_2020`,
+    `overlapped` and `touches` may be missing.
 
     Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
     shape or range; both name it.
@@ -86,6 +92,13 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     overlapped = _array(message, "overlapped") if "overlapped" in message else None
     if overlapped is not None and (overlapped.shape != (count, NUM_KEYPOINTS) or overlapped.dtype != bool):
         raise OptionError(f"overlapped must be bools of the shape {(count, NUM_KEYPOINTS)}")
+    second = np.full((count, NUM_KEYPOINTS, 3), np.nan)
+    if "keypoints_2020" in message:
+        second = _array(message, "keypoints_2020").astype(np.float64)
+        if second.shape != (count, NUM_KEYPOINTS, 3):
+            raise OptionError(
+                f"keypoints_2020 must have the shape {(count, NUM_KEYPOINTS, 3)}, not {second.shape}"
+            )
     score, agrees = of_frames.values()
     detections = tuple(
         HandDetection(
@@ -93,6 +106,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
             float(np.nan_to_num(score[row], nan=0.5)),
             points["keypoints"][row].astype(np.float64),
             points["world"][row].astype(np.float64),
+            keypoints_2020=second[row] if np.isfinite(second[row]).all() else None,
             overlapped=None if overlapped is None else overlapped[row],
         )
         if np.isfinite([points[name][row] for name in _POINTS]).all()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import DetectedTrack, HandDetection, largest_extent
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.errors import DatasetError, NoHandFoundError
 from handfit_core.evaluate.detections import UnitDetections
@@ -88,10 +88,14 @@ def rows_of(
             continue
         found.pictures += sum(used)
         first = used.index(True)
-        intrinsics = _camera(camera, labels[first], detections.sizes[first])
+        one = labels[first]
+        intrinsics = one.intrinsics if camera == "labelled" and one is not None else None
         if intrinsics is None:
-            found.problems.append(Problem("camera missing: one is assumed", unit.entries[first].name))
-            intrinsics = Intrinsics.assumed(*(int(side) for side in detections.sizes[first]))
+            if camera == "labelled":
+                found.problems.append(Problem("camera missing: one is assumed", unit.entries[first].name))
+            width, height = (int(side) for side in detections.sizes[first])
+            seen = (hand for t, frame in enumerate(detections.frames) if used[t] for hand in frame)
+            intrinsics = Intrinsics.assumed(width, height, largest_extent(seen))
         elif camera == "labelled":
             changed = [
                 entry.name
@@ -129,12 +133,6 @@ def _is_labelled(hand: HandLabel) -> bool:
 def _note_unreadable(unit: Unit, detections: UnitDetections, found: Rows) -> None:
     unreadable = (unit.entries[t] for t in np.flatnonzero(~detections.readable))
     found.problems += [Problem("picture cannot be read", entry.name) for entry in unreadable]
-
-
-def _camera(camera: str, labels: Labels | None, size: np.ndarray) -> Intrinsics | None:
-    if camera == "labelled":
-        return None if labels is None else labels.intrinsics
-    return Intrinsics.assumed(int(size[0]), int(size[1]))
 
 
 def _strict_rows(

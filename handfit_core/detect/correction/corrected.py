@@ -12,7 +12,7 @@ from handfit_core.batch import slices
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
 from handfit_core.detect.keypoints import HandDetection, Landmarked
-from handfit_core.skeleton import NUM_KEYPOINTS, Side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
 _KNUCKLES: Final = [5, 9, 13, 17]
 
@@ -28,6 +28,26 @@ in photos: its odds for the detector's word count this many times"""
 OVERLAPPED: Final = 4.0
 """Points that lie where another hand is are expected to err so many times as much: the detector looks for one
 hand at a time, and takes fingers of the other for that one's. So are points that are guessed"""
+
+
+@dataclass(frozen=True)
+class Second:
+    """How much the landmark network of December 2020 is heard: its depth, and where both networks differ."""
+
+    depth: float = 0.4
+    """of the way from the corrected depth to this network's"""
+    agree: float = 0.14
+    """disagreement up to which that holds; beyond it the weight falls, since a blurred or covered hand has no better
+    depth there"""
+    least: float = 0.3
+    """of `depth`, however much they disagree"""
+    doubted: float = 0.12
+    """disagreement from which on expected errors in the picture grow with it"""
+    most_doubted: float = 4.0
+    """times the expected errors, at most"""
+
+
+SECOND: Final = Second()
 
 
 @dataclass(frozen=True)
@@ -103,9 +123,32 @@ def _of_chunk(
     seen = canonical(detections, sides)
     said = landmark_network()(seen)
     blend = np.array([trust.plane, trust.plane, trust.depth])
-    points = seen.to_picture(seen.fused + blend * (said.points - seen.fused))
+    canonical_points = seen.fused + blend * (said.points - seen.fused)
+    canonical_points[..., 2] -= canonical_points[..., 2].mean(axis=1, keepdims=True)
+    doubted = np.ones(len(detections))
+    asked = np.array([d.keypoints_2020 is not None for d in detections])
+    if asked.any():
+        nowhere = np.full((NUM_KEYPOINTS, 3), np.nan)
+        second = [nowhere if d.keypoints_2020 is None else d.keypoints_2020 for d in detections]
+        other = seen.from_picture(np.array(second))
+        other[..., 2] -= other[..., 2].mean(axis=1, keepdims=True)
+        apart = disagreement(canonical_points, other)
+        weight = SECOND.depth * np.clip(SECOND.agree / apart, SECOND.least, 1.0)
+        deeper = weight[:, None] * (other[..., 2] - canonical_points[..., 2])
+        canonical_points[asked, :, 2] += deeper[asked]
+        doubted[asked] = np.clip(apart / SECOND.doubted, 1.0, SECOND.most_doubted)[asked]
+    points = seen.to_picture(canonical_points)
     sigma = np.maximum(np.maximum(said.sigma, trust.floor) * seen.size[:, None, None], LEAST_SIGMA)
     sigma[:, _KNUCKLES] *= trust.knuckles
     plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
+    plane *= doubted[:, None, None]
     depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
     return Landmarked(points[..., :2], plane, depth, trust.depth_sigma * sigma[..., 2]), said.right_side
+
+
+def disagreement(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(N,) mean distance in the picture between two networks' points (N, 21, 3), in mean lengths of the first
+    one's bones; NaN where the others are."""
+    bones = np.linalg.norm(points[:, 1:] - points[:, KEYPOINT_PARENTS[1:]], axis=-1).mean(axis=1)
+    apart = np.linalg.norm(points[..., :2] - others[..., :2], axis=-1).mean(axis=1)
+    return np.asarray(apart / np.maximum(bones, 1e-9))

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.terms.coupling import LAST_BEND, MIDDLE_BEND
 from handfit_core.fit.terms.rows import FINGERS, Rows
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import Posed
 from handfit_core.skeleton import JOINTS_BY_FINGER, Side
 
 SPREAD, BEND = 1, 2
+CLOSED = np.radians([10.0, 15.0])
+"""radians that a closed hand bends the fingers' middle and last joints farther than they reach by themselves"""
 SPREAD_LEFT = 0.3
 """Of a knuckle's spread when it is bent by 90 degrees: collateral ligaments tighten"""
 SIGMA = float(np.radians(1.0))
@@ -38,6 +41,7 @@ class Limits:
     def __init__(self, side: Side) -> None:
         ranges = joint_limits(side)
         self.lower, self.upper = (a[JOINTS_BY_FINGER - 1].reshape(5, 9) for a in (ranges.lower, ranges.upper))
+        self.upper[1:, [MIDDLE_BEND, LAST_BEND]] += CLOSED
 
     @property
     def reach(self) -> tuple[np.ndarray, np.ndarray]:

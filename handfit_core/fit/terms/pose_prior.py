@@ -9,11 +9,15 @@ from handfit_core.fit.terms.rows import FINGERS, Rows
 from handfit_core.hand_model.chain import Posed
 from handfit_core.skeleton import Side
 
-WEIGHT = 0.7
+WEIGHT = 0.15
+"""of the squared distance: with more of it, closed hands open and others are drawn towards usual poses"""
+PINNED_WEIGHT = 0.7
+"""The same of hands with points that a person has put in place: little else tells the others' places"""
 
 
 class PosePrior:
-    """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times `WEIGHT`."""
+    """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times `WEIGHT`, or
+    `PINNED_WEIGHT`."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray, side: Side = "right") -> None:
         """mean (5, 9) radians and covariance (5, 9, 9) of right hands' angles."""
@@ -21,12 +25,14 @@ class PosePrior:
             sign = np.tile([-1.0, -1.0, 1.0], 3)  # twist and spread change theirs
             mean, covariance = mean * sign, covariance * sign[:, None] * sign
         self.mean = np.asarray(mean, dtype=np.float64)
-        self._whiten = np.linalg.inv(np.linalg.cholesky(covariance)) * np.sqrt(WEIGHT)
+        self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
-    def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
+    def __call__(self, posed: Posed, seen: Observation) -> Rows:
         """The rows of B posed hands."""
         angles = posed.state.angles
+        pinned = np.zeros(len(angles), dtype=bool) if seen.pinned is None else seen.pinned.any(axis=1)
+        whiten = np.sqrt(np.where(pinned, PINNED_WEIGHT, WEIGHT))[:, None, None, None] * self._whiten
         rows = Rows.zeros(FINGERS, len(angles), 9)
-        rows.jacobian[...] = self._whiten
-        rows.residual[...] = (self._whiten @ (angles - self.mean)[..., None])[..., 0]
+        rows.jacobian[...] = whiten
+        rows.residual[...] = (whiten @ (angles - self.mean)[..., None])[..., 0]
         return rows

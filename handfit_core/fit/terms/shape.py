@@ -14,6 +14,11 @@ LENGTH_SIGMA = 0.001
 it"""
 
 
+WEIGHT = 0.2
+"""of the squared betas, where the length is not known: hands differ more than the open hand's betas, of sigma 1,
+expect"""
+
+
 class Shape:
     """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured.
 
@@ -25,8 +30,11 @@ class Shape:
         self, expected: np.ndarray, length_rates: np.ndarray | None = None, weight: float = 1.0
     ) -> None:
         self.expected = expected
-        lengths = np.empty((0, NUM_BETAS)) if length_rates is None else length_rates[None] / LENGTH_SIGMA
-        self._slope = np.concatenate([np.eye(NUM_BETAS), lengths]) * np.sqrt(weight)
+        if length_rates is None:
+            rows = np.eye(NUM_BETAS) * np.sqrt(WEIGHT)
+        else:
+            rows = np.concatenate([np.eye(NUM_BETAS), length_rates[None] / LENGTH_SIGMA])
+        self._slope = rows * np.sqrt(weight)
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
         """The rows of B posed hands."""
