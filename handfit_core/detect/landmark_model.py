@@ -1,21 +1,32 @@
-"""MediaPipe's landmark model file: where it lies, and how it is assembled from a wheel.
+"""MediaPipe's landmark model files: where they lie, and how they are assembled from packages.
 
 Google serves `hand_landmarker.task` from a bucket that not every machine reaches. The same two
 networks lie in an older MediaPipe wheel on the package index (Apache-2.0); a zip that stores them
 uncompressed, aligned to 4 bytes, is a working task file.
+
+The landmark network of December 2020 tells depth better. It lies in MediaPipe's npm package of then
+(Apache-2.0), and everything works without it, too.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import struct
+import tarfile
 import zipfile
+import zlib
+from functools import lru_cache
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 
+from handfit_core.detect.tflite import with_image_metadata
 from handfit_core.errors import LandmarkModelError
-from handfit_core.files import cache_dir, is_file, shown, written_whole
+from handfit_core.files import cache_dir, is_file, path_of, read_file, shown, written_whole
+
+log = logging.getLogger("handfit")
 
 FILE_NAME = "hand_landmarker.task"
 
@@ -30,6 +41,20 @@ _ENTRIES = (
 )
 VARIABLE = "HANDFIT_LANDMARK_MODEL"
 """Names the file where no option does"""
+
+FILE_NAME_2020 = "hand_landmarks_2020.tflite"
+SHA256_2020 = "6d47ecb3139c41326d8c3dba3d60f1faedc3d3ac42658972eeb4d334f9405518"
+VARIABLE_2020 = "HANDFIT_LANDMARKS_2020"
+"""Names another place of that file, or is `none` to go without"""
+
+NPM_PACKAGE = "@mediapipe/hands"
+NPM_VERSION = "0.1.1606863095"
+_MEMBER_2020 = "package/hands_solution_packed_assets.data"
+_BYTES_2020 = range(3877899, 7670519)
+_BYTES_2020_SHA256 = "276abb7cb09c386247ba5b6fc1aa1ebba574a239777c000d5ffb06db997d6ffa"
+_MOST_2020 = 100_000_000
+"""Bytes that are read of a file said to be that network"""
+_OUTPUTS_2020 = ("landmarks", "presence", "handedness")
 
 _ALIGNMENT = 4
 _LOCAL_HEADER_SIZE = 30
@@ -58,14 +83,54 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
 
 
 def fingerprint(explicit: str | os.PathLike[str] | None = None) -> str:
-    """Names the model file and the MediaPipe that runs it. Raises LandmarkModelError."""
+    """Names the model files and the MediaPipe that runs them. Raises LandmarkModelError."""
     model = hashlib.sha256(landmark_model_path(explicit).read_bytes()).hexdigest()
-    return f"{model}|mediapipe {version('mediapipe')}"
+    second = f"|landmarks of 2020 {SHA256_2020}" if landmarks_2020_path() else ""
+    return f"{model}{second}|mediapipe {version('mediapipe')}"
+
+
+def landmarks_2020_path() -> Path | None:
+    """The landmark network of December 2020, whole; None to go without it.
+
+    The first that is given or exists of: `$HANDFIT_LANDMARKS_2020`; the file bundled with this package; the
+    one in the cache folder. One that is damaged, of another version or named in vain is a warning, and None.
+    """
+    named = os.environ.get(VARIABLE_2020)
+    if named == "none":
+        return None
+    bundled = Path(__file__).parent / "data" / FILE_NAME_2020
+    places = [path_of(named)] if named else filter(is_file, (bundled, cached_path_2020()))
+    path = next(iter(places), None)
+    return path if path and _is_landmarks_2020(path) else None
+
+
+@lru_cache
+def _is_landmarks_2020(path: Path) -> bool:
+    """Whether it is that file. Warns where it is not, once."""
+    try:
+        found = hashlib.sha256(read_file(path, _MOST_2020)).hexdigest()
+    except OSError as error:
+        what = f"it cannot be read ({error.strerror})"
+    else:
+        if found == SHA256_2020:
+            return True
+        what = "it is damaged, or of another version"
+    log.warning(
+        "%s: %s, so hands are found without MediaPipe's landmark network of December 2020, which tells depth "
+        "better; run scripts/fetch_landmark_model.py, or install the add-on's zip again",
+        *(shown(path), what),
+    )
+    return False
 
 
 def cached_path() -> Path:
     """Where the assembled file is kept between runs."""
     return cache_dir() / FILE_NAME
+
+
+def cached_path_2020() -> Path:
+    """Where the landmark network of December 2020 is kept between runs."""
+    return cache_dir() / FILE_NAME_2020
 
 
 def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
@@ -102,7 +167,30 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
     return destination
 
 
-def landmarks_2020_path() -> Path | None:
-    path = cache_dir() / "hand_landmarks_2020.tflite"
-    named = os.environ.get("HANDFIT_LANDMARKS_2020")
-    return None if named == "none" or not path.is_file() else path
+def assemble_2020(package: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
+    """Make the landmark network of December 2020 from MediaPipe's npm package, a .tgz, with the metadata by
+    which MediaPipe runs it; the same package gives the same bytes.
+
+    Raises LandmarkModelError when the package is not the pinned one, OutputError when `destination` cannot be
+    written.
+    """
+    package, destination = Path(package), Path(destination)
+    wanted = f"{NPM_PACKAGE} {NPM_VERSION}"
+    try:
+        with tarfile.open(package, "r:gz") as source, source.extractfile(_MEMBER_2020) or BytesIO() as member:
+            member.seek(_BYTES_2020.start)
+            network = member.read(len(_BYTES_2020))
+    except KeyError as error:
+        raise LandmarkModelError(f"{shown(package)}: this is not npm's {wanted}") from error
+    except (OSError, EOFError, tarfile.TarError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise LandmarkModelError(f"{shown(package)}: cannot be read as npm's {wanted} ({reason})") from error
+    if (found := hashlib.sha256(network).hexdigest()) != _BYTES_2020_SHA256:
+        raise LandmarkModelError(
+            f"{shown(package)}: the network's sha256 is {found}, expected {_BYTES_2020_SHA256} ({wanted}); "
+            "download it again"
+        )
+    made = with_image_metadata(network, 0.0, 255.0, _OUTPUTS_2020)
+    with written_whole(destination) as beside:
+        beside.write_bytes(made)
+    return destination

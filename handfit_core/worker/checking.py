@@ -58,6 +58,7 @@ def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
     steps: list[tuple[str, Callable[[], str]]] = [
         *((name, partial(_package, name)) for name in PACKAGES),
         ("landmark model", _landmark_model),
+        ("landmarks of 2020", _landmarks_2020),
         *((f"open hand, {side}", partial(_open_hand, side)) for side in SIDES),
         ("self-test of the detector", _detector),
         ("self-test of the solver", _solver),
@@ -154,6 +155,14 @@ def _landmark_model() -> str:
     from handfit_core.detect.landmark_model import landmark_model_path
 
     path = landmark_model_path()
+    return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
+
+
+def _landmarks_2020() -> str:
+    from handfit_core.detect.landmark_model import landmarks_2020_path
+
+    if (path := landmarks_2020_path()) is None:
+        return "not there or not whole; all works without, but depths are less exact"
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 

@@ -1,4 +1,4 @@
-"""handfit_core as a wheel, with the landmark model in it. The same source gives the same bytes."""
+"""handfit_core as a wheel, with the landmark models in it. The same source gives the same bytes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 
 from handfit_core.detect import landmark_model
 from scripts.extension.staging import ROOT, fix
-from scripts.extension.wheels import BUILD_LOCK, BuildError, Wheel, fetched, pip, read_lock, sha256_of
-from scripts.fetch_landmark_model import download_wheel
+from scripts.extension.wheels import BUILD_LOCK, BuildError, Wheel, fetched, pip, read_lock
+from scripts.fetch_landmark_model import assemble, assemble_2020, has_sum
 
 BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 """Files that the core's build reads."""
@@ -22,6 +22,10 @@ LANDMARK_MODEL = f"handfit_core/detect/data/{landmark_model.FILE_NAME}"
 """`landmark_model_path()` looks there."""
 LANDMARK_MODEL_SHA256 = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
 
+LANDMARKS_2020 = f"handfit_core/detect/data/{landmark_model.FILE_NAME_2020}"
+"""`landmarks_2020_path()` looks there."""
+LANDMARK_MODELS = (LANDMARK_MODEL, LANDMARKS_2020)
+
 SAME_TIME = "1577836800"
 """Seconds since 1970 of the files in the wheel: 2020-01-01"""
 
@@ -31,7 +35,7 @@ def core_wheel(folder: Path, root: Path = ROOT) -> Wheel:
 
     From a copy of the source: setuptools leaves files beside it, and takes in what it finds there the next
     time. Raises BuildError, also where the source holds a file that is not the core's, or
-    LandmarkModelError where the landmark model is not to be had.
+    LandmarkModelError where a landmark model is not to be had.
     """
     files = source_files(root)
     (setuptools,) = fetched(read_lock(BUILD_LOCK))
@@ -40,7 +44,8 @@ def core_wheel(folder: Path, root: Path = ROOT) -> Wheel:
         for name in (*files, *BESIDE):
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(root / name, source / name)
-        shutil.copyfile(checked_landmark_model(), source / LANDMARK_MODEL)
+        for name, path in zip(LANDMARK_MODELS, checked_landmark_models(), strict=True):
+            shutil.copyfile(path, source / name)
         for path in source.rglob("*"):
             path.chmod(0o755 if path.is_dir() else 0o644)
         # Only the locked setuptools, whatever else is installed or on an index: its version is in the wheel.
@@ -61,7 +66,7 @@ def core_wheel(folder: Path, root: Path = ROOT) -> Wheel:
     fix(built[0])
     wheel = Wheel(built[0])
     inside = {name for name in wheel.members if ".dist-info/" not in name}
-    if differing := inside ^ {*files, LANDMARK_MODEL}:
+    if differing := inside ^ {*files, *LANDMARK_MODELS}:
         raise BuildError(
             f"handfit_core's wheel differs from its source in {', '.join(sorted(differing))}; "
             "list packages and data in pyproject.toml"
@@ -70,7 +75,7 @@ def core_wheel(folder: Path, root: Path = ROOT) -> Wheel:
 
 
 def source_files(root: Path = ROOT) -> list[str]:
-    """Modules and data of the artist's handfit_core, but for the landmark model: POSIX paths from `root`.
+    """Modules and data of the artist's handfit_core, but for the landmark models: POSIX paths from `root`.
 
     Raises BuildError where anything else lies there, such as MANO's files, which must not be passed on.
     """
@@ -84,7 +89,7 @@ def source_files(root: Path = ROOT) -> list[str]:
     for path in sorted((root / "handfit_core").rglob("*")):
         name = path.relative_to(root).as_posix()
         hidden = any(part == "__pycache__" or part.startswith(".") for part in name.split("/"))
-        if path.is_dir() or hidden or name == LANDMARK_MODEL or name.startswith(NOT_THE_ARTISTS):
+        if path.is_dir() or hidden or name in LANDMARK_MODELS or name.startswith(NOT_THE_ARTISTS):
             continue
         if path.suffix != ".py" and name not in data:
             raise BuildError(
@@ -95,15 +100,18 @@ def source_files(root: Path = ROOT) -> list[str]:
     return found
 
 
-def checked_landmark_model() -> Path:
-    """The assembled landmark model in the user's cache, made where it is not there yet, its hash checked.
+def checked_landmark_models() -> tuple[Path, Path]:
+    """The assembled landmark models in the user's cache, made where they are not there yet, hashes checked.
 
     Raises BuildError, LandmarkModelError.
     """
-    path = landmark_model.cached_path()
-    if not path.is_file() or sha256_of(path) != LANDMARK_MODEL_SHA256:
-        with tempfile.TemporaryDirectory() as folder:
-            landmark_model.assemble(download_wheel(Path(folder)), path)
-    if sha256_of(path) != LANDMARK_MODEL_SHA256:
-        raise BuildError(f"{path}: the landmark model was assembled to other bytes than the expected ones")
-    return path
+    first, second = landmark_model.cached_path(), landmark_model.cached_path_2020()
+    for path, sha256, make in (
+        (first, LANDMARK_MODEL_SHA256, assemble),
+        (second, landmark_model.SHA256_2020, assemble_2020),
+    ):
+        if not has_sum(path, sha256):
+            make(path)
+        if not has_sum(path, sha256):
+            raise BuildError(f"{path}: this was assembled to other bytes than the expected ones")
+    return first, second

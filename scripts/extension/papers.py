@@ -27,6 +27,15 @@ BUNDLED = (
         "detect/data/LICENSE-landmark-model.txt",
     ),
     (
+        "MediaPipe hand landmark network of December 2020",
+        "0.1.1606863095",
+        "Apache-2.0",
+        "Copyright The MediaPipe Authors. A network inside hands_solution_packed_assets.data of the npm\n"
+        "package @mediapipe/hands, in handfit_core/detect/data/hand_landmarks_2020.tflite. It was changed:\n"
+        "metadata, by which MediaPipe's image embedder runs it, were put before it.",
+        "detect/data/LICENSE-landmark-model.txt",
+    ),
+    (
         "Open hand",
         "1",
         "CC0-1.0",
@@ -85,7 +94,8 @@ def third_party_licences(wheels: Sequence[Wheel]) -> str:
         text = (_CORE_FOLDER / file).read_text(encoding="utf-8").strip()
         sections[f"{name} {version}"] = [f"Licence: {named}\n\n{note}\n\n--- {file} ---\n\n{text}\n"]
     lines = [
-        "This zip carries the work of others, unchanged. Its own code is under GPL-3.0-or-later (LICENSE).",
+        "This zip carries the work of others, unchanged but where a change is named. Its own code is under",
+        "GPL-3.0-or-later (LICENSE).",
         "",
         *(f"  {heading}" for heading in sections),
         "",

@@ -1,4 +1,8 @@
+import hashlib
+import io
+import logging
 import struct
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -11,7 +15,8 @@ from handfit_core.errors import LandmarkModelError
 @pytest.fixture
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv("HANDFIT_LANDMARK_MODEL", raising=False)
+    for name in (landmark_model.VARIABLE, landmark_model.VARIABLE_2020):
+        monkeypatch.delenv(name, raising=False)
     return tmp_path / "cache"
 
 
@@ -53,8 +58,6 @@ def imitation_wheel(path: Path) -> Path:
 
 def test_entries_are_stored_aligned_and_reproducible(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     wheel = imitation_wheel(tmp_path / "a.whl")
-    import hashlib
-
     monkeypatch.setattr(landmark_model, "WHEEL_SHA256", hashlib.sha256(wheel.read_bytes()).hexdigest())
     task = landmark_model.assemble(wheel, tmp_path / "one.task")
     again = landmark_model.assemble(wheel, tmp_path / "two.task")
@@ -79,3 +82,100 @@ def test_damaged_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LandmarkModelError, match="assemble it again") as caught:
         MediaPipeHands(DetectorSettings(landmark_model=broken))
     assert "\n" not in str(caught.value)
+
+
+def imitation_package(path: Path, content: bytes, member: str = landmark_model._MEMBER_2020) -> Path:
+    """A .tgz as npm makes it, whose packed assets are so many zeros as the network has before it, then
+    `content`."""
+    data = bytes(landmark_model._BYTES_2020.start) + content
+    with tarfile.open(path, "w:gz", compresslevel=1) as package:
+        info = tarfile.TarInfo(member)
+        info.size = len(data)
+        package.addfile(info, io.BytesIO(data))
+    return path
+
+
+def test_the_network_of_2020_is_cut_out_of_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = b"n" * len(landmark_model._BYTES_2020)
+    monkeypatch.setattr(landmark_model, "_BYTES_2020_SHA256", hashlib.sha256(network).hexdigest())
+    monkeypatch.setattr(landmark_model, "with_image_metadata", lambda found, *_: b"metadata" + found)
+    package = imitation_package(tmp_path / "hands.tgz", network + b"what comes after it")
+    made = landmark_model.assemble_2020(package, tmp_path / "new" / "network.tflite")
+    assert made.read_bytes() == b"metadata" + network
+
+
+def test_another_package_is_refused(tmp_path: Path) -> None:
+    good = imitation_package(tmp_path / "hands.tgz", b"another version")
+    torn = tmp_path / "torn.tgz"
+    torn.write_bytes(good.read_bytes()[:2000])
+    text = tmp_path / "text.tgz"
+    text.write_bytes(b"<html>not found</html>")
+    of_another = imitation_package(tmp_path / "another.tgz", b"", member="package/index.js")
+    for package, said in (
+        (good, "sha256 is .* download it again"),
+        (torn, "cannot be read as npm's @mediapipe/hands"),
+        (text, "cannot be read as npm's @mediapipe/hands"),
+        (tmp_path / "gone.tgz", "cannot be read as .*No such file"),
+        (tmp_path, "cannot be read as "),
+        (of_another, r"this is not npm's @mediapipe/hands 0\.1\.1606863095"),
+    ):
+        with pytest.raises(LandmarkModelError, match=said) as caught:
+            landmark_model.assemble_2020(package, tmp_path / "out.tflite")
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out.tflite").exists()
+
+
+def test_where_the_network_of_2020_is_sought(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert landmark_model.landmarks_2020_path() is None
+    monkeypatch.setattr(landmark_model, "SHA256_2020", hashlib.sha256(b"network").hexdigest())
+    empty_cache.mkdir()
+    for path in (landmark_model.cached_path_2020(), empty_cache / "named"):
+        path.write_bytes(b"network")
+    assert landmark_model.landmarks_2020_path() == landmark_model.cached_path_2020()
+    monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(empty_cache / "named"))
+    assert landmark_model.landmarks_2020_path() == empty_cache / "named"
+    monkeypatch.setenv("HANDFIT_LANDMARKS_2020", "none")
+    assert landmark_model.landmarks_2020_path() is None
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("kind", ["damaged", "of another version", "a folder", "named in vain"])
+def test_a_network_of_2020_that_is_not_whole_is_one_warning(
+    kind: str, empty_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = landmark_model.cached_path_2020()
+    path.parent.mkdir(parents=True)
+    if kind in ("a folder", "named in vain"):
+        path = empty_cache / "named"
+        monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(path))
+    if kind == "a folder":
+        path.mkdir()
+    elif kind != "named in vain":
+        path.write_bytes(b"" if kind == "damaged" else b"TFL3" * 1000)
+    assert landmark_model.landmarks_2020_path() is None
+    assert landmark_model.landmarks_2020_path() is None
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    said = record.getMessage()
+    assert said.startswith(f"{path}: it ")
+    assert "fetch_landmark_model.py" in said
+    assert "\n" not in said
+
+
+def test_the_fingerprint_names_the_network_of_2020(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("mediapipe")
+    first = tmp_path / "hand_landmarker.task"
+    first.write_bytes(b"both networks")
+    without = landmark_model.fingerprint(first)
+    monkeypatch.setattr(landmark_model, "SHA256_2020", hashlib.sha256(b"network").hexdigest())
+    empty_cache.mkdir()
+    landmark_model.cached_path_2020().write_bytes(b"network")
+    assert landmark_model.fingerprint(first) not in ("", without)
+    monkeypatch.setenv("HANDFIT_LANDMARKS_2020", "none")
+    assert landmark_model.fingerprint(first) == without

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -11,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from handfit_core.detect import landmark_model
+from handfit_core.errors import LandmarkModelError
+from scripts.extension import core_wheel as module
 from scripts.extension.core_wheel import BESIDE, core_wheel, source_files
 from scripts.extension.staging import ROOT, extension_tool, fix, run_tool
 from scripts.extension.wheels import BuildError
@@ -20,7 +24,9 @@ from scripts.extension.wheels import BuildError
 def checkout(tmp_path):
     """The core's source, as a clone has it."""
     root = tmp_path / "checkout"
-    shutil.copytree(ROOT / "handfit_core", root / "handfit_core", ignore=shutil.ignore_patterns("*.task"))
+    shutil.copytree(
+        ROOT / "handfit_core", root / "handfit_core", ignore=shutil.ignore_patterns("*.task", "*.tflite")
+    )
     for name in BESIDE:
         shutil.copy(ROOT / name, root)
     return root
@@ -46,6 +52,33 @@ def test_what_python_and_the_desktop_leave_behind_is_passed_over_and_what_only_c
     assert {"handfit_core/take.py", "handfit_core/py.typed"} <= set(before)
     assert "handfit_core/hand_model/data/open_hand_right.npz" in before
     assert not [name for name in before if "/evaluate/" in name or "/network/" in name]
+
+
+@pytest.fixture
+def old_cache(tmp_path, monkeypatch):
+    """With a setuptools that is none, and with the first landmark model alone."""
+    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path))
+    monkeypatch.setattr(module, "fetched", lambda _: [tmp_path / "setuptools.whl"])
+    landmark_model.cached_path().write_bytes(b"first")
+    monkeypatch.setattr(module, "LANDMARK_MODEL_SHA256", hashlib.sha256(b"first").hexdigest())
+    return tmp_path
+
+
+@pytest.mark.parametrize("before", [None, b"damaged"])
+def test_without_the_network_of_2020_there_is_no_wheel(old_cache, checkout, monkeypatch, before):
+    def assemble_2020(path: Path) -> None:
+        raise LandmarkModelError("it could not be downloaded")
+
+    second = landmark_model.cached_path_2020()
+    if before:
+        second.write_bytes(before)
+    monkeypatch.setattr(module, "assemble_2020", assemble_2020)
+    with pytest.raises(LandmarkModelError, match="could not be downloaded"):
+        core_wheel(old_cache, checkout)
+    monkeypatch.setattr(module, "assemble_2020", lambda path: path.write_bytes(b"of another version"))
+    with pytest.raises(BuildError, match=r"2020\.tflite: this was assembled to other bytes"):
+        core_wheel(old_cache, checkout)
+    assert not list(old_cache.glob("*.whl"))
 
 
 def test_order_times_and_modes_do_not_matter(tmp_path):

@@ -7,6 +7,7 @@ import tomllib
 
 import pytest
 
+from handfit_core.detect.landmark_model import NPM_VERSION
 from scripts.extension.papers import licence, sbom, third_party_licences
 from scripts.extension.staging import MANIFEST, ROOT, inventory, staged_manifest
 from scripts.extension.wheels import BuildError
@@ -59,7 +60,8 @@ def test_licence_files_beside_the_code_are_taken_and_code_is_not(make_wheel):
 
 def test_others_licences_and_texts_stand_in_the_file(wheels):
     text = third_party_licences(wheels)
-    bundled = "MediaPipe hand landmark model 0.10.21", "Open hand 1"
+    second = "MediaPipe hand landmark network of December 2020 0.1.1606863095"
+    bundled = "MediaPipe hand landmark model 0.10.21", second, "Open hand 1"
     for heading in ("torch 2.13.0+cpu", "mediapipe 0.10.31", *bundled):
         assert text.count(f"\n{heading}\n{'=' * 100}\n") == 1
     assert "The licence of torch." in text
@@ -71,12 +73,15 @@ def test_others_licences_and_texts_stand_in_the_file(wheels):
 def test_every_part_is_a_component(wheels):
     found = json.loads(sbom("manient", "0.1.0", "linux-x64", wheels))
     components = {c["name"]: c for c in found["components"]}
-    bundled = {"MediaPipe hand landmark model", "Open hand"}
+    second = "MediaPipe hand landmark network of December 2020"
+    bundled = {"MediaPipe hand landmark model", second, "Open hand"}
     assert set(components) == {"torch", "mediapipe", "handfit-core", *bundled}
     assert components["torch"]["hashes"] == [{"alg": "SHA-256", "content": wheels[2].sha256}]
     assert components["torch"]["purl"].startswith("pkg:pypi/torch@2.13.0%2Bcpu?")
     assert components["torch"]["licenses"] == [{"expression": "MIT"}]
     assert components["mediapipe"]["licenses"] == [{"expression": "Apache-2.0"}]
+    assert components[second]["licenses"] == [{"license": {"id": "Apache-2.0"}}]
+    assert components[second]["version"] == NPM_VERSION
     assert "purl" not in components["handfit-core"], "on an index that name could be somebody else's"
     references = {c["bom-ref"] for c in found["components"]}
     assert {ref for entry in found["dependencies"] for ref in entry["dependsOn"]} == references

