@@ -52,7 +52,9 @@ FREE: Final = (
 
 _KINDS: Final = {
     **dict.fromkeys(("counts", "sides", "given", "sizes", "numbers", "seen", "cuts"), "i"),
-    **dict.fromkeys(("score", "right_side", "certainty", "shown", "keypoints", "world", "keypoints_2020", "spread"), "f"),
+    **dict.fromkeys(
+        ("score", "right_side", "certainty", "shown", "keypoints", "world", "keypoints_2020", "spread"), "f"
+    ),
     **{"velocity": "f", "looked": "b", "glances": "u"},
 }
 """The arrays of `stretches_to_arrays`, and NumPy's kinds of them"""

@@ -25,7 +25,14 @@ _ON_ROW = 1e-3
 _ON_KEY = 0.01
 """frames within which a frame is that of a key"""
 _TOLD = ("joints_3d", "expected_error", "placed", "touches")
-_MEASURED = ("keypoints_2d", "reprojection_error", "score", "keypoints_depth", "world_landmarks", "keypoints_2020")
+_MEASURED = (
+    "keypoints_2d",
+    "reprojection_error",
+    "score",
+    "keypoints_depth",
+    "world_landmarks",
+    "keypoints_2020",
+)
 """A track's arrays of a hand that is there, and of one that was detected"""
 
 

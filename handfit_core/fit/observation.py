@@ -40,7 +40,8 @@ def kept_at_distance(state: State, sigma: np.ndarray) -> Kept:
 
 @dataclass(frozen=True, eq=False)
 class Meeting(Batch):
-    """What is seen of parts that meet, of B hands. `fit.meeting` says of which."""
+    """What is seen of parts that meet, of B hands. The pairs are those of
+    `geometry.crossing.CROSSING`."""
 
     along: np.ndarray
     """(B, Q, 2) how far along their bones pairs of `CROSSING` cross in the picture, 0..1"""
@@ -49,7 +50,7 @@ class Meeting(Batch):
     apart: np.ndarray
     """(B, Q) metres along the line of sight from the one's axis to the other's, where their skins touch"""
     touching: np.ndarray
-    """(B, T) how sure it is that pairs of `TIPS` touch, 0..1"""
+    """(B, Q) how sure it is that these pairs touch, 0..1"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

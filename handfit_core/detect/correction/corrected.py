@@ -12,9 +12,11 @@ from handfit_core.batch import slices
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
 from handfit_core.detect.keypoints import HandDetection, Landmarked
+from handfit_core.geometry.crossing import Crossing
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
 _KNUCKLES: Final = [5, 9, 13, 17]
+_THUMB: Final = [2, 3, 4]
 
 LEAST_SIGMA: Final = 0.1
 """pixels; landmarks in one place would else be surer than anything"""
@@ -45,6 +47,11 @@ class Second:
     """disagreement from which on expected errors in the picture grow with it"""
     most_doubted: float = 4.0
     """times the expected errors, at most"""
+    thumb: float = 0.7
+    """as `depth`, of a thumb of which the networks differ whether it lies over a finger or under it: of thumbs under
+    fingers this one is right"""
+    depth_doubted: float = 0.3
+    """of the difference of both depths, which adds to the depth's expected error"""
 
 
 SECOND: Final = Second()
@@ -60,7 +67,7 @@ class Trust:
     """of the way from the detector's fused depth to the network's"""
     plane_sigma: float = 0.5
     """of the network's expected error, x and y"""
-    depth_sigma: float = 0.7
+    depth_sigma: float = 0.4
     knuckles: float = 2.0
     """times the network's expected errors, of the fingers' knuckles: in photos, the detector errs more there
     than in the painted pictures that the network knows"""
@@ -125,7 +132,7 @@ def _of_chunk(
     blend = np.array([trust.plane, trust.plane, trust.depth])
     canonical_points = seen.fused + blend * (said.points - seen.fused)
     canonical_points[..., 2] -= canonical_points[..., 2].mean(axis=1, keepdims=True)
-    doubted = np.ones(len(detections))
+    doubted, depths_apart = np.ones(len(detections)), np.zeros((len(detections), NUM_KEYPOINTS))
     asked = np.array([d.keypoints_2020 is not None for d in detections])
     if asked.any():
         nowhere = np.full((NUM_KEYPOINTS, 3), np.nan)
@@ -133,9 +140,15 @@ def _of_chunk(
         other = seen.from_picture(np.array(second))
         other[..., 2] -= other[..., 2].mean(axis=1, keepdims=True)
         apart = disagreement(canonical_points, other)
-        weight = SECOND.depth * np.clip(SECOND.agree / apart, SECOND.least, 1.0)
-        deeper = weight[:, None] * (other[..., 2] - canonical_points[..., 2])
-        canonical_points[asked, :, 2] += deeper[asked]
+        weight = np.empty(other.shape[:2])
+        weight[:] = (SECOND.depth * np.clip(SECOND.agree / apart, SECOND.least, 1.0))[:, None]
+        crossing = Crossing.of(canonical_points[..., :2])
+        deeper = crossing.deeper(canonical_points[..., 2]) * crossing.deeper(other[..., 2])
+        disputed = (crossing.crossed & (deeper < 0.0)).any(axis=1)
+        weight[np.ix_(disputed, _THUMB)] = SECOND.thumb
+        difference = other[asked, :, 2] - canonical_points[asked, :, 2]
+        canonical_points[asked, :, 2] += weight[asked] * difference
+        depths_apart[asked] = SECOND.depth_doubted * np.abs(difference)
         doubted[asked] = np.clip(apart / SECOND.doubted, 1.0, SECOND.most_doubted)[asked]
     points = seen.to_picture(canonical_points)
     sigma = np.maximum(np.maximum(said.sigma, trust.floor) * seen.size[:, None, None], LEAST_SIGMA)
@@ -143,7 +156,8 @@ def _of_chunk(
     plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
     plane *= doubted[:, None, None]
     depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
-    return Landmarked(points[..., :2], plane, depth, trust.depth_sigma * sigma[..., 2]), said.right_side
+    depth_sigma = np.hypot(trust.depth_sigma * sigma[..., 2], depths_apart * seen.size[:, None])
+    return Landmarked(points[..., :2], plane, depth, depth_sigma), said.right_side
 
 
 def disagreement(points: np.ndarray, others: np.ndarray) -> np.ndarray:

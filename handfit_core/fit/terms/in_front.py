@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.fit.meeting import CROSSING
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms.rows import PairRows, between
+from handfit_core.geometry.crossing import CROSSING
 from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 

@@ -1,0 +1,66 @@
+"""Where the thumb crosses fingers in the picture, and which of both lies deeper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+CROSSING: Final = np.array([(a, b) for a in (1, 2) for b in range(3, 15)])
+"""(Q, 2) bones of the thumb and of the fingers, three a finger and thumb first, that can lie over each other"""
+CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
+"""(Q, 2) keypoints at which these begin; they end at the next ones"""
+CROSSED: Final = 0.08
+"""Of the hand's size in the picture: bones that are nearer there lie over each other"""
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """Pairs `CROSSING` of B hands in the picture."""
+
+    along: np.ndarray
+    """(B, Q, 2) how far along its bone each of a pair is nearest to the other, 0..1"""
+    across: np.ndarray
+    """(B, Q) how near, in units of the points"""
+    crossed: np.ndarray
+    """(B, Q) bool: whether they lie over each other"""
+
+    @classmethod
+    def of(cls, points: np.ndarray) -> Self:
+        """Of keypoints (B, 21, 2)."""
+        starts = points[:, CROSSING_STARTS]
+        ends = points[:, CROSSING_STARTS + 1]
+        along, across = _nearest(starts[:, :, 0], ends[:, :, 0], starts[:, :, 1], ends[:, :, 1])
+        size = np.ptp(points, axis=1).max(axis=1)
+        return cls(along, across, across <= CROSSED * np.maximum(size, 1e-9)[:, None])
+
+    def deeper(self, depth: np.ndarray) -> np.ndarray:
+        """(B, Q) by how much the second of a pair lies deeper, by the keypoints' depths (B, 21)."""
+        starts, ends = depth[:, CROSSING_STARTS], depth[:, CROSSING_STARTS + 1]
+        there = starts * (1.0 - self.along) + ends * self.along
+        return np.asarray(there[..., 1] - there[..., 0])
+
+
+@np.errstate(all="ignore")
+def _nearest(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far along segments a-b and c-d (..., 2) they are nearest to each other, (..., 2), and how near."""
+    ab, cd, off = b - a, d - c, c - a
+
+    def foot(point: np.ndarray, start: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        return np.clip(((point - start) * axis).sum(axis=-1) / np.square(axis).sum(axis=-1), 0.0, 1.0)
+
+    zero, one = np.zeros(a.shape[:-1]), np.ones(a.shape[:-1])
+    tried = [(zero, foot(a, c, cd)), (one, foot(b, c, cd)), (foot(c, a, ab), zero), (foot(d, a, ab), one)]
+    turn = ab[..., 0] * cd[..., 1] - ab[..., 1] * cd[..., 0]
+    s = (off[..., 0] * cd[..., 1] - off[..., 1] * cd[..., 0]) / turn
+    t = (off[..., 0] * ab[..., 1] - off[..., 1] * ab[..., 0]) / turn
+    inside = (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
+    tried.append((np.where(inside, s, 0.0), np.where(inside, t, foot(a, c, cd))))
+    shares = np.stack([np.stack(pair, axis=-1) for pair in tried])
+    there = a + shares[..., :1] * ab - c - shares[..., 1:] * cd
+    distance = np.linalg.norm(there, axis=-1)
+    best = distance.argmin(axis=0)[None]
+    return np.take_along_axis(shares, best[..., None], axis=0)[0], np.take_along_axis(distance, best, axis=0)[
+        0
+    ]
