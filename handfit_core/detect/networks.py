@@ -308,7 +308,7 @@ class Networks:
         keypoints at the size of an average hand."""
         landmarks, presence, handedness = self._run(self._hand_2020, crop)
         keypoints, right = _with_depth(landmarks), float(handedness[0])
-        bones = np.linalg.norm(keypoints[1:] - keypoints[KEYPOINT_PARENTS[1:]], axis=-1)
+        bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
         world = (keypoints - keypoints.mean(axis=0)) * (MEAN_BONE / max(float(bones.mean()), 1e-9))
         side = "right" if right >= 0.5 else "left"
         hand = view.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))

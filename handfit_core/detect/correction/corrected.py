@@ -163,6 +163,6 @@ def _of_chunk(
 def disagreement(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """(N,) mean distance in the picture between two networks' points (N, 21, 3), in mean lengths of the first
     one's bones; NaN where the others are."""
-    bones = np.linalg.norm(points[:, 1:] - points[:, KEYPOINT_PARENTS[1:]], axis=-1).mean(axis=1)
+    bones = np.linalg.norm(points[:, 1:] - points[:, list(KEYPOINT_PARENTS[1:])], axis=-1).mean(axis=1)
     apart = np.linalg.norm(points[..., :2] - others[..., :2], axis=-1).mean(axis=1)
     return np.asarray(apart / np.maximum(bones, 1e-9))
