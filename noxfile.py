@@ -54,6 +54,9 @@ OTHER_PROCESSOR = {
 }
 """The numeric libraries take the instructions of an old one, so that sums round differently"""
 
+WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/test_pipeline.py"]
+"""Tests of captures: they run a second time without MediaPipe's landmark network of December 2020"""
+
 BUILT: list[str] = []
 """The zip that this run of nox has built"""
 
@@ -70,7 +73,7 @@ def install(session: nox.Session, *packages: str) -> None:
 
 
 def fetch_landmark_model(session: nox.Session) -> None:
-    """Into the user's cache, once per machine."""
+    """Both landmark models into the user's cache, once per machine."""
     session.run("python", "scripts/fetch_landmark_model.py")
 
 
@@ -105,7 +108,8 @@ def benchmark(session: nox.Session) -> None:
 def tests(session: nox.Session, part: str) -> None:
     """All tests: the core without Blender, the open hand's rebuild, and Blender's side per bpy wheel.
 
-    Those with numbers run twice: what only this processor's rounding makes true is not true.
+    Those with numbers run twice: what only this processor's rounding makes true is not true. So do some
+    captures, the second time without the landmark network that a Python of one's own may lack.
     """
     if part == "core":
         tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
@@ -114,6 +118,9 @@ def tests(session: nox.Session, part: str) -> None:
         allowed, clients = "CUDA,anny,smplx,snakemake,openssl", vrm_clients(session)
         run_pytest(session, "tests/core", allowed_skips=allowed, env=clients, workers=2)
         run_again_as_another_processor(session, *NUMBERS)
+        if not session.posargs:
+            without = {"HANDFIT_LANDMARKS_2020": "none"}
+            run_pytest(session, *WITH_ONE_NETWORK, allowed_skips=allowed, env=without, workers=2)
     elif part == "open-hand":
         install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
         run_pytest(

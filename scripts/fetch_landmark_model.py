@@ -97,7 +97,7 @@ def download_wheel(folder: Path) -> Path:
     except BuildError as error:
         raise LandmarkModelError(
             f"{landmark_model.WHEEL_REQUIREMENT} could not be downloaded ({error}); check the network, or "
-            "download the wheel elsewhere and give it with --wheel"
+            "download the wheel elsewhere and give it to scripts/fetch_landmark_model.py with --wheel"
         ) from error
     return next(folder.glob("*.whl"))
 
@@ -113,8 +113,9 @@ def download_package(folder: Path) -> Path:
     except (BuildError, OSError, StopIteration) as error:
         reason = str(error) or "npm wrote no file"
         raise LandmarkModelError(
-            f"npm's {package} could not be downloaded ({reason}); check the network, or download it "
-            f"elsewhere with `npm pack {package}` and give it with --package"
+            f"npm's {package} could not be downloaded ({reason}); check the network, or run "
+            f"`npm pack {package}` elsewhere and give its file to scripts/fetch_landmark_model.py "
+            "with --package"
         ) from error
 
 

@@ -156,6 +156,7 @@ def test_check(commands):
     assert commands["check"].code == 0
     assert "Everything works." in commands["check"].out
     assert "FAILED" not in commands["check"].out
+    assert "hand_landmarks_2020.tflite in " in commands["check"].out
 
 
 def test_a_photo_and_a_video_become_files(commands):

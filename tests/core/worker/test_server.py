@@ -317,6 +317,7 @@ def test_warm_and_check(warm: Worker) -> None:
     for name in ("numpy", "scipy", "torch", "opencv", "mediapipe", "landmark model", "open hand, left"):
         assert any(line.startswith(name) and line.endswith(": ok") for line in lines), name
     assert "hand_landmarker.task" in done["report"]
+    assert any(line.startswith("landmarks of 2020: ") and line.endswith(": ok") for line in lines)
     assert f"core {__version__}" in lines[0]
 
 
