@@ -361,8 +361,8 @@ def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
 
 
 def _opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsics | None]:
-    """The input and the camera that took it, None where nobody tells. Raises InputError and OptionError, and HandModelError for a
-    model of neither side: before the long part, which a wrong path should not cost."""
+    """The input and the camera that took it, None where nobody tells. Raises InputError and OptionError, and
+    HandModelError for a model of neither side: before the long part, which a wrong path should not cost."""
     media = open_input(source, options)
     intrinsics = options.intrinsics
     if options.lens is not None:

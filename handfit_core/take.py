@@ -135,8 +135,8 @@ class HandTrack:
     world_landmarks: np.ndarray | None = None
     """(T, 21, 3) metres about the hand's centre, axes as the camera frame's, as detected; None: not kept"""
     keypoints_2020: np.ndarray | None = None
-    """(T, 21, 3) what the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN where it
-    was not asked; None: nowhere"""
+    """(T, 21, 3) what the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN
+    where it was not asked; None: nowhere"""
     right_side: np.ndarray | None = None
     """(T,) probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
     other_side: np.ndarray | None = None

@@ -20,8 +20,8 @@ from handfit_core.registry import Registry
 from handfit_core.skeleton import Side
 
 Quality = Literal["draft", "standard", "best"]
-"""How closely hands are looked at. `draft`: by the fastest landmark network alone, once. `standard`: by two. `best`:
-also in clips from several turns, and mirrored."""
+"""How closely hands are looked at. `draft`: by the fastest landmark network alone, once. `standard`: by two.
+`best`: also in clips from several turns, and mirrored."""
 
 
 class Detector:

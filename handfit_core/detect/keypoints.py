@@ -17,8 +17,8 @@ MOST_IN_FRAME: Final = 4000
 
 
 SURE_OF_SIDE: Final = 0.9
-"""score of a detection from which on its side stands: of 667 real hands, the landmark network named the wrong side
-of four, against a detector that was right and surer than this"""
+"""score of a detection from which on its side stands: of 667 real hands, the landmark network named the wrong
+side of four, against a detector that was right and surer than this"""
 
 
 def check_crowd(frames: np.ndarray) -> None:
@@ -124,8 +124,8 @@ class HandDetection:
 
 
 def largest_extent(hands: Iterable[HandDetection]) -> float:
-    """Pixels that the largest of these hands has, but for one in twenty: outliers, and a hand that reaches for the
-    lens; 0 where there is none."""
+    """Pixels that the largest of these hands has, but for one in twenty: outliers, and a hand that reaches for
+    the lens; 0 where there is none."""
     extents = [hand.extent for hand in hands]
     return float(np.percentile(extents, 95.0)) if extents else 0.0
 

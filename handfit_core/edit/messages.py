@@ -33,8 +33,8 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
     """A hand as JSON's types: the `hand` of a `refit` request.
 
     Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
-    (whether the detector named this side), NaN rows where there is none; `keypoints_2020` (T, 21, 3) and `overlapped` (T, 21) bool where a
-    detection has it; `touches` (T, 21) where points do.
+    (whether the detector named this side), NaN rows where there is none; `keypoints_2020` (T, 21, 3)
+    and `overlapped` (T, 21) bool where a detection has it; `touches` (T, 21) where points do.
     """
     count, there = len(hand), hand.detected
     found = [d for d in hand.detections if d is not None]

@@ -8,7 +8,7 @@ from typing import Final, Self
 import numpy as np
 
 CROSSING: Final = np.array([(a, b) for a in (1, 2) for b in range(3, 15)])
-"""(Q, 2) bones of the thumb and of the fingers, three a finger and thumb first, that can lie over each other"""
+"""(Q, 2) bones of the thumb and of the fingers, three each and thumb first, that can lie over each other"""
 CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
 """(Q, 2) keypoints at which these begin; they end at the next ones"""
 CROSSED: Final = 0.08

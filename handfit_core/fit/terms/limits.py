@@ -13,7 +13,7 @@ from handfit_core.skeleton import JOINTS_BY_FINGER, Side
 
 SPREAD, BEND = 1, 2
 CLOSED = np.radians([10.0, 15.0])
-"""radians that a closed hand bends the fingers' middle and last joints farther than they reach by themselves"""
+"""radians that a closed hand bends the fingers' middle and last joints beyond their own range"""
 SPREAD_LEFT = 0.3
 """Of a knuckle's spread when it is bent by 90 degrees: collateral ligaments tighten"""
 SIGMA = float(np.radians(1.0))

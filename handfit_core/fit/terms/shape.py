@@ -15,8 +15,8 @@ it"""
 
 
 WEIGHT = 0.2
-"""of the squared betas, where the length is not known: hands differ more than the open hand's betas, of sigma 1,
-expect"""
+"""of the squared betas, where the length is not known: hands differ more than the open hand's betas, of sigma
+1, expect"""
 
 
 class Shape:
