@@ -16,6 +16,7 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.detect.detector import DETECTORS, Detected, Quality
 from handfit_core.detect.keypoints import DetectedTrack, SideBySide, largest_extent
+from handfit_core.detect.opening import settings_of
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
@@ -179,13 +180,14 @@ def capture_with(
             report(Progress("detect", done, max(media.expected_frames, done)))
 
         looked_at = shared if parts is None else parts.of(media, options)
+        with DETECTORS.blamed(options.detector):
+            backend = DETECTORS.get(options.detector)
+            calibrated = recording is None and backend.calibrated(settings_of(options))
         seen = (
             detect_frames(media, options, on_frame, stop, looked_at)
             if recording is None
             else detected_in(recording)
         )
-        told = DETECTORS.get(options.detector).calibrated and options.landmark_model is None
-        calibrated = recording is None and told
         numbers = seen.numbers
         tracks = [replace(track, calibrated=calibrated) for track in _linked(media, options, seen, stop)]
         del seen

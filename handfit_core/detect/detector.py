@@ -132,9 +132,9 @@ class Backend:
     """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: what `open` makes
     looks at it frame after frame, in one process; no cut to another shot is noticed, and a batch cannot
     `--split` it"""
-    calibrated: bool = False
-    """Whether `fit.doubt` can tell how far off its hands are likely to be. That was measured with MediaPipe's
-    networks; of other keypoints it is not known, whatever they look like"""
+    calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
+    """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings:
+    that was measured with MediaPipe's networks. Of other keypoints it is not known, however they look"""
 
 
 DETECTORS: Final = Registry(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from handfit_core.detect.detector import Backend
-from handfit_core.detect.landmark_model import fingerprint
+from handfit_core.detect.landmark_model import fingerprint, is_calibrated
 from handfit_core.detect.stills import StillFinder
 from handfit_core.detect.stretches import ClipDetector
 
@@ -11,5 +11,5 @@ DIRECT = Backend(
     open=StillFinder,
     fingerprint=lambda settings: fingerprint(settings.landmark_model),
     clip=ClipDetector,
-    calibrated=True,
+    calibrated=lambda settings: is_calibrated(settings.landmark_model),
 )

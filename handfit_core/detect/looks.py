@@ -75,14 +75,16 @@ class Crowd:
         pixels, to those numbered `theirs` (P,) of the other; infinite where it is larger than `most`, which
         their means alone mostly tell."""
         moved = np.broadcast_to(moved, (len(mine), 2))
-        size = np.maximum(np.maximum(self.extent[mine], other.extent[theirs]), 1e-9)
-        apart = _lengths(self.middle[mine] + moved - other.middle[theirs])
+        size = np.maximum(np.maximum(self.extent.take(mine), other.extent.take(theirs)), 1e-9)
+        apart = _lengths(self.middle.take(mine, axis=0) + moved - other.middle.take(theirs, axis=0))
         found = np.full(len(mine), np.inf)
         # The mean of the points' distances is no less than the distance of their means.
         near = np.flatnonzero(apart <= most * size * 1.001)
         for part in slices(len(near), _AT_ONCE):
             rows = near[part]
-            apart = self.points[mine[rows]] + moved[rows, None] - other.points[theirs[rows]]
+            apart = self.points.take(mine[rows], axis=0)
+            apart += moved[rows, None]
+            apart -= other.points.take(theirs[rows], axis=0)
             found[rows] = _lengths(apart).mean(axis=-1) / size[rows]
         return found
 
@@ -99,9 +101,30 @@ class Crowd:
             share[rows] = inside.all(axis=-1).mean(axis=-1)
         return share
 
+    def covers(self, points: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        """(K,) bool: which points (K, 2) lie where a hand of those numbered `theirs` (P,) is."""
+        covered = np.zeros(len(points), dtype=bool)
+        for part in slices(len(theirs), _AT_ONCE // NUM_KEYPOINTS):
+            # In a dense crowd a few hands cover every point.
+            free = np.flatnonzero(~covered)
+            if not len(free):
+                break
+            bones, reach = (
+                self.points[theirs[part], None][:, :, _BONES],
+                THICKNESS * self.extent[theirs[part]],
+            )
+            start, along = bones[..., 0, :], bones[..., 1, :] - bones[..., 0, :]
+            away = points[free, None] - start
+            share = (away * along).sum(axis=-1) / np.maximum(np.square(along).sum(axis=-1), 1e-9)
+            nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+            near = _lengths(points[free, None] - nearest) < reach[:, None, None]
+            covered[free] = near.any(axis=(0, 2))
+        return covered
 
-_AT_ONCE: Final = 1 << 11
-"""pairs of hands whose points are compared at once: what a processor's cache holds"""
+
+_AT_ONCE: Final = 1 << 9
+"""pairs of hands whose points are compared at once: what a processor's cache holds, and what takes no new
+memory from the system each time"""
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
@@ -146,11 +169,7 @@ def _shared(a: np.ndarray, b: np.ndarray) -> float:
 
 def overlapped(hand: HandDetection, other: HandDetection) -> np.ndarray:
     """(21,) bool: which points of a hand lie where another one is."""
-    points, bones = hand.keypoints_2d[:, None], other.keypoints_2d[_BONES]
-    start, along = bones[:, 0], bones[:, 1] - bones[:, 0]
-    share = ((points - start) * along).sum(axis=-1) / np.maximum(np.square(along).sum(axis=-1), 1e-9)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-    return (np.linalg.norm(points - nearest, axis=-1) < THICKNESS * other.extent).any(axis=1)
+    return Crowd.of([other]).covers(hand.keypoints_2d, np.zeros(1, dtype=int))
 
 
 def mean_of(hands: Sequence[HandDetection]) -> HandDetection:

@@ -9,7 +9,7 @@ import numpy as np
 
 from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.landmark_model import fingerprint, landmark_model_path
+from handfit_core.detect.landmark_model import fingerprint, is_calibrated, landmark_model_path
 from handfit_core.errors import LandmarkModelError
 from handfit_core.skeleton import Side
 
@@ -109,5 +109,5 @@ def _first_line(error: BaseException) -> str:
 MEDIAPIPE = Backend(
     open=MediaPipeHands,
     fingerprint=lambda settings: fingerprint(settings.landmark_model),
-    calibrated=True,
+    calibrated=lambda settings: is_calibrated(settings.landmark_model),
 )

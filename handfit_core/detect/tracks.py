@@ -169,16 +169,19 @@ def _marked(
     """The detections of the chosen tracks in a frame, with their points marked that lie where another hand
     is."""
     there = [track for track in tracks if frame in track.detections]
+    places = {id(track): place for place, track in enumerate(there)}
     crowd = Crowd.of([track.detections[frame] for track in there])
     margin = 1.001 * THICKNESS * crowd.extent[:, None]
+    first, end = crowd.low - margin, crowd.high + margin
     marked: list[HandDetection | None] = []
     for track in chosen:
         hand = track.detections.get(frame)
         if hand is not None:
             low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
-            near = ((crowd.low - margin <= high) & (crowd.high + margin >= low)).all(axis=1)
-            others = [there[i].detections[frame] for i in np.flatnonzero(near) if there[i] is not track]
-            covered = np.any([overlapped(hand, other) for other in others], axis=0)
+            near = ((first <= high) & (end >= low)).all(axis=1)
+            if id(track) in places:
+                near[places[id(track)]] = False
+            covered = crowd.covers(hand.keypoints_2d, np.flatnonzero(near))
             if hand.overlapped is not None:
                 covered = covered | hand.overlapped
             hand = replace(hand, overlapped=covered) if np.any(covered) else hand

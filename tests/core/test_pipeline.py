@@ -1,6 +1,7 @@
 """The whole core on the bundled sample, against the pose that was rendered; and on real photos."""
 
 import json
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -292,6 +293,22 @@ def test_likely_errors_are_of_what_they_were_measured_for(
     assert np.isfinite(hand.expected_error).all() == (detector != "other") == told["error_known"]
     assert (hand.doubtful is None) == (detector == "other")
     assert (told["mean_expected_error"] is None) == (detector == "other")
+
+
+@pytest.mark.parametrize("named_by", ["option", "variable"])
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_landmark_model_is_known_by_what_it_holds(
+    ours: bool, named_by: str, landmark_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "named.task"
+    with zipfile.ZipFile(landmark_model) as known, zipfile.ZipFile(path, "w") as task:
+        for name in known.namelist():
+            task.writestr(name, known.read(name) + (b"" if ours else b"\0"))
+    if named_by == "variable":
+        monkeypatch.setenv("HANDFIT_LANDMARK_MODEL", str(path))
+    named = str(path) if named_by == "option" else None
+    taken = capture(SAMPLE / "hand.0001.jpg", landmark_model=named)
+    assert [told["error_known"] for told in hand_summaries(taken)] == [ours]
 
 
 @pytest.mark.parametrize("solver", ["fast", "paper-a"])

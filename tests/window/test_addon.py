@@ -20,6 +20,11 @@ def test_reloading_scripts_brings_everything_back_once(blender):
     assert after == before
 
 
+def test_the_folder_of_plug_ins_is_opened_from_the_preferences(blender, tmp_path):
+    played = blender.play("addon.the_plug_in_folder_is_opened", desktop=tmp_path).value
+    assert played == {"folders": ["exporters", "rigs"], "opened": True}
+
+
 def test_a_take_is_imported_from_the_menu_and_undone_by_keys(blender):
     assert blender.play("import_take.through_the_file_browser", take=TAKE).value == [1, 0, 1]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from handfit_core.detect import landmark_model
+from handfit_core.detect.landmark_model import is_calibrated
 from handfit_core.errors import LandmarkModelError
 
 
@@ -71,6 +72,26 @@ def test_entries_are_stored_aligned_and_reproducible(tmp_path: Path, monkeypatch
             start = info.header_offset + 30 + name_length + extra_length
             assert start % 4 == 0
             assert data[start : start + 1001 + i] == bytes([i]) * (1001 + i)
+
+
+def test_networks_are_known_by_their_bytes(landmark_model: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(landmark_model) as task:
+        networks = {name: task.read(name) for name in task.namelist()}
+    palms, hand = networks
+
+    def zipped(changed: dict[str, bytes]) -> Path:
+        with zipfile.ZipFile(path := tmp_path / "other.task", "w", zipfile.ZIP_DEFLATED) as task:
+            for name, content in changed.items():
+                task.writestr(name, content)
+        return path
+
+    assert is_calibrated(landmark_model)
+    assert is_calibrated(zipped(networks | {"more.txt": b"more"}))
+    assert not is_calibrated(zipped(networks | {hand: networks[hand][:-1] + b"!"}))
+    assert not is_calibrated(zipped({palms: networks[hand], hand: networks[palms]}))
+    assert not is_calibrated(zipped({hand: networks[hand]}))
+    (damaged := tmp_path / "damaged.task").write_bytes(landmark_model.read_bytes()[:100_000])
+    assert not is_calibrated(damaged)
 
 
 def test_damaged_file_is_one_line(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import distance
+from handfit_core.detect.looks import distance, overlapped
 from handfit_core.detect.tracks import DUPLICATE_DISTANCE, link_and_count, link_tracks, without_duplicates
 from handfit_core.errors import NoHandFoundError
 from handfit_core.skeleton import Side
@@ -246,6 +246,32 @@ def test_a_crowds_duplicates_are_those_of_pairs() -> None:
             kept.append(each)
     assert len(kept) < len(found)
     assert all(one is other for one, other in zip(without_duplicates(found), kept, strict=True))
+
+
+def test_hands_on_one_spot_cost_less_than_their_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that lie on hands are marked, and a few hands of a dense crowd cover all the others."""
+    compared = 0
+
+    def counted(vectors: np.ndarray, axis: int = -1) -> np.ndarray:
+        nonlocal compared
+        compared += vectors.size // 2
+        return np.sqrt(np.square(vectors).sum(axis=axis))
+
+    monkeypatch.setattr("handfit_core.detect.looks._lengths", counted)
+    monkeypatch.setattr("numpy.linalg.norm", counted)
+    rng, found = np.random.default_rng(0), []
+    for each in crowd(300, 0.0):
+        points = np.pad(rng.uniform(0.0, 100.0, (21, 2)), ((0, 0), (0, 1)))
+        found.append(replace(each, keypoints=points))
+    tracks = link_tracks([found], max_hands=None)
+    hands = [track.detections[0] for track in tracks]
+    assert len(hands) > 50
+    points_and_bones = 21 * 20 * len(hands) ** 2
+    assert compared < 0.5 * points_and_bones
+    for one in hands[::20]:
+        assert one is not None
+        others = [overlapped(one, other) for other in hands if other is not None and other is not one]
+        np.testing.assert_array_equal(one.overlapped, np.any(others, axis=0))
 
 
 def test_a_crowd_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
