@@ -12,8 +12,9 @@ from handfit_core.hand_model.chain import Posed
 from handfit_core.skeleton import JOINTS_BY_FINGER, Side
 
 SPREAD, BEND = 1, 2
-CLOSED = np.radians([10.0, 15.0])
-"""radians that a closed hand bends the fingers' middle and last joints beyond their own range"""
+CLOSED = np.zeros((5, 9))
+CLOSED[1:, [MIDDLE_BEND, LAST_BEND]] = np.radians([10.0, 15.0])
+"""(5, 9) radians that a closed hand bends the fingers' middle and last joints beyond their own range"""
 SPREAD_LEFT = 0.3
 """Of a knuckle's spread when it is bent by 90 degrees: collateral ligaments tighten"""
 SIGMA = float(np.radians(1.0))
@@ -35,28 +36,28 @@ class Limits:
     below.
 
     A knuckle's range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
-    Where hands are to stay near a pose, the range is wider: by `PASSIVE_RANGE`, or as far as that pose goes.
+    It is wider by `CLOSED`; where hands are to stay near a pose by `PASSIVE_RANGE`, or as far as that pose goes.
     """
 
     def __init__(self, side: Side) -> None:
         ranges = joint_limits(side)
         self.lower, self.upper = (a[JOINTS_BY_FINGER - 1].reshape(5, 9) for a in (ranges.lower, ranges.upper))
-        self.upper[1:, [MIDDLE_BEND, LAST_BEND]] += CLOSED
 
     @property
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """(5, 9) least and most radians that steps may lead to, where no pose is kept."""
-        return self.lower - BEYOND, self.upper + BEYOND
+        return self.lower - BEYOND, self.upper + CLOSED + BEYOND
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
         """The rows of B posed hands."""
-        kept, sigma, more = seen.kept, SIGMA, 0.0
+        kept, sigma, below, above = seen.kept, SIGMA, np.zeros(1), CLOSED
         if kept is not None:
             own = np.isnan(kept.limits_sigma)[:, None, None]
             sigma = np.where(own, SIGMA, kept.limits_sigma[:, None, None])
-            more = np.where(own, 0.0, np.maximum(np.abs(self._outside(kept.angles, 0.0)), PASSIVE_RANGE))
+            more = np.maximum(np.abs(self._outside(kept.angles, below, below)), PASSIVE_RANGE)
+            below, above = np.where(own, below, more), np.where(own, above, more)
         angles = posed.state.angles
-        outside = self._outside(angles, more)
+        outside = self._outside(angles, below, above)
         slope = (outside != 0.0) / sigma
         rows = Rows.zeros(FINGERS, len(angles), 9)
         np.einsum("...ii->...i", rows.jacobian)[...] = slope
@@ -67,8 +68,8 @@ class Limits:
         rows.residual[...] = outside / sigma
         return rows
 
-    def _outside(self, angles: np.ndarray, more: np.ndarray | float) -> np.ndarray:
-        """(B, 5, 9) radians beyond the ranges, which are wider by `more` on both sides."""
+    def _outside(self, angles: np.ndarray, below: np.ndarray, above: np.ndarray) -> np.ndarray:
+        """(B, 5, 9) radians beyond the ranges, which are wider by so much on either side."""
         left = np.ones_like(angles)
         left[..., SPREAD] -= _PER_RADIAN * np.clip(angles[..., BEND], 0.0, np.pi / 2)
-        return angles - np.clip(angles, self.lower * left - more, self.upper * left + more)
+        return angles - np.clip(angles, self.lower * left - below, self.upper * left + above)
