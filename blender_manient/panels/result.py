@@ -96,6 +96,9 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         row.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
         select = row.operator("manient.select_hand", text="", icon="RESTRICT_SELECT_OFF")
         select.hand = armature.name
+        if hand.is_of_other_model():
+            text = "Captured with another version of the hand model: what is fitted anew may not match it"
+            sentence(box, context, text, "ERROR", alert=True)
         track = hand.track
         found, count = int(track.detected.sum()), len(track.detected)
         if track.added:

@@ -11,6 +11,7 @@ import numpy as np
 from mathutils import Vector
 
 from handfit_core.hand_model import ShapedHand, axes
+from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.skeleton import JOINT_NAMES, PARENTS, Side
 
 from . import controls
@@ -61,11 +62,11 @@ class CapturedHandRig(Rig):
         """The bones to animate it with by hand, by what they control; none until they are added."""
         return controls.control_bones(self.armature)
 
-    def add_controls(self) -> None:
-        """Give a hand that has none its controls."""
+    def add_controls(self, model: str) -> None:
+        """Give a hand that has none its controls; `model` is its hand model's name."""
         with self._edited() as edit_bones:
             names = controls.make_bones(edit_bones, self.bones)
-        controls.set_up(self.armature, self.bones, names, self.side)
+        controls.set_up(self.armature, self.bones, names, joint_limits(self.side, model))
 
     def remove_controls(self) -> None:
         """Take the controls away, with all that they do."""

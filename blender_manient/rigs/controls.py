@@ -21,9 +21,9 @@ import numpy as np
 from mathutils import Matrix
 
 from handfit_core.geometry.rotations import quat_to_rotmat
-from handfit_core.hand_model.anatomy import anatomical_angles, joint_limits
+from handfit_core.hand_model.anatomy import JointLimits, anatomical_angles
 from handfit_core.hand_model.axes import ANATOMICAL_IN_BONE
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
 from ..blender_versions import channels, used_actions
 
@@ -86,7 +86,7 @@ def make_bones(edit_bones: Any, bones: list[str]) -> dict[str, str]:
     return names
 
 
-def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], side: Side) -> None:
+def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], limits: JointLimits) -> None:
     """Have bones that `make_bones` made control the hand, and give them their looks."""
     pose = armature.pose.bones
     for role, name in names.items():
@@ -103,7 +103,7 @@ def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], 
         _dress(pose[names[role]], role, pose[bones[FINGER_JOINTS[role][0] if role in FINGERS else 0]])
     wrist = _constraint(armature, bones[0], "COPY_TRANSFORMS", names["hand"], _CONTROL)
     wrist.mix_mode = "AFTER_FULL"
-    bends = joint_limits(side).upper[:, 2]
+    bends = limits.upper[:, 2]
     for finger, joints in FINGER_JOINTS.items():
         control = names[finger]
         all_of_them = _turning(armature, control, names["fingers"], _CONTROL, "ADD")
@@ -112,7 +112,6 @@ def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], 
         _maps(spread, z=_QUARTER)
         for joint in joints:
             _maps(_turning(armature, bones[joint], control, _CONTROL, "AFTER"), x=float(bends[joint - 1]))
-    limits = joint_limits(side)
     for joint in range(1, NUM_JOINTS):
         limit: Any = pose[bones[joint]].constraints.new("LIMIT_ROTATION")
         limit.name, limit.owner_space, limit.euler_order = LIMIT, "LOCAL", "XZY"

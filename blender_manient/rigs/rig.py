@@ -119,8 +119,9 @@ class Rig(PosedBones):
         """The bones to animate it with by hand on top of its keys, by what they control; empty for none."""
         return {}
 
-    def add_controls(self) -> None:
-        """Give it controls. Raises OptionError for rigs that have none of ours."""
+    def add_controls(self, model: str) -> None:  # noqa: ARG002
+        """Give it controls; `model` is its hand model's name. Raises OptionError for rigs that have none of
+        ours."""
         raise OptionError(f"{self.armature.name!r} has bones of its own: animate it with these")
 
     def remove_controls(self) -> None:

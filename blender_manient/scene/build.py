@@ -36,12 +36,18 @@ from .matching import Footage, note_matched
 from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate
 from .render_setup import put_in_force, set_up
-from .store import describe_capture, describe_hand, keep_take, keeping_take, kept_here, timing_of
+from .store import (
+    describe_capture,
+    describe_hand,
+    is_of_other_model,
+    keep_take,
+    keeping_take,
+    kept_here,
+    timing_of,
+)
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
 
 _T = TypeVar("_T")
-_SAME_JOINTS = 1e-3
-"""metres within which two models' joints are the same"""
 
 
 @dataclass(frozen=True)
@@ -156,7 +162,11 @@ def _steps(
     warnings: list[str] = []
     for track in take.hands:
         loaded = load_model(how.model or take.model, track.side)
-        warnings += _digest_warning(take, track, loaded)
+        if is_of_other_model(take, track, loaded):
+            warnings.append(
+                f"the {track.side} hand was captured with another version of the hand model {loaded.name}, "
+                "whose joints lie elsewhere: it may differ from the fit; capture it again to be exact"
+            )
         yield None
         models[track.side] = with_wrist(loaded, how.wrist)
         # A model without an edge where a piece of forearm could begin comes back as it is.
@@ -427,18 +437,3 @@ def _checked_scene(scene: bpy.types.Scene | None) -> bpy.types.Scene:
             f"the scene {scene.name!r} is not the one that is open ({current.name!r}); switch to it first"
         )
     return current
-
-
-def _digest_warning(take: Take, track: HandTrack, model: HandModel) -> list[str]:
-    """That the take's hand has other joints than this model: earlier ones may differ in their skin alone."""
-    expected = take.model_digests.get(model.side)
-    if expected is None or expected == model.digest:
-        return []
-    row = int(np.argmax(track.present))
-    points = model.keypoints(track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row])
-    if np.abs(points - track.joints_3d[row]).max() < _SAME_JOINTS:
-        return []
-    return [
-        f"the {model.side} hand was captured with another version of the hand model {model.name}: "
-        "the rig's proportions may differ from the fit"
-    ]

@@ -40,7 +40,7 @@ def add_controls(hand: CapturedHand) -> None:
     with object_mode():
         if armature.data.users - armature.data.use_fake_user > 1:
             armature.data = armature.data.copy()
-        hand.rig.add_controls()
+        hand.rig.add_controls(hand.take.model)
     for action, slot in used_actions(armature):
         hand.rig.allow(read_pose_keys(hand.rig, holder=channels(action, slot)).quats)
     controls.switch(armature)

@@ -62,7 +62,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     armature.rotation_mode = source.rotation_mode
     armature.matrix_basis = source.matrix_basis
     if own.controls:
-        rig.add_controls()
+        rig.add_controls(hand.take.model)
         armature.manient.use_controls, armature.manient.limits = (
             source.manient.use_controls,
             source.manient.limits,

@@ -98,7 +98,7 @@ class Motion:
     @classmethod
     def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
         """What a hand in the scene does. Raises HandModelError."""
-        source = SourceHand.of(hand.shaped(), hand.side)
+        source = SourceHand.of(hand.shaped(), hand.side, hand.model().name)
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
 
     def on(self, side: Side) -> Motion:
@@ -205,7 +205,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
     quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
-    source, skins = SourceHand.of(shaped, track.side), Fingertips.of(hand, track.betas)
+    source, skins = SourceHand.of(shaped, track.side, hand.name), Fingertips.of(hand, track.betas)
     return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
 
 

@@ -36,6 +36,9 @@ _CACHED = 8
 _CHUNK = 3 << 18
 """bytes that are encoded at once (a multiple of 3), in some milliseconds"""
 
+_SAME_JOINTS = 1e-3
+"""metres within which two models' joints are the same"""
+
 _BEYOND = 2.0**31
 """What Blender takes for no frame number any more, and raises"""
 
@@ -82,6 +85,22 @@ class CapturedHand:
     def model(self) -> HandModel:
         """The model that it was captured with. Raises HandModelError."""
         return kept_model(self.take.model, self.side)
+
+    def is_of_other_model(self) -> bool:
+        """Whether the model's joints lie elsewhere now; no where it cannot be read."""
+        try:
+            return is_of_other_model(self.take, self.track, self.model())
+        except HandModelError:
+            return False
+
+
+def is_of_other_model(take: Take, track: HandTrack, model: HandModel) -> bool:
+    """Whether a take's hand has other joints than this model; versions may differ in their skin alone."""
+    if take.model_digests.get(model.side) in (None, model.digest):
+        return False
+    row = int(np.argmax(track.present))
+    points = model.keypoints(track.betas, track.global_orient[row], track.hand_pose[row], track.transl[row])
+    return bool(np.abs(points - track.joints_3d[row]).max() >= _SAME_JOINTS)
 
 
 def keeping_take(

@@ -188,7 +188,8 @@ class _Frames(Batch):
 
     def _other_bends(self) -> list[State]:
         """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
-        upper = joint_limits(self.fitter.model.side).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
+        model = self.fitter.model
+        upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
         for bends in OTHER_BENDS:
             angles = np.zeros((1, 5, 3, 3))

@@ -93,8 +93,9 @@ class Fits:
 
 
 def _content(model: HandModel) -> str:
-    """Its digest, and the relaxed pose, which the digest leaves out and a pose prior uses."""
-    return f"{model.digest}|{hashlib.sha256(np.ascontiguousarray(model.hands_mean).tobytes()).hexdigest()}"
+    """Its digest, and what fits use besides: a prior's relaxed pose, and the name, which limits go by."""
+    relaxed = hashlib.sha256(np.ascontiguousarray(model.hands_mean).tobytes()).hexdigest()
+    return f"{model.name}|{model.digest}|{relaxed}"
 
 
 def _version(package: str) -> str:

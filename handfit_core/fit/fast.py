@@ -111,7 +111,7 @@ class FastFitter:
         with np.load(FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
-        limits = Limits(model.side)
+        limits = Limits(model.side, model.name)
         self.reach = limits.reach
         self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
         self.surface = surface_of(model)

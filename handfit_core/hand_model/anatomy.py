@@ -18,6 +18,7 @@ import numpy as np
 
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler, rotmat_to_rotvec
 from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
 LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
@@ -108,10 +109,13 @@ _BENDS: dict[str, tuple[tuple[float, float], ...]] = {
 _KNUCKLE_TWIST_SPREAD = ((-5.0, 5.0), (-20.0, 20.0))
 _HINGE_TWIST_SPREAD = ((-3.0, 3.0), (-5.0, 5.0))
 _THUMB_ROOT_TWIST_SPREAD = ((-8.5, 8.5), (-21.0, 30.0))
+_OPEN_HANDS_THUMB_ROOT = (9.0, 9.0)
+"""degrees by which the open hand's thumb spreads and bends farther: its metacarpal's flat pose is turned more
+to the hand's back. Fits of fists go to 41 and 63 where nothing holds them"""
 
 
-def joint_limits(side: Side) -> JointLimits:
-    """The range of every anatomical angle of one hand."""
+def joint_limits(side: Side, model: str = OPEN_HAND) -> JointLimits:
+    """The range of every anatomical angle of one hand, of the hand model of that name."""
     limits = np.empty((15, 3, 2))
     for finger, joints in FINGER_JOINTS.items():
         for place, (joint, bend) in enumerate(zip(joints, _BENDS[finger], strict=True)):
@@ -122,6 +126,8 @@ def joint_limits(side: Side) -> JointLimits:
             else:
                 twist, spread = _KNUCKLE_TWIST_SPREAD
             limits[joint - 1] = (twist, spread, bend)
+    if model == OPEN_HAND:
+        limits[FINGER_JOINTS["thumb"][0] - 1, 1:, 1] += _OPEN_HANDS_THUMB_ROOT
     limits = np.radians(limits)
     if side == "left":
         # In a mirror image a bend keeps its sign about the mirrored axis, twist and spread change it.

@@ -141,7 +141,7 @@ class PaperFitter:
         if options.anatomical_stage:
             from handfit_core.paper.anatomical import AnatomicalPenalty
 
-            self._penalty = AnatomicalPenalty(anatomical_axes(model), joint_limits(model.side))
+            self._penalty = AnatomicalPenalty(anatomical_axes(model), joint_limits(model.side, model.name))
         self._prior = None
         if options.pose_prior:
             from handfit_core.paper.prior import RelaxedPrior

@@ -270,7 +270,7 @@ class _Chains:
     @classmethod
     def of(cls, target: TargetHand, source: SourceHand, skins: Fingertips, keyed: np.ndarray) -> _Chains:
         flat = axes_of(source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL, source.side)
-        flat, limits = REST_FROM_MODEL @ flat, joint_limits(source.side)
+        flat, limits = REST_FROM_MODEL @ flat, joint_limits(source.side, source.model)
         laid = target.aligned.T @ target.corrected  # from the character's segments to ours
         count = len(target.bones)
         axes, starts = np.broadcast_to(np.eye(3), (count, 3, 3)).copy(), np.empty((count, 3))

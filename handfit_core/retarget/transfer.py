@@ -26,6 +26,7 @@ from handfit_core.geometry.rotations import (
 )
 from handfit_core.hand_model.axes import MIRROR_X, points_to_rest
 from handfit_core.hand_model.data import ShapedHand
+from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side, other_side
@@ -45,15 +46,17 @@ class SourceHand:
     """(16, 3) by MANO's joints"""
     tips: np.ndarray
     """(5, 3) thumb, index, middle, ring, little"""
+    model: str = OPEN_HAND
+    """The hand model's name"""
 
     @classmethod
-    def of(cls, shaped: ShapedHand, side: Side) -> SourceHand:
-        """That of a hand model with a shape."""
-        return cls(side, points_to_rest(shaped.joints), points_to_rest(shaped.tips))
+    def of(cls, shaped: ShapedHand, side: Side, model: str = OPEN_HAND) -> SourceHand:
+        """That of the hand model of that name with a shape."""
+        return cls(side, points_to_rest(shaped.joints), points_to_rest(shaped.tips), model)
 
     def mirrored(self) -> SourceHand:
         """The other hand."""
-        return SourceHand(other_side(self.side), self.joints @ MIRROR_X, self.tips @ MIRROR_X)
+        return SourceHand(other_side(self.side), self.joints @ MIRROR_X, self.tips @ MIRROR_X, self.model)
 
     def points(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the joints (T, 16, 3) and fingertips (T, 5, 3) of posed hands are, the wrist neither turned

@@ -9,6 +9,7 @@ from handfit_core.fit.terms.coupling import LAST_BEND, MIDDLE_BEND
 from handfit_core.fit.terms.rows import FINGERS, Rows
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import Posed
+from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.skeleton import JOINTS_BY_FINGER, Side
 
 SPREAD, BEND = 1, 2
@@ -39,8 +40,8 @@ class Limits:
     It is wider by `CLOSED`; where hands are to stay near a pose by `PASSIVE_RANGE`, or as far as that pose goes.
     """
 
-    def __init__(self, side: Side) -> None:
-        ranges = joint_limits(side)
+    def __init__(self, side: Side, model: str = OPEN_HAND) -> None:
+        ranges = joint_limits(side, model)
         self.lower, self.upper = (a[JOINTS_BY_FINGER - 1].reshape(5, 9) for a in (ranges.lower, ranges.upper))
 
     @property

@@ -44,7 +44,7 @@ def _offsets() -> Landmarks:
     open hand in size and pose; single hands differ from them by 0.4 to 1.1 mm. The other joints are ours."""
     offsets = np.zeros((NUM_KEYPOINTS, 3))
     offsets[0] = -0.110, 0.028, -0.037
-    offsets[1] = -0.150, -0.061, 0.138
+    offsets[1] = -0.103, -0.033, 0.061
     return Landmarks(offsets)
 
 

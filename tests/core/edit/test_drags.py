@@ -15,6 +15,7 @@ import pytest
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineResult, landmark_points, refit_each
+from handfit_core.edit.pins import REACHED
 from handfit_core.fit.terms.apart import GIVES
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
@@ -189,12 +190,15 @@ def test_points_of_the_palm_move_it(keypoint: int) -> None:
 def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
     """A pin that is moved by less than any picture shows changes no more than that, near or far; but for what
     is dragged out of its place altogether: a palm has several to turn to, and a finger that is pressed on
-    another may slip to one side of it or the other."""
+    another may slip to one side of it or the other. Nor where the finger hardly reaches its pin or not."""
     for hand, by in list(ways(keypoint))[keypoint % 3 :: 3]:
         if keypoint in PALM and np.linalg.norm(by) > 0.5 * hand.size:
             continue
         one, other = (hand.dragged(keypoint, by + nudge) for nudge in (0.0, 1e-4))
         if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, one):
+            continue
+        missed = distance(one.landmarks_2d[0, keypoint], hand.before[keypoint] + by)
+        if abs(missed - REACHED) < 0.1:  # the palm moves, or it does not
             continue
         between = distance(one.landmarks_2d, other.landmarks_2d).max()
         assert between < max(1.0, 0.01 * hand.size), (hand.side, by)

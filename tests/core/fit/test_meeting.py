@@ -26,7 +26,7 @@ THUMB = np.radians([[0, 8, 26], [0, 0, 42], [0, 0, 45]]).reshape(9)
 CURLED = np.radians([[0, 0, 78], [0, 0, 95], [0, 0, 55]]).reshape(9)
 """A fist, whose thumb stands in the fingers"""
 PINCH = np.radians([[-5, -4, 40], [2, 0, 55], [0, 0, 28]]).reshape(9)
-OPPOSED = np.radians([[-8, 12, 26], [0, 0, 24], [0, 0, 36]]).reshape(9)
+OPPOSED = np.radians([[-8, 12, 29], [0, 0, 24], [0, 0, 36]]).reshape(9)
 
 
 def fitter(side: Side = "right") -> FastFitter:

@@ -1,3 +1,5 @@
+from itertools import product
+
 import numpy as np
 import pytest
 import torch
@@ -58,14 +60,27 @@ def test_positive_bend_closes_the_hand(side: Side) -> None:
 def test_a_thumb_reaches_the_little_finger_s_root(side: Side) -> None:
     """As every person's does; fists and letters need it."""
     model, limits = load_model(None, side), joint_limits(side)
-    rng = np.random.default_rng(0)
-    angles = np.zeros((4000, 15, 3))
     thumb = [j - 1 for j in FINGER_JOINTS["thumb"]]
-    angles[:, thumb] = rng.uniform(limits.lower[thumb], limits.upper[thumb], (4000, 3, 3))
+    # All ends of its ranges, and the last joint anywhere between.
+    ends = [*zip(limits.lower[thumb].ravel(), limits.upper[thumb].ravel(), strict=True)]
+    ends[-1] = tuple(np.linspace(*ends[-1], 9))
+    poses = np.array(list(product(*ends)))
+    angles = np.zeros((len(poses), 15, 3))
+    angles[:, thumb] = poses.reshape(-1, 3, 3)
     pose = rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(model))).reshape(-1, 45)
-    zero = np.zeros((4000, 3))
+    zero = np.zeros((len(poses), 3))
     points = model.keypoints(None, zero, pose, zero)
-    assert np.linalg.norm(points[:, 4] - points[:, 17], axis=1).min() < 0.036
+    assert np.linalg.norm(points[:, 4] - points[:, 17], axis=1).min() < 0.027
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_only_the_open_hand_has_wider_ranges(side: Side) -> None:
+    """A hand file of one's own has the ranges that published figures give."""
+    own, others = joint_limits(side), joint_limits(side, "MANO_RIGHT")
+    wider = np.degrees(np.concatenate([own.upper - others.upper, others.lower - own.lower]))
+    root = FINGER_JOINTS["thumb"][0] - 1
+    assert wider[[root, root + 15]].sum() == pytest.approx(18.0)
+    assert not np.delete(wider, [root, root + 15], axis=0).any()
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

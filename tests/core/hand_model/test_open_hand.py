@@ -18,14 +18,22 @@ from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import load_model
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, MANO_TIP_VERTICES, NUM_BETAS, SIDES, Side
-from scripts.build_open_hand import by_rule, pose_covariance, pose_directions
+from scripts.build_open_hand import (
+    MOVED_JOINTS,
+    THUMB_MOVES,
+    by_rule,
+    pose_covariance,
+    pose_directions,
+    with_thumb_moved,
+)
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = ROOT / "handfit_core" / "hand_model" / "data"
 
 # mm: wrist to first joint, then the three bones; the last ends at the fingertip. Buryanov & Kotiuk 2010.
+# Their thumb has 46.2 and 31.6; the build then moves two ends of these bones by `THUMB_MOVES`.
 LENGTHS = {
-    "thumb": (36.0, 46.2, 31.6, 21.7 + 5.7),
+    "thumb": (40.0, 44.3, 31.2, 21.7 + 5.7),
     "index": (92.0, 39.8, 22.4, 15.8 + 3.8),
     "middle": (95.0, 44.6, 26.3, 17.4 + 4.0),
     "ring": (88.0, 41.4, 25.7, 17.3 + 4.0),
@@ -127,6 +135,24 @@ def test_mean_bones_have_anatomical_lengths(model):
     np.testing.assert_allclose(bone_lengths(model), expected, atol=0.1)
 
 
+def test_the_thumb_moves_as_far_as_a_palm_is_long():
+    joints = np.zeros((2, 16, 3))
+    joints[:, FINGER_JOINTS["middle"][0], 0] = -95.0, -190.0
+    moves = with_thumb_moved(joints) - joints
+    np.testing.assert_allclose(moves[:, MOVED_JOINTS], np.multiply.outer([1.0, 2.0], THUMB_MOVES))
+    assert not np.delete(moves, MOVED_JOINTS, axis=1).any()
+
+
+@pytest.mark.parametrize("beta", [-2.0, 0.0, 2.0])
+@pytest.mark.parametrize("direction", range(NUM_BETAS))
+def test_the_thumb_s_saddle_stands_out_of_the_carpus_in_all_hands(direction, beta):
+    """12 mm on the palm's side of the wrist's centre in a hand of 95 mm, 10 of which are its move."""
+    joints = load_model(None, "right").shaped(beta * np.eye(NUM_BETAS)[direction]).joints
+    palm = np.linalg.norm(joints[FINGER_JOINTS["middle"][0]] - joints[0])
+    saddle = (joints[MOVED_JOINTS[0]] - joints[0]) * 95.0 / palm
+    np.testing.assert_allclose(saddle, (-26.7, -12.1, 27.2), atol=1.0)
+
+
 def test_wrist_stands_where_mano_has_it(model, outwards):
     wrist = model.shaped().joints[0]
     np.testing.assert_allclose(wrist, (0.096 * outwards, 0.006, 0.006), atol=1e-4)
@@ -137,9 +163,10 @@ def test_flat_hand_lies_as_manos(model, outwards, finger):
     points = finger_points(model, finger) * (outwards, 1.0, 1.0)
     bones = np.diff(points[1:], axis=0)
     directions = bones / np.linalg.norm(bones, axis=1, keepdims=True)
-    # Straight: the three bones in one line.
-    assert np.degrees(np.arccos(np.clip(directions[0] @ directions[1:].T, -1, 1))).max() < 1.0
-    along = directions[0]
+    # Straight: the three bones in one line. The thumb's first two bones begin on the palm's side of it.
+    along = directions[2]
+    off = np.degrees(np.arccos(np.clip(directions[:2] @ along, -1, 1)))
+    assert np.all(off < ((12.0, 7.0) if finger == "thumb" else 1.0))
     azimuth = np.degrees(np.arctan2(along[2], -along[0]))
     elevation = np.degrees(np.arcsin(along[1]))
     if finger == "thumb":

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from handfit_core.hand_model import load_model
+from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.hand_model.surface import PAIRS, Capsules, Surface, gaps_along, surface_of
 from handfit_core.skeleton import SIDES, Side
 
@@ -64,7 +65,8 @@ def test_the_fingers_skin_lies_on_the_capsules(side: Side, beta: np.ndarray) -> 
         axis=0,
     )
     assert abs(np.median(off)) < 0.001
-    assert off.min() > -0.005
+    # A hand of the mean size has 5 mm: the skin of the thumb's web lies deepest, beside its knuckle.
+    assert off.min() > -0.005 * flat_hand_length(model, beta) / flat_hand_length(model)
 
 
 def _height(points: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> np.ndarray:

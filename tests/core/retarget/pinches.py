@@ -10,9 +10,9 @@ from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 PINCHES = {
-    "index": (5, 25, 15, 20, 51, 55, 25),
-    "middle": (0, 41, 13, 27, 47, 70, 23),
-    "ring": (1, 54, 16, 20, 42, 71, 13),
+    "index": (4, 26, 16, 20, 51, 55, 25),
+    "middle": (0, 44, 13, 27, 47, 70, 23),
+    "ring": (1, 56, 23, 20, 46, 71, 13),
 }
 """degrees: the thumb's root's spread and bend, the bends of its other joints, and those of the finger's"""
 HELD = slice(30, 40)
