@@ -19,7 +19,6 @@ TIPS: Final = np.array([(2, b) for b in (5, 8, 11, 14)])
 """(T, 2) last bones that can pinch"""
 _ROOTS: Final = CROSSING[:, 1] % 3 == 0
 """(Q,) bool: pairs with a finger's first bone, which a thumb that covers it need not reach"""
-_PINCHES: Final = [int(np.flatnonzero((pair == CROSSING).all(axis=1))[0]) for pair in TIPS]
 
 MEMORY: Final = 0.12
 """seconds: what is in front is told by neighbours in time as well, with weights that fall like a bell of that
@@ -33,6 +32,12 @@ that are farther than the second do not"""
 PINCHED_DEPTH: Final = (2.0, 3.0)
 """The same along the line of sight, times the expected error of both depths"""
 
+LYING: Final = (0.10, 0.20)
+"""Of the hand's size along the line of sight: a thumb whose skin is nearer than the first to the skin of what it
+covers lies on it, as far as that tells; one that is farther than the second stands off"""
+LYING_DEPTH: Final = (1.5, 2.0)
+"""The same, times the expected error of both depths, which grows where the networks differ"""
+
 
 def meeting(surface: Surface, seen: Observation, state: State, times: Times | None = None) -> Meeting:
     """What is seen of hands that are roughly where `state` has them. `times`: when they were seen in a clip,
@@ -40,13 +45,14 @@ def meeting(surface: Surface, seen: Observation, state: State, times: Times | No
     parts = (_alone(surface, seen.select(part), state.select(part)) for part in slices(len(state)))
     each = Meeting.filled(len(state), parts)
     crosses = each.front != 0.0
-    says, touching = np.nan_to_num(each.front), np.nan_to_num(each.touching)
+    said = [np.nan_to_num(values) for values in (each.front, each.lying, each.touching)]
     if times is not None:
         reach = times.reach(3.0 * MEMORY)
         bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (MEMORY * times.fps)) ** 2)
-        says, touching = times.mean(says, bell), times.mean(touching, bell)
+        said = [times.mean(values, bell) for values in said]
+    says, lying, touching = said
     front = np.where(crosses & (np.abs(says) > UNSURE), np.sign(says), 0.0)
-    return replace(each, front=front, touching=touching)
+    return replace(each, front=front, lying=np.where(front != 0.0, lying, 0.0), touching=touching)
 
 
 def _alone(surface: Surface, seen: Observation, state: State) -> Meeting:
@@ -64,16 +70,15 @@ def _alone(surface: Surface, seen: Observation, state: State) -> Meeting:
     scale = (state.depth_zero / seen.focal.mean(axis=1))[:, None]  # metres of a pixel
     apart = np.sqrt(np.maximum(reach**2 - np.square(across * scale), 0.0))
     gap = np.where(crossing.crossed & ~_ROOTS, np.abs(crossing.deeper(seen.depth)) - apart / scale, np.inf)
-    of_thumb = gap.reshape(len(gap), 2, -1)
-    nearest = of_thumb == of_thumb.min(axis=2, keepdims=True)
-    touching = nearest.reshape(gap.shape) * _within(gap / doubt, PINCHED_DEPTH)
+    of_finger = gap.reshape(len(gap), 2, 4, 3)
+    nearest = (of_finger == of_finger.min(axis=3, keepdims=True)).reshape(gap.shape)
+    lying = nearest * _within(gap / doubt, LYING_DEPTH) * _within(gap / size[:, None], LYING)
     tips = np.array(TIP_KEYPOINTS)[[0, *TIPS[:, 1] // 3]]
     off = seen.pixels[:, tips[1:]] - seen.pixels[:, tips[:1]]
     behind = np.abs(seen.depth[:, tips[1:]] - seen.depth[:, tips[:1]])
     behind /= np.hypot(seen.depth_sigma[:, tips[1:]], seen.depth_sigma[:, tips[:1]])
-    pinched = _within(np.linalg.norm(off, axis=-1) / size[:, None], PINCHED) * _within(behind, PINCHED_DEPTH)
-    touching[:, _PINCHES] = np.maximum(touching[:, _PINCHES], pinched)
-    return Meeting(along, says, apart, touching)
+    touching = _within(np.linalg.norm(off, axis=-1) / size[:, None], PINCHED) * _within(behind, PINCHED_DEPTH)
+    return Meeting(along, says, apart, lying, touching)
 
 
 def _within(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:

@@ -49,8 +49,10 @@ class Meeting(Batch):
     """(B, Q) 1 where the first is in front, -1 where it is behind, 0 where they do not cross"""
     apart: np.ndarray
     """(B, Q) metres along the line of sight from the one's axis to the other's, where their skins touch"""
+    lying: np.ndarray
+    """(B, Q) how sure it is that one lies on the other where they cross, 0..1"""
     touching: np.ndarray
-    """(B, Q) how sure it is that these pairs touch, 0..1"""
+    """(B, T) how sure it is that pairs of `fit.meeting.TIPS` touch, 0..1"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -63,13 +63,13 @@ class Trust:
 
     plane: float = 0.3
     """of the way from the detector's x and y to the network's"""
-    depth: float = 0.7
+    depth: float = 0.6
     """of the way from the detector's fused depth to the network's"""
     plane_sigma: float = 0.5
     """of the network's expected error, x and y"""
     depth_sigma: float = 0.4
     """of the network's expected error in depth"""
-    knuckles: float = 2.0
+    knuckles: float = 2.5
     """times the network's expected errors, of the fingers' knuckles: in photos, the detector errs more there
     than in the painted pictures that the network knows"""
     floor: float = 0.006

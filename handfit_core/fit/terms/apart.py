@@ -15,7 +15,7 @@ SIGMA: Final = 0.001
 """metres of depth that cost as much as one sigma"""
 EDIT_SIGMA: Final = 0.00025
 """The same where a pose is corrected: pins are surer than landmarks, and would push parts into each other"""
-GIVES: Final = 0.0015
+GIVES: Final = 0.00075
 """metres by which flesh gives where parts touch"""
 
 

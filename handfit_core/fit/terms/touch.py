@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.fit.meeting import TIPS
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms.rows import PairRows, between
-from handfit_core.geometry.crossing import CROSSING
 from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, PAIRS, Near, Surface
 
@@ -19,7 +19,7 @@ FAR: Final = 0.02
 CERTAIN_SIGMA: Final = 0.0001
 """metres, of what a person says, which is no mistake however far it is"""
 
-_PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) for tips in CROSSING])
+_PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) for tips in TIPS])
 
 
 class Touch:
