@@ -12,7 +12,7 @@ import os
 import sys
 import zipfile
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -53,6 +53,10 @@ OF_HAND: Final = 2.0
 BEYOND_HAND: Final = 0.1
 _BOXED: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
 """Landmarks that the box of a hand is about"""
+
+TURNS: Final = (0.0, 0.35, -0.35)
+"""Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
+ALL_LOOKS: Final = 2 * len(TURNS)
 
 MEAN_BONE: Final = 0.0385
 """metres, the mean of the 20 bones between an average hand's keypoints"""
@@ -133,6 +137,21 @@ def view_of(keypoints: np.ndarray) -> View:
     middle[1] += BEYOND_HAND * (high - low)[1]
     centre = middle[0] * across + middle[1] * up
     return View.of_square(centre, OF_HAND * max(side, 1.0), HAND_SIZE, turn=_upright(up))
+
+
+def crop_of(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (2,), side and turn of the crop about landmarks (21, 2 or more)."""
+    upright = view_of(keypoints)
+    centre = np.linalg.inv(upright.linear) @ (HAND_SIZE / 2.0 - upright.offset)
+    return centre, HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+
+
+def around(keypoints: np.ndarray) -> Iterator[View]:
+    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
+    centre, span, turn = crop_of(keypoints)
+    for mirrored, upwards in ((False, turn), (True, -turn)):
+        for more in TURNS:
+            yield View.of_square(centre, span, HAND_SIZE, turn=upwards + more, mirrored=mirrored)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
