@@ -37,7 +37,7 @@ PRESETS = (
         "DRAFT",
         "Draft",
         "To try things out, and for clear shots. Each hand is looked at once, by a smaller network: hands "
-        "are found in less than half the time, and small and half hidden ones may be missed",
+        "are found in less than half the time, but fingers are rougher, and small or half hidden ones missed",
         "NONE",
         0,
     ),

@@ -259,7 +259,7 @@ def test_quality_says_how_often_a_followed_hand_is_looked_at(
 
 def test_a_draft_of_a_photo_looks_once(stills: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
     (sure,) = stills.find(picture(1))
-    with open_detector(CaptureOptions(quality="draft")) as draft:
+    with StillFinder(DetectorSettings(quality="draft")) as draft:
         counts = runs_of(draft, monkeypatch)
         (hand,) = draft.find(picture(1))
     assert counts["look"] <= search.PASSES
