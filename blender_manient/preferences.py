@@ -60,7 +60,7 @@ class Values:
         name="Quality",
         description="Quality of captures in scenes where none has been chosen yet",
         items=PRESETS,
-        default="BEST",
+        default="STANDARD",
         update=lambda _self, _context: _apply_default_preset(),
     )
     drop_captures: BoolProperty(  # type: ignore

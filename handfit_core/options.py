@@ -328,7 +328,8 @@ class CaptureOptions:
     quality: Quality = _option(
         "standard",
         _text,
-        "how closely hands are looked at: draft is the fastest, best the most exact",
+        "how closely hands are looked at: draft takes 0.4 of the standard's time, and is rougher; best takes "
+        "4 times as long for clips, and is a little more exact",
         "CHOICE",
         choices=lambda: get_args(Quality),
         closed=True,

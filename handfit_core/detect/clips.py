@@ -9,11 +9,12 @@ from itertools import islice
 
 import numpy as np
 
+from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.cuts import Glance
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import SAME_HAND, View, distance, hand_of_box, same_hand
-from handfit_core.detect.networks import PALM_SIZE, Networks, view_of
+from handfit_core.detect.looks import SAME_HAND, View, distance, hand_of_box, mean_of, same_hand
+from handfit_core.detect.networks import PALM_SIZE, TURNS, Networks, around, view_of
 from handfit_core.detect.search import IN_BOX_PRESENCE, Search, tiles
 from handfit_core.skeleton import Side
 
@@ -49,6 +50,10 @@ ASTRAY = 0.15
 CARRIED = 0.1
 """A hand that moves by more than this part of its size from frame to frame is looked for where it is going:
 slower ones are where they were, and guesses would only make them tremble"""
+
+DIFFER = 0.2
+"""A hand is looked at once more where the two landmark networks' points are farther apart than this in the
+picture, in mean lengths of bones: of clear hands, hardly any differ by more than 0.14"""
 
 
 @dataclass(eq=False)
@@ -250,7 +255,23 @@ def there(networks: Networks, rgb: np.ndarray, followed: Followed) -> HandDetect
     off = np.linalg.norm(look.hand.keypoints_2d - expected, axis=-1).mean()
     if look.presence >= followed.least and off > ASTRAY * look.hand.extent:
         look = networks.look(rgb, view_of(look.hand.keypoints), twice=True)
-    return replace(look.hand, shown=followed.last.shown) if look.presence >= followed.least else None
+    if look.presence < followed.least:
+        return None
+    more = [networks.look(rgb, view) for view in _more_views(networks, look.hand)]
+    hands = [look.hand, *(another.hand for another in more if another.presence >= followed.least)]
+    return replace(mean_of(hands), shown=followed.last.shown)
+
+
+def _more_views(networks: Networks, hand: HandDetection) -> list[View]:
+    """The crops in which a followed hand is looked at besides the first: all in quality `best`; in `standard`
+    the mirror image alone, where the two networks differ."""
+    views = list(around(hand.keypoints))
+    if networks.quality == "best":
+        return views[1:]
+    if networks.quality == "draft" or hand.keypoints_2020 is None:
+        return []
+    apart = disagreement(hand.keypoints[None], hand.keypoints_2020[None])[0]
+    return views[len(TURNS) : len(TURNS) + 1] if apart > DIFFER else []
 
 
 def meets(hand: HandDetection, others: Iterable[HandDetection]) -> bool:

@@ -175,17 +175,20 @@ def overlapped(hand: HandDetection, other: HandDetection) -> np.ndarray:
 def mean_of(hands: Sequence[HandDetection]) -> HandDetection:
     """One detection from several looks at one hand.
 
-    Keypoints and world landmarks are averaged. The side is voted for, each look by its score; the score
-    is what that side got per look, so that looks that saw the other side lower it.
+    Keypoints and world landmarks are averaged; those of December 2020 over the looks that have them. The side
+    is voted for, each look by its score; the score is what that side got per look, so that looks that saw the
+    other side lower it.
     """
     votes = {side: sum(hand.score for hand in hands if hand.side == side) for side in SIDES}
     side = max(SIDES, key=lambda s: votes[s])
     keypoints = np.array([hand.keypoints for hand in hands])
+    second = [hand.keypoints_2020 for hand in hands if hand.keypoints_2020 is not None]
     return HandDetection(
         side=side,
         score=votes[side] / len(hands),
         keypoints=keypoints.mean(axis=0),
         world=np.mean([hand.world for hand in hands], axis=0),
+        keypoints_2020=np.mean(second, axis=0) if second else None,
         spread=keypoints.std(axis=0) if len(hands) > 1 else None,
     )
 

@@ -12,7 +12,7 @@ import os
 import sys
 import zipfile
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -54,8 +54,16 @@ BEYOND_HAND: Final = 0.1
 _BOXED: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
 """Landmarks that the box of a hand is about"""
 
+TURNS: Final = (0.0, 0.35, -0.35)
+"""Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
+ALL_LOOKS: Final = 2 * len(TURNS)
+
 MEAN_BONE: Final = 0.0385
 """metres, the mean of the 20 bones between an average hand's keypoints"""
+
+SURER_2020: Final = 2.5
+"""The landmark network of December 2020 is surer that there is a hand than the present one: by so much in the
+logit of the presence, of the hands and of what are none in twenty photos of people"""
 
 MOST_THREADS: Final = 4
 """Each has networks of its own: some 30 MB"""
@@ -133,6 +141,21 @@ def view_of(keypoints: np.ndarray) -> View:
     middle[1] += BEYOND_HAND * (high - low)[1]
     centre = middle[0] * across + middle[1] * up
     return View.of_square(centre, OF_HAND * max(side, 1.0), HAND_SIZE, turn=_upright(up))
+
+
+def crop_of(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (2,), side and turn of the crop about landmarks (21, 2 or more)."""
+    upright = view_of(keypoints)
+    centre = np.linalg.inv(upright.linear) @ (HAND_SIZE / 2.0 - upright.offset)
+    return centre, HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+
+
+def around(keypoints: np.ndarray) -> Iterator[View]:
+    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
+    centre, span, turn = crop_of(keypoints)
+    for mirrored, upwards in ((False, turn), (True, -turn)):
+        for more in TURNS:
+            yield View.of_square(centre, span, HAND_SIZE, turn=upwards + more, mirrored=mirrored)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
@@ -312,7 +335,8 @@ class Networks:
         world = (keypoints - keypoints.mean(axis=0)) * (MEAN_BONE / max(float(bones.mean()), 1e-9))
         side = "right" if right >= 0.5 else "left"
         hand = view.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))
-        return Look(float(presence[0]), replace(hand, keypoints_2020=hand.keypoints))
+        odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-SURER_2020)
+        return Look(float(odds / (1.0 + odds)), replace(hand, keypoints_2020=hand.keypoints))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:

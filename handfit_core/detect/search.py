@@ -12,7 +12,17 @@ import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand, shrunk
-from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Look, Networks, Palms, view_of
+from handfit_core.detect.networks import (
+    ALL_LOOKS,
+    HAND_SIZE,
+    PALM_SIZE,
+    Look,
+    Networks,
+    Palms,
+    around,
+    crop_of,
+    view_of,
+)
 
 FIRST_SCORE: Final = 0.07
 """Of palms that are looked at: far lower than what is believed"""
@@ -84,10 +94,6 @@ DOUBTFUL: Final = (0.1, 0.85)
 ENOUGH: Final = 1152
 """Pixels a side of a picture in which palms are looked for: tiles of a third need no more"""
 
-TURNS: Final = (0.0, 0.35, -0.35)
-"""Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
-ALL_LOOKS: Final = 2 * len(TURNS)
-
 FIRST_JUDGED: Final = (0.95, 0.75, -1.3)
 """How sure it is that something is a hand: the logit of that by the logits of presence and palm score, and a
 constant. In photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
@@ -149,15 +155,15 @@ def _middles(side: float, span: float, count: int) -> np.ndarray:
 
 
 class Search:
-    """Looks for hands with both networks. With `first_word` palms must be sure, only the whole picture is
-    searched, and one look at each hand is enough."""
+    """Looks for hands with both networks; in a draft, one look at each hand is enough. So it is with
+    `first_word`, and palms must be sure, and only the whole picture is searched."""
 
     def __init__(self, networks: Networks, threshold: float, *, first_word: bool = False) -> None:
         self._networks = networks
         self._threshold = threshold
         self._parts = PARTS[:1] if first_word else PARTS
         self._palm = FIRST_WORD if first_word else FIRST_SCORE
-        self._looks = 1 if first_word else ALL_LOOKS
+        self._looks = 1 if first_word or networks.quality == "draft" else ALL_LOOKS
 
     def every_hand(self, rgb: np.ndarray) -> list[HandDetection]:
         """The hands of a picture (H, W, 3) uint8 RGB, the surest first."""
@@ -251,7 +257,7 @@ class Search:
 
     def _far(self, rgb: np.ndarray, hand: HandDetection) -> float:
         """The best score of a hand's palm in views that show much around it: 0 where it is not seen."""
-        centre, _, upwards = _crop(hand.keypoints)
+        centre, _, upwards = crop_of(hand.keypoints)
         best = 0.0
         turns = (0.0, upwards, *(upwards + more for more in FAR_TURNS))
         views = [View.of_square(centre, FAR * hand.extent, PALM_SIZE, turn=turn) for turn in turns]
@@ -331,21 +337,6 @@ def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
     low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
     off, longer = np.abs((low + high) / 2.0 - middle), float(size.max())
     return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent / longer < 2.0
-
-
-def _crop(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Centre (2,), side and turn of the crop about landmarks (21, 2 or more)."""
-    upright = view_of(keypoints)
-    centre = np.linalg.inv(upright.linear) @ (HAND_SIZE / 2.0 - upright.offset)
-    return centre, HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
-
-
-def around(keypoints: np.ndarray) -> Iterator[View]:
-    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
-    centre, span, turn = _crop(keypoints)
-    for mirrored, upwards in ((False, turn), (True, -turn)):
-        for more in TURNS:
-            yield View.of_square(centre, span, HAND_SIZE, turn=upwards + more, mirrored=mirrored)
 
 
 def _logit(probability: float) -> float:

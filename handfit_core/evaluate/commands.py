@@ -49,7 +49,7 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
     add("--flat", nargs=2, type=float, metavar=("NOISE", "MISSING"), help=text)
     add("--reference", metavar="NAME", help="compare the others with this solver (default: the last one)")
     add("--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well")
-    add_options(command, ("model", "detector", "threshold", "plain_detection", "landmark_model"))
+    add_options(command, ("model", "detector", "threshold", "plain_detection", "quality", "landmark_model"))
     add("--progress", choices=("bar", "json", "none"), default="bar", help="how to show progress")
 
 

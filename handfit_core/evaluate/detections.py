@@ -65,6 +65,7 @@ class UnitDetector:
                 str(options.max_hands),
                 repr(options.threshold),
                 str(options.plain_detection),
+                options.quality,
                 version("opencv-python-headless"),
                 code_digest(detect, media),
             )

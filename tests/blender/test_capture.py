@@ -243,12 +243,24 @@ def test_settings_become_the_options_of_the_worker(settings):
     settings.camera, settings.focal_length = "FOCAL", 72.0
     options = new_job(bpy.context, only_frame=False).options.to_message()
     assert options["solver"] == "paper-c"
+    assert "quality" not in options
     assert options["hand_length"] == pytest.approx(0.17)
     assert options["lens"] == pytest.approx([2.0, 0.5, 0.5])
-    settings.preset = "FAST"
-    options = new_job(bpy.context, only_frame=False).options.to_message()
-    assert options["plain_detection"] is True
-    assert "solver" not in options
+    for quality, expected in (
+        ("DRAFT", {"quality": "draft", "plain_detection": True}),
+        ("STANDARD", {}),
+        ("BEST", {"quality": "best"}),
+    ):
+        settings.preset = quality
+        options = new_job(bpy.context, only_frame=False).options.to_message()
+        others = ("quality", "plain_detection", "solver")
+        assert {name: value for name, value in options.items() if name in others} == expected
+
+
+def test_files_and_preferences_that_are_older_keep_their_quality(settings):
+    """They hold numbers: of Fast, of Best, which is Standard now, and of Paper."""
+    numbers = {item.identifier: item.value for item in settings.bl_rna.properties["preset"].enum_items}
+    assert numbers == {"DRAFT": 0, "STANDARD": 1, "PAPER": 2, "BEST": 3}
 
 
 def test_pictures_of_the_open_file_as_sources(settings, tmp_path):

@@ -32,7 +32,7 @@ def entry():
 def test_without_an_entry_the_defaults(registered):
     chosen = preferences.get()
     assert (chosen.mano_folder, chosen.python, chosen.threads) == ("", "", 0)
-    assert (chosen.default_preset, chosen.drop_captures) == ("BEST", True)
+    assert (chosen.default_preset, chosen.drop_captures) == ("STANDARD", True)
 
 
 def test_the_defaults_are_those_of_the_entry(entry):
@@ -63,11 +63,11 @@ def test_the_entry_is_found_by_the_name_of_the_addon(entry):
 def test_the_default_quality_is_for_scenes_without_one(entry):
     bpy.context.scene.manient.preset = "PAPER"
     other = bpy.data.scenes.new("Other")
-    entry.preferences.default_preset = "FAST"
+    entry.preferences.default_preset = "DRAFT"
     assert bpy.context.scene.manient.preset == "PAPER"
-    assert other.manient.preset == "FAST"
+    assert other.manient.preset == "DRAFT"
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert bpy.context.scene.manient.preset == "FAST"
+    assert bpy.context.scene.manient.preset == "DRAFT"
 
 
 def test_how_opaque_the_hand_is_can_be_set_where_keypoints_are_edited(entry, make_take):

@@ -30,6 +30,7 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "detector": ("mine", "mine", "mine"),
     "threshold": (1, "1", 1.0),
     "plain_detection": (True, "", True),
+    "quality": ("best", "best", "best"),
     "landmark_model": ("l.task", "l.task", "l.task"),
     "processes": (3, "3", 3),
     "solver": ("paper-a", "paper-a", "paper-a"),

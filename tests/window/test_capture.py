@@ -40,6 +40,11 @@ def test_video_with_progress(blender, make_clip):
     assert any(f"/{CLIP}" in text and "fps" in text and "left" in text for text in texts)
 
 
+def test_quality_is_chosen_from_a_list(blender, make_clip):
+    played = blender.play("capture.quality", source=make_clip(24)).value
+    assert played == {"first": "STANDARD", "chosen": "BEST", "asked": "best"}
+
+
 def test_another_programs_hands_without_a_size(blender, rendered_hand, tmp_path):
     track, path = Take.load(rendered_hand / "truth.take.npz").hands[0], tmp_path / "hands.json"
     hands = [{"handedness": track.side, "keypoints": points.tolist()} for points in track.keypoints_2d]

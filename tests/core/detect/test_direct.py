@@ -11,7 +11,7 @@ import pytest
 from handfit_core import capture, pipeline
 from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.detector import Detector, DetectorSettings
+from handfit_core.detect.detector import Detector, DetectorSettings, Quality
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import View, distance
 from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
@@ -202,9 +202,9 @@ def runs_of(finder: ClipFinder | StillFinder, monkeypatch: pytest.MonkeyPatch) -
     for name in counts:
         run = getattr(finder._networks, name)
 
-        def counted(*given: object, name: str = name, run=run):
+        def counted(*given: object, name: str = name, run=run, **told: object):
             counts[name] += 1
-            return run(*given)
+            return run(*given, **told)
 
         monkeypatch.setattr(finder._networks, name, counted)
     return counts
@@ -219,6 +219,53 @@ def test_a_followed_hand_costs_one_look_a_frame(networks: Networks, monkeypatch:
         assert counts == {"look": clips.SEARCH_EVERY - 1, "palms": 0}
         finder.find(picture(1 + clips.SEARCH_EVERY))
         assert counts == {"look": clips.SEARCH_EVERY, "palms": 1}
+
+
+def two_networks(networks: Networks) -> Networks:
+    if networks._hand_2020 is None:
+        pytest.skip("without the landmark network of December 2020 nothing differs")
+    return networks
+
+
+def test_a_hand_of_which_the_networks_differ_is_also_looked_at_mirrored(
+    networks: Networks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with clip_finder(two_networks(networks)) as finder:
+        finder.find(picture(1))
+        (once,) = finder.find(picture(2))
+    monkeypatch.setattr(clips, "DIFFER", 0.0)
+    with clip_finder(networks) as finder:
+        finder.find(picture(1))
+        counts = runs_of(finder, monkeypatch)
+        (hand,) = finder.find(picture(2))
+    assert counts["look"] == 2
+    assert hand.side == once.side
+    assert 0.0 < distance(hand, once) < 0.05
+    np.testing.assert_array_equal(hand.keypoints_2020, once.keypoints_2020)
+
+
+@pytest.mark.parametrize(("quality", "looks"), [("draft", 1), ("best", search.ALL_LOOKS)])
+def test_quality_says_how_often_a_followed_hand_is_looked_at(
+    quality: Quality, looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Networks(quality=quality) as chosen, clip_finder(chosen) as finder:
+        finder.find(picture(1))
+        counts = runs_of(finder, monkeypatch)
+        (hand,) = finder.find(picture(2))
+    assert counts == {"look": looks, "palms": 0}
+    assert (hand.spread is None) == (looks == 1)
+    assert (hand.keypoints_2020 is None) == (chosen._hand_2020 is None)
+
+
+def test_a_draft_of_a_photo_looks_once(stills: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
+    (sure,) = stills.find(picture(1))
+    with StillFinder(DetectorSettings(quality="draft")) as draft:
+        counts = runs_of(draft, monkeypatch)
+        (hand,) = draft.find(picture(1))
+    assert counts["look"] <= search.PASSES
+    assert hand.spread is None
+    assert hand.side == sure.side
+    assert distance(hand, sure) < 0.1
 
 
 def test_any_number_of_threads_finds_the_same(networks: Networks) -> None:

@@ -1,5 +1,7 @@
 """Looks at one hand agree and are averaged; what a view shows lies where its mapping says, and back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,7 +75,15 @@ def test_the_mean_of_looks() -> None:
     np.testing.assert_allclose(mean.world, SHAPE / 1000 + 6.0)
     assert mean.spread is not None
     np.testing.assert_allclose(mean.spread, np.tile([np.sqrt(24.0), 0.0, 0.0], (21, 1)), atol=1e-9)
+    assert mean.keypoints_2020 is None
     assert mean_of([hand(0)]).spread is None
+
+
+def test_what_the_network_of_2020_saw_stays_in_the_mean() -> None:
+    first, last = replace(hand(0), keypoints_2020=SHAPE), replace(hand(0), keypoints_2020=SHAPE + 4.0)
+    seen = mean_of([first, hand(6), last]).keypoints_2020
+    assert seen is not None
+    np.testing.assert_allclose(seen, SHAPE + 2.0)
 
 
 SQUARES = [(0.0, False), (np.pi / 2, False), (-np.pi / 4, True), (2.5, True)]

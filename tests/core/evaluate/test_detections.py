@@ -87,7 +87,8 @@ def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
     detect(still(picture), tmp_path, CaptureOptions(max_hands=1))
     detect(replace(still(picture), is_clip=True), tmp_path)
     detect(still(picture), tmp_path, CaptureOptions(plain_detection=True))
-    assert len(kept(tmp_path)) == 5
+    detect(still(picture), tmp_path, CaptureOptions(quality="draft"))
+    assert len(kept(tmp_path)) == 6
 
 
 def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:

@@ -440,3 +440,22 @@ def moved_file(stage, source):
     yield from stage.screenshot("moved")
     answer = yield from fails(stage, bpy.context.scene.manient.source, "moved")
     return {**answer, "before": before, "after": summary(), "name": job.name}
+
+
+def quality(stage, source):
+    """Best is chosen from the list, by its letter, and a clip is captured with it."""
+    yield from stage.open_sidebar()
+    settings = bpy.context.scene.manient
+    settings.source = source
+    yield 0.5
+    first = settings.preset
+    place = yield from stage.find_button("manient.preset", along=0.7)
+    assert place is not None, "the sidebar has no field Quality"
+    yield from stage.click(place)
+    yield 0.3
+    yield from stage.screenshot("quality-choices")
+    yield from stage.key("B")
+    yield 0.3
+    job = yield from capture(stage, source)
+    yield from stage.screenshot("quality-best")
+    return {"first": first, "chosen": settings.preset, "asked": job.options.quality}
