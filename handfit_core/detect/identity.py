@@ -1,0 +1,214 @@
+"""Which of two hands each detection is of, decided over a whole clip at once.
+
+Hands meet, hide each other and part, and a small fast hand is soon where the other one was: frame by frame,
+a track jumps. So the detections are shared between the hands in the way that is likeliest over all frames
+together, by how each hand then moves and by the sides that its detections name: Viterbi's algorithm, in which
+a state is the last detection of either hand.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.looks import Crowd
+from handfit_core.skeleton import SIDES
+
+SIDE_WEIGHT: Final = 0.25
+"""What a detection's word for a side counts: those of neighbouring frames are wrong together"""
+
+SUREST: Final = 0.95
+"""No detection, and no hand's share of detections of one side, counts as surer of a side than this"""
+
+FARTHEST: Final = 3.0
+"""Hand sizes from frame to frame, from which on all movements are as unlikely"""
+
+BEGINNING: Final = 1.0
+"""Another hand's first detection is as unlikely as a movement by so many hand sizes"""
+
+LEAST_MOTION: Final = 0.1
+"""Hand sizes a frame; what hands usually move is the clip's median, and no less"""
+
+GAP_MOTION: Final = 0.5
+"""What each frame in which a hand was not seen adds to how far it may have moved, as a share of that"""
+
+FORESIGHT: Final = 3
+"""Frames for which a hand may keep its velocity"""
+
+MOST_STATES: Final = 12
+"""The likeliest, which are gone on with"""
+
+MOST_WORSE: Final = 40.0
+"""What is less likely than the likeliest state by a factor of exp(40) is given up"""
+
+ROUNDS: Final = 3
+"""How often the hands' sides are learned anew from what was decided"""
+
+MOST_TRACKS: Final = 32
+"""The surest of a clip are looked at: most clips have two or four, and a crowd's would take long"""
+
+REACH: Final = 3.0
+"""Tracks come near each other where they are no more hand sizes apart than this"""
+
+SOON: Final = 12
+"""and no more frames"""
+
+Track = Mapping[int, HandDetection]
+"""A detection of each frame, in the order of frames"""
+
+
+def told_apart(tracks: Sequence[Track]) -> list[Track]:
+    """The same detections, in tracks that stay on their hands where two of them come near each other. A hand
+    that was lost for a moment is one track again. tracks: the surest first.
+
+    What a person has said of sides is never contradicted: no track has detections of two given sides, where
+    another one is near that they may be of.
+    """
+    told: list[Track] = list(tracks[MOST_TRACKS:])
+    for group in _pairs(tracks[:MOST_TRACKS]):
+        frames: dict[int, list[HandDetection]] = {}
+        for track in group:
+            for frame, hand in track.items():
+                frames.setdefault(frame, []).append(hand)
+        told += group if len(group) == 1 else _of_two(dict(sorted(frames.items())))
+    return told
+
+
+def _pairs(tracks: Sequence[Track]) -> list[list[Track]]:
+    """The tracks in groups, in none of which a frame has more than two hands: those that are near each other
+    most often are together, and so are their fragments."""
+    crowds = [Crowd.of(list(track.values())) for track in tracks]
+    frames = [np.array(list(track)) for track in tracks]
+    near: list[tuple[int, int, int]] = []
+    for one, other in combinations(range(len(tracks)), 2):
+        after = np.searchsorted(frames[other], frames[one])
+        theirs = np.stack([after - 1, after]).clip(0, len(frames[other]) - 1)
+        soon = np.abs(frames[other][theirs] - frames[one]) <= SOON
+        far = crowds[one].distances(np.nonzero(soon)[1], crowds[other], theirs[soon], REACH)
+        near.append((int(np.isfinite(far).sum()), one, other))
+    groups, of = [[track] for track in tracks], list(range(len(tracks)))
+    counts = [Counter(track.keys()) for track in tracks]
+    for meetings, *both in sorted(near, key=lambda pair: -pair[0]):
+        one, other = (of[track] for track in both)
+        if meetings and one != other and max((counts[one] + counts[other]).values()) <= 2:
+            groups[one] += groups[other]
+            counts[one] += counts[other]
+            groups[other] = []
+            of = [one if group == other else group for group in of]
+    return [group for group in groups if group]
+
+
+def _of_two(frames: Mapping[int, Sequence[HandDetection]]) -> list[Track]:
+    """Share the one or two detections of each frame, in the order of frames, between two hands, or one."""
+    seen = _Seen.of(frames)
+    both = np.array([np.sort(seen.left[rows]) for rows in seen.rows if len(rows) == 2]).reshape(-1, 2)
+    rates = both.mean(axis=0) if len(both) else np.array([1.0 - SUREST, SUREST])
+    owners = np.zeros(len(seen.left), dtype=int)
+    for _ in range(ROUNDS):
+        before, owners = owners, seen.owners(rates)
+        if np.array_equal(before, owners):
+            break
+        known = [seen.left[owners == hand] for hand in (0, 1)]
+        rates = np.array([left.mean() if len(left) else 0.5 for left in known])
+    hands = [(frame, hand) for frame, there in frames.items() for hand in there]
+    return [dict(hands[row] for row in np.flatnonzero(owners == i)) for i in (0, 1) if i in owners]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """N detections as arrays."""
+
+    rows: list[list[int]]
+    """of each frame"""
+    frame: list[int]
+    points: np.ndarray
+    """(N, 21) complex: x + iy, pixels"""
+    size: list[float]
+    """pixels"""
+    left: np.ndarray
+    """(N,) how sure it is that it is a left hand"""
+    given: np.ndarray
+    """(N, 2) bool: whether it cannot be of the first hand, or of the second, since a person has told them
+    apart"""
+
+    @classmethod
+    def of(cls, frames: Mapping[int, Sequence[HandDetection]]) -> _Seen:
+        hands = [hand for there in frames.values() for hand in there]
+        ends = np.cumsum([0, *(len(there) for there in frames.values())]).tolist()
+        given = np.array([[hand.given_side == side for side in SIDES] for hand in hands])
+        return cls(
+            [list(range(*ends)) for ends in pairwise(ends)],
+            [frame for frame, there in frames.items() for _ in there],
+            np.array([hand.keypoints_2d @ [1.0, 1.0j] for hand in hands]),
+            [max(hand.extent, 1e-9) for hand in hands],
+            np.clip([_left(hand) for hand in hands], 1.0 - SUREST, SUREST),
+            given & given.any(axis=0).all(),
+        )
+
+    def step(self, last: int, now: int, velocity: complex) -> tuple[float, complex]:
+        """By how many hand sizes a hand moved otherwise than expected, where `now` follows `last`, and its
+        velocity then, pixels a frame."""
+        gap = self.frame[now] - self.frame[last]
+        moved = self.points[now] - self.points[last]
+        off = np.abs(moved).mean()
+        if velocity:
+            off = min(off, np.abs(moved - velocity * min(gap, FORESIGHT)).mean())
+        far = min(off / max(self.size[last], self.size[now]), FARTHEST) / (1.0 + GAP_MOTION * (gap - 1))
+        return far, moved.mean() / gap if gap <= FORESIGHT else 0j
+
+    @property
+    def motion(self) -> float:
+        """Hand sizes that hands usually move from one frame to the next."""
+        steps = [
+            min(self.step(last, row, 0j)[0] for last in before)
+            for before, rows in pairwise(self.rows)
+            for row in rows
+            if self.frame[row] - self.frame[before[0]] == 1
+        ]
+        return max(LEAST_MOTION, float(np.median(steps)) if steps else 0.0)
+
+    def owners(self, rates: np.ndarray) -> np.ndarray:
+        """(N,) 0 or 1: whose each detection most likely is, where `rates` (2,) are the shares of the hands'
+        detections that are named left."""
+        rates, left = np.clip(rates, 1.0 - SUREST, SUREST), self.left[:, None]
+        words = -SIDE_WEIGHT * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
+        # The first hand is the one that is named right more often.
+        words = (words + 1000.0 * self.given).tolist()
+        motion = self.motion
+        states: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]]
+        states = {(-1, -1): (0.0, (0j, 0j), None)}
+        for rows in self.rows:
+            after: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]] = {}
+            for lasts, (cost, velocities, past) in states.items():
+                for first in (0, 1):
+                    total, now, moving = cost, list(lasts), list(velocities)
+                    for hand, row in zip((first, 1 - first), rows, strict=False):
+                        far = BEGINNING
+                        if lasts[hand] >= 0:
+                            far, moving[hand] = self.step(lasts[hand], row, velocities[hand])
+                        total += words[row][hand] + far / motion
+                        now[hand] = row
+                    key = now[0], now[1]
+                    if key not in after or total < after[key][0]:
+                        after[key] = total, (moving[0], moving[1]), (past, first)
+            best = sorted(after.items(), key=lambda state: state[1][0])[:MOST_STATES]
+            states = {key: state for key, state in best if state[0] <= best[0][1][0] + MOST_WORSE}
+        _, _, past = next(iter(states.values()))
+        owners = np.zeros(len(self.left), dtype=int)
+        for rows in reversed(self.rows):
+            past, first = past
+            owners[rows] = (first, 1 - first)[: len(rows)]
+        return owners
+
+
+def _left(hand: HandDetection) -> float:
+    if hand.given_side is not None:
+        return float(hand.given_side == "left")
+    votes = hand.side_votes()
+    return votes["left"] / max(sum(votes.values()), 1e-9)
