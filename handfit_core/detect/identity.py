@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations, groupby, pairwise, permutations
 from typing import Any, Final
 
 import numpy as np
@@ -47,6 +47,13 @@ MOST_STATES: Final = 12
 MOST_WORSE: Final = 40.0
 """What is less likely than the likeliest state by a factor of exp(40) is given up"""
 
+UNLIKE: Final = 0.2
+"""Hands whose shares of detections that are named left differ by less may be of one side, and sides tell
+nothing"""
+
+STRAYS: Final = 0.2
+"""Share of the frames with two hands or more that may have three, as if a face were taken for one"""
+
 ROUNDS: Final = 3
 """How often the hands' sides are learned anew from what was decided"""
 
@@ -72,16 +79,12 @@ def told_apart(tracks: Sequence[Track]) -> list[Track]:
     """
     told: list[Track] = list(tracks[MOST_TRACKS:])
     for group in _pairs(tracks[:MOST_TRACKS]):
-        frames: dict[int, list[HandDetection]] = {}
-        for track in group:
-            for frame, hand in track.items():
-                frames.setdefault(frame, []).append(hand)
-        told += group if len(group) == 1 else _of_two(dict(sorted(frames.items())))
+        told += group if len(group) == 1 else _of_two(group)
     return told
 
 
 def _pairs(tracks: Sequence[Track]) -> list[list[Track]]:
-    """The tracks in groups, in none of which a frame has more than two hands: those that are near each other
+    """The tracks in groups, in few of which a frame has more than two hands: those that are near each other
     most often are together, and so are their fragments."""
     crowds = [Crowd.of(list(track.values())) for track in tracks]
     frames = [np.array(list(track)) for track in tracks]
@@ -96,7 +99,10 @@ def _pairs(tracks: Sequence[Track]) -> list[list[Track]]:
     counts = [Counter(track.keys()) for track in tracks]
     for meetings, *both in sorted(near, key=lambda pair: -pair[0]):
         one, other = (of[track] for track in both)
-        if meetings and one != other and max((counts[one] + counts[other]).values()) <= 2:
+        if not meetings or one == other:
+            continue
+        many = np.bincount(list((counts[one] + counts[other]).values()), minlength=4)
+        if len(many) == 4 and many[3] <= STRAYS * many[2:].sum():
             groups[one] += groups[other]
             counts[one] += counts[other]
             groups[other] = []
@@ -104,20 +110,27 @@ def _pairs(tracks: Sequence[Track]) -> list[list[Track]]:
     return [group for group in groups if group]
 
 
-def _of_two(frames: Mapping[int, Sequence[HandDetection]]) -> list[Track]:
-    """Share the one or two detections of each frame, in the order of frames, between two hands, or one."""
-    seen = _Seen.of(frames)
+def _of_two(tracks: Sequence[Track]) -> list[Track]:
+    """The same detections in tracks of two hands, and of what is left in frames that have three."""
+    hands = sorted(
+        ((frame, number, hand) for number, track in enumerate(tracks) for frame, hand in track.items()),
+        key=lambda each: each[:2],
+    )
+    seen = _Seen.of([(frame, hand) for frame, _, hand in hands])
     both = np.array([np.sort(seen.left[rows]) for rows in seen.rows if len(rows) == 2]).reshape(-1, 2)
     rates = both.mean(axis=0) if len(both) else np.array([1.0 - SUREST, SUREST])
-    owners = np.zeros(len(seen.left), dtype=int)
+    owners = np.zeros(0, dtype=int)
     for _ in range(ROUNDS):
+        if rates[1] - rates[0] < UNLIKE:
+            rates[:] = rates.mean()
         before, owners = owners, seen.owners(rates)
         if np.array_equal(before, owners):
             break
-        known = [seen.left[owners == hand] for hand in (0, 1)]
-        rates = np.array([left.mean() if len(left) else 0.5 for left in known])
-    hands = [(frame, hand) for frame, there in frames.items() for hand in there]
-    return [dict(hands[row] for row in np.flatnonzero(owners == i)) for i in (0, 1) if i in owners]
+        rates = np.array([seen.left[owners == i].mean() if i in owners else 0.5 for i in (0, 1)])
+    told: dict[int, dict[int, HandDetection]] = {}
+    for (frame, number, hand), owner in zip(hands, owners.tolist(), strict=True):
+        told.setdefault(owner if owner >= 0 else -1 - number, {})[frame] = hand
+    return list(told.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,16 +151,16 @@ class _Seen:
     apart"""
 
     @classmethod
-    def of(cls, frames: Mapping[int, Sequence[HandDetection]]) -> _Seen:
-        hands = [hand for there in frames.values() for hand in there]
-        ends = np.cumsum([0, *(len(there) for there in frames.values())]).tolist()
-        given = np.array([[hand.given_side == side for side in SIDES] for hand in hands])
+    def of(cls, hands: Sequence[tuple[int, HandDetection]]) -> _Seen:
+        """Detections and their frames, in order."""
+        frame = [frame for frame, _ in hands]
+        given = np.array([[hand.given_side == side for side in SIDES] for _, hand in hands])
         return cls(
-            [list(range(*ends)) for ends in pairwise(ends)],
-            [frame for frame, there in frames.items() for _ in there],
-            np.array([hand.keypoints_2d @ [1.0, 1.0j] for hand in hands]),
-            [max(hand.extent, 1e-9) for hand in hands],
-            np.clip([_left(hand) for hand in hands], 1.0 - SUREST, SUREST),
+            [list(rows) for _, rows in groupby(range(len(frame)), frame.__getitem__)],
+            frame,
+            np.array([hand.keypoints_2d @ [1.0, 1.0j] for _, hand in hands]),
+            [max(hand.extent, 1e-9) for _, hand in hands],
+            np.clip([_left(hand) for _, hand in hands], 1.0 - SUREST, SUREST),
             given & given.any(axis=0).all(),
         )
 
@@ -175,7 +188,7 @@ class _Seen:
 
     def owners(self, rates: np.ndarray) -> np.ndarray:
         """(N,) 0 or 1: whose each detection most likely is, where `rates` (2,) are the shares of the hands'
-        detections that are named left."""
+        detections that are named left; -1: of neither, since both have a likelier one in that frame."""
         rates, left = np.clip(rates, 1.0 - SUREST, SUREST), self.left[:, None]
         words = -SIDE_WEIGHT * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
         # The first hand is the one that is named right more often.
@@ -184,11 +197,14 @@ class _Seen:
         states: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]]
         states = {(-1, -1): (0.0, (0j, 0j), None)}
         for rows in self.rows:
+            choices = list(permutations(rows, 2)) if len(rows) > 1 else [(rows[0], -1), (-1, rows[0])]
             after: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]] = {}
             for lasts, (cost, velocities, past) in states.items():
-                for first in (0, 1):
+                for choice in choices:
                     total, now, moving = cost, list(lasts), list(velocities)
-                    for hand, row in zip((first, 1 - first), rows, strict=False):
+                    for hand, row in enumerate(choice):
+                        if row < 0:
+                            continue
                         far = BEGINNING
                         if lasts[hand] >= 0:
                             far, moving[hand] = self.step(lasts[hand], row, velocities[hand])
@@ -196,14 +212,16 @@ class _Seen:
                         now[hand] = row
                     key = now[0], now[1]
                     if key not in after or total < after[key][0]:
-                        after[key] = total, (moving[0], moving[1]), (past, first)
+                        after[key] = total, (moving[0], moving[1]), (past, choice)
             best = sorted(after.items(), key=lambda state: state[1][0])[:MOST_STATES]
             states = {key: state for key, state in best if state[0] <= best[0][1][0] + MOST_WORSE}
         _, _, past = next(iter(states.values()))
-        owners = np.zeros(len(self.left), dtype=int)
-        for rows in reversed(self.rows):
-            past, first = past
-            owners[rows] = (first, 1 - first)[: len(rows)]
+        owners = np.full(len(self.left), -1)
+        while past is not None:
+            past, choice = past
+            for hand, row in enumerate(choice):
+                if row >= 0:
+                    owners[row] = hand
         return owners
 
 
