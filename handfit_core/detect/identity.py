@@ -35,8 +35,14 @@ BEGINNING: Final = 1.0
 LEAST_MOTION: Final = 0.1
 """Hand sizes a frame; what hands usually move is the clip's median, and no less"""
 
+LEAST_CHANGE: Final = 0.05
+"""The same of how much their points move about their middle: a left hand is never the shape of a right one"""
+
 GAP_MOTION: Final = 0.5
 """What each frame in which a hand was not seen adds to how far it may have moved, as a share of that"""
+
+LOST: Final = 0.15
+"""To be lost for frames and found again is as unlikely as a movement by so many hand sizes"""
 
 FORESIGHT: Final = 3
 """Frames for which a hand may keep its velocity"""
@@ -164,27 +170,29 @@ class _Seen:
             given & given.any(axis=0).all(),
         )
 
-    def step(self, last: int, now: int, velocity: complex) -> tuple[float, complex]:
-        """By how many hand sizes a hand moved otherwise than expected, where `now` follows `last`, and its
-        velocity then, pixels a frame."""
-        gap = self.frame[now] - self.frame[last]
+    def step(self, last: int, now: int, velocity: complex) -> tuple[float, float, complex]:
+        """By how many hand sizes a hand moved otherwise than expected, where `now` follows `last`; how much
+        its points moved about their middle, in the same units; its velocity then, pixels a frame."""
+        gap, size = self.frame[now] - self.frame[last], max(self.size[last], self.size[now])
         moved = self.points[now] - self.points[last]
-        off = np.abs(moved).mean()
-        if velocity:
-            off = min(off, np.abs(moved - velocity * min(gap, FORESIGHT)).mean())
-        far = min(off / max(self.size[last], self.size[now]), FARTHEST) / (1.0 + GAP_MOTION * (gap - 1))
-        return far, moved.mean() / gap if gap <= FORESIGHT else 0j
+        middle = complex(moved.mean())
+        off = min(abs(middle), abs(middle - velocity * min(gap, FORESIGHT)))
+        longer = 1.0 + GAP_MOTION * (gap - 1)
+        far = min(off / size, FARTHEST) / longer + LOST * (gap > 1)
+        changed = float(np.abs(moved - middle).mean()) / size / longer
+        return far, changed, middle / gap if gap <= FORESIGHT else 0j
 
     @property
-    def motion(self) -> float:
-        """Hand sizes that hands usually move from one frame to the next."""
+    def usual(self) -> tuple[float, float]:
+        """Hand sizes that hands usually move and change from one frame to the next."""
         steps = [
-            min(self.step(last, row, 0j)[0] for last in before)
+            min((self.step(last, row, 0j)[:2] for last in before), key=sum)
             for before, rows in pairwise(self.rows)
             for row in rows
             if self.frame[row] - self.frame[before[0]] == 1
         ]
-        return max(LEAST_MOTION, float(np.median(steps)) if steps else 0.0)
+        motion, change = np.median(steps, axis=0) if steps else (0.0, 0.0)
+        return max(LEAST_MOTION, float(motion)), max(LEAST_CHANGE, float(change))
 
     def owners(self, rates: np.ndarray) -> np.ndarray:
         """(N,) 0 or 1: whose each detection most likely is, where `rates` (2,) are the shares of the hands'
@@ -193,7 +201,7 @@ class _Seen:
         words = -SIDE_WEIGHT * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
         # The first hand is the one that is named right more often.
         words = (words + 1000.0 * self.given).tolist()
-        motion = self.motion
+        motion, change = self.usual
         states: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]]
         states = {(-1, -1): (0.0, (0j, 0j), None)}
         for rows in self.rows:
@@ -205,10 +213,10 @@ class _Seen:
                     for hand, row in enumerate(choice):
                         if row < 0:
                             continue
-                        far = BEGINNING
+                        far, changed = BEGINNING, 0.0
                         if lasts[hand] >= 0:
-                            far, moving[hand] = self.step(lasts[hand], row, velocities[hand])
-                        total += words[row][hand] + far / motion
+                            far, changed, moving[hand] = self.step(lasts[hand], row, velocities[hand])
+                        total += words[row][hand] + far / motion + changed / change
                         now[hand] = row
                     key = now[0], now[1]
                     if key not in after or total < after[key][0]:
