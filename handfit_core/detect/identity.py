@@ -72,6 +72,9 @@ REACH: Final = 3.0
 SOON: Final = 12
 """and no more frames"""
 
+PARTNERS: Final = 3
+"""So often each track is told apart from another one: as often as two people have other hands"""
+
 Track = Mapping[int, HandDetection]
 """A detection of each frame, in the order of frames"""
 
@@ -83,15 +86,24 @@ def told_apart(tracks: Sequence[Track]) -> list[Track]:
     What a person has said of sides is never contradicted: no track has detections of two given sides, where
     another one is near that they may be of.
     """
-    told: list[Track] = list(tracks[MOST_TRACKS:])
-    for group in _pairs(tracks[:MOST_TRACKS]):
-        told += group if len(group) == 1 else _of_two(group)
-    return told
+    surest: list[Track] = list(tracks[:MOST_TRACKS])
+    apart: set[tuple[int, int]] = set()
+    for _ in range(PARTNERS):
+        groups, surest = _pairs(surest, apart), []
+        apart = set()
+        for group in groups:
+            if len(group) > 1:
+                group = _of_two(group)
+                apart.add((len(surest), len(surest) + 1))
+            surest += group
+        if not apart:
+            break
+    return [*surest, *tracks[MOST_TRACKS:]]
 
 
-def _pairs(tracks: Sequence[Track]) -> list[list[Track]]:
-    """The tracks in groups, in few of which a frame has more than two hands: those that are near each other
-    most often are together, and so are their fragments."""
+def _pairs(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Track]]:
+    """The tracks in groups, in few frames of which there are more than two hands: those that are near each
+    other most often, unless they have just been told `apart`, and their fragments."""
     crowds = [Crowd.of(list(track.values())) for track in tracks]
     frames = [np.array(list(track)) for track in tracks]
     near: list[tuple[int, int, int]] = []
@@ -100,7 +112,8 @@ def _pairs(tracks: Sequence[Track]) -> list[list[Track]]:
         theirs = np.stack([after - 1, after]).clip(0, len(frames[other]) - 1)
         soon = np.abs(frames[other][theirs] - frames[one]) <= SOON
         far = crowds[one].distances(np.nonzero(soon)[1], crowds[other], theirs[soon], REACH)
-        near.append((int(np.isfinite(far).sum()), one, other))
+        if (one, other) not in apart:
+            near.append((int(np.isfinite(far).sum()), one, other))
     groups, of = [[track] for track in tracks], list(range(len(tracks)))
     counts = [Counter(track.keys()) for track in tracks]
     for meetings, *both in sorted(near, key=lambda pair: -pair[0]):
