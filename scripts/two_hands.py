@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Two hands of one person that cross, pass, clap, wring and interlock: how well captures tell them apart.
+"""Two hands of one person that meet in many ways: how well captures tell them apart.
 
-    python scripts/two_hands.py [--clips 5] [--detector direct]
+    python scripts/two_hands.py [--clips 5] [--detector direct] [--fps 25] [--away 0.6]
 
 Clips are painted, so that the truth is known; the same numbers paint the same clips. For each kind:
 
@@ -9,7 +9,8 @@ Clips are painted, so that the truth is known; the same numbers paint the same c
   in other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent
   of the hand's size;
 * switched: how often a track goes on with the other hand; sides: frames of tracks of the wrong side;
-* astray: poses that are nearer to no hand than 0.4 of its size.
+* astray: poses that are nearer to no hand than 0.4 of its size;
+* own: share of the hands, in all frames, that are in a track of their side.
 """
 
 from __future__ import annotations
@@ -260,6 +261,7 @@ def measured(shot: Shot, detector: str) -> Counter[str]:
         known = own[own >= 0]
         hand = int(np.bincount(known, minlength=2).argmax())
         sums["switched"] += int(np.count_nonzero(np.diff(known)))
+        sums["own"] += int(np.count_nonzero(known == SIDES.index(track.side)))
         sums["sides"] += int(track.detected.sum()) * int(track.side != SIDES[hand])
         for t in np.flatnonzero(track.present):
             posed = track.joints_3d[t]
@@ -295,14 +297,17 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="two_hands.py", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--clips", type=int, default=5, help="clips of each kind (default 5)")
     parser.add_argument("--detector", default="direct", help="as of a capture (default direct)")
+    parser.add_argument("--fps", type=float, default=FPS, help="pictures a second (default 25)")
+    parser.add_argument("--away", type=float, default=AWAY, help="metres to the hands (default 0.6)")
+    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), help="default all")
     args = parser.parse_args(argv)
-    print("| clips | near: posed | PA | 2D % | apart: posed | PA | 2D % | switched | sides | astray |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print("| clips | near: posed | PA | 2D % | apart: posed | PA | 2D % | switched | sides | astray | own |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
     whole: Counter[str] = Counter()
-    for kind in KINDS:
+    for kind in args.kinds:
         sums: Counter[str] = Counter()
         for seed in range(args.clips):
-            sums += measured(clip(kind, seed), args.detector)
+            sums += measured(clip(kind, seed, fps=args.fps, away=args.away), args.detector)
         whole += sums
         print(_row(kind, sums), flush=True)
     print(_row("all", whole))
@@ -315,7 +320,9 @@ def _row(name: str, sums: Counter[str]) -> str:
         posed = sums[f"{frames} posed"]
         cells.append(f"{posed / sums[f'{frames} hands']:.3f}" if sums[f"{frames} hands"] else "-")
         cells += [f"{sums[f'{frames} {what}'] / posed:.2f}" if posed else "-" for what in ("PA", "2D")]
-    return "| " + " | ".join([*cells, *(str(sums[name]) for name in ("switched", "sides", "astray"))]) + " |"
+    cells += [str(sums[name]) for name in ("switched", "sides", "astray")]
+    hands = sums["near hands"] + sums["apart hands"]
+    return "| " + " | ".join([*cells, f"{sums['own'] / hands:.3f}"]) + " |"
 
 
 if __name__ == "__main__":

@@ -67,7 +67,6 @@ SCENES = {
     "often lost": Scene(dropped=0.25),
     "a face taken for a hand": Scene(faces=0.03),
     "two left hands": Scene(("left", "left"), fps=12.0),
-    "two people": Scene(("left", "right", "left", "right"), fps=20.0, seconds=8.0),
 }
 
 
