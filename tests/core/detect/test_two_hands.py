@@ -36,8 +36,10 @@ def test_clips_are_the_same_again_and_hands_meet(kind: str) -> None:
     first, again = clip(kind, 2, frames=50, size=64), clip(kind, 2, frames=50, size=64)
     one, other = (hand.keypoints() for hand in first.hands)
     np.testing.assert_array_equal(one, again.hands[0].keypoints())
-    apart = np.linalg.norm(one.mean(axis=1) - other.mean(axis=1), axis=-1)
-    assert apart.min() < 0.12 < apart.max()  # metres
+    apart = np.linalg.norm((one - other).mean(axis=1)[:, :2], axis=-1)
+    assert (
+        apart.min() < 0.12 < apart.max() or kind == "leave"
+    )  # metres; there one is away when the other comes
     np.testing.assert_array_equal(next(pictures(first)), next(pictures(again)))
 
 
