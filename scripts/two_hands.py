@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Two hands of one person that cross, pass, clap, wring and interlock: how well captures tell them apart.
+"""Two hands of one person that meet in many ways: how well captures tell them apart.
 
-    python scripts/two_hands.py [--clips 5] [--detector direct]
+    python scripts/two_hands.py [--clips 5] [--detector direct] [--fps 25] [--away 0.6]
 
 Clips are painted, so that the truth is known; the same numbers paint the same clips. For each kind:
 
@@ -9,7 +9,8 @@ Clips are painted, so that the truth is known; the same numbers paint the same c
   in other frames; PA-MPJPE in mm; mean distance of their keypoints from the truth in the picture, in percent
   of the hand's size;
 * switched: how often a track goes on with the other hand; sides: frames of tracks of the wrong side;
-* astray: poses that are nearer to no hand than 0.4 of its size.
+* astray: poses that are nearer to no hand than 0.4 of its size;
+* own: share of the hands, in all frames, that are in a track of their side.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from scripts.benchmark.arm import build_arm, forearm_direction
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles, model_of, within_limits
 from scripts.benchmark.people import random_betas
 from scripts.benchmark.poses import random_pose
-from scripts.benchmark.shots import Shot, ShotHand
+from scripts.benchmark.shots import FPS, Shot, ShotHand
 from scripts.training.painter import paint
 
 SIZE: Final = 512
@@ -121,17 +122,57 @@ def _interlock(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
     return Way(INWARDS[side] + 0.35 * UP, AHEAD + rng.normal(0, 0.1, 3), palm, "open", 0.7 * (1 - apart))
 
 
+def _hide(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    """The left hand goes behind the right one, waits there, and comes out where it went in or beyond."""
+    through = rng.random() < 0.5
+    if side == "right":
+        palm = np.tile(0.08 * AHEAD, (len(t), 1))
+    else:
+        phase = (t % (2 * PERIOD)) / (2 * PERIOD)
+        out = np.clip(np.stack([1 - 4 * phase, 4 * phase - 3]), 0.0, 1.0)
+        palm = 0.2 * (out[0] + (-1 if through else 1) * out[1])[:, None] * INWARDS["right"] - 0.03 * AHEAD
+    return Way(UP + rng.normal(0, 0.25, 3), rng.choice([-1, 1]) * AHEAD, palm)
+
+
+def _leave(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    """The right hand leaves the picture; the left one moves to where that was, and it comes back to where the
+    left one was."""
+    phase = 1 - np.abs(1 - t / (1.5 * PERIOD) % 2)
+    if side == "left":
+        x = 0.1 - 0.2 * np.clip(5 * phase - 2, 0, 1)
+        palm = x[:, None] * INWARDS["right"]
+    else:
+        out = np.clip(4 * phase - 0.4, 0, 1) - np.clip(4 * phase - 2.8, 0, 1)
+        x = np.where(phase < 0.5, -0.1, 0.1)
+        palm = x[:, None] * INWARDS["right"] + 0.5 * out[:, None] * np.array([0.0, 1.0, 0.0])
+    return Way(UP + rng.normal(0, 0.25, 3), rng.choice([-1, 1]) * AHEAD, palm)
+
+
+def _roam(side: Side, t: np.ndarray, rng: np.random.Generator) -> Way:
+    """Both move about widely, each on its own way, which often cross."""
+    depth = 0.06 * (1 if side == "left" else -1)
+    turns, phases = PERIOD * rng.uniform(0.6, 1.4, (3, 2)), rng.uniform(0, 2 * np.pi, (3, 2))
+    waves = np.sin(2 * np.pi * t[:, None, None] / turns + phases).mean(axis=1)
+    palm = np.column_stack([0.35 * waves, np.full(len(t), depth)]) - 0.06 * INWARDS[side]
+    return Way(UP + rng.normal(0, 0.3, 3), rng.choice([-1, 1]) * AHEAD, palm)
+
+
 KINDS: Final[dict[str, Callable[[Side, np.ndarray, np.random.Generator], Way]]] = {
     "cross": _cross,
     "pass": _pass,
     "clap": _clap,
     "wring": _wring,
     "interlock": _interlock,
+    "hide": _hide,
+    "leave": _leave,
+    "roam": _roam,
 }
 
 
-def clip(kind: str, seed: int, frames: int = FRAMES, size: int = SIZE) -> Shot:
-    """Two hands over `frames` key frames, which are its pictures."""
+def clip(
+    kind: str, seed: int, frames: int = FRAMES, size: int = SIZE, fps: float = FPS, away: float = AWAY
+) -> Shot:
+    """Two hands over `frames` key frames, which are its pictures, so many metres from the camera."""
     rng = np.random.default_rng([seed, list(KINDS).index(kind)])
     betas = random_betas(rng)
     # From the front, or over the person's own shoulder; a little from the side.
@@ -139,14 +180,14 @@ def clip(kind: str, seed: int, frames: int = FRAMES, size: int = SIZE) -> Shot:
     camera_turn = rotvec_to_rotmat(np.array([rng.normal(0, 0.2), 0.0, 0.0])) @ rotvec_to_rotmat(
         np.array([0.0, turn, 0.0])
     )
-    t = np.arange(frames, dtype=float)
+    t = np.arange(frames) * FPS / fps
     hands = []
     for side in SIDES:
         way = KINDS[kind](side, t, rng)
         fingers, back, palm = (
             np.broadcast_to(v, (frames, 3)) @ camera_turn.T for v in (way.fingers, way.back, way.palm)
         )
-        hands.append(_hand(side, betas, replace(way, fingers=fingers, back=back, palm=palm), rng))
+        hands.append(_hand(side, betas, replace(way, fingers=fingers, back=back, palm=palm), t, away, rng))
     return Shot(
         files=tuple(f"{kind}/{seed}/{n:04d}" for n in range(frames)),
         clip=None,
@@ -160,7 +201,9 @@ def clip(kind: str, seed: int, frames: int = FRAMES, size: int = SIZE) -> Shot:
     )
 
 
-def _hand(side: Side, betas: np.ndarray, way: Way, rng: np.random.Generator) -> ShotHand:
+def _hand(
+    side: Side, betas: np.ndarray, way: Way, t: np.ndarray, away: float, rng: np.random.Generator
+) -> ShotHand:
     model = model_of(side)
     shaped = model.shaped(betas)
     along = way.fingers / np.linalg.norm(way.fingers, axis=1, keepdims=True)
@@ -168,13 +211,13 @@ def _hand(side: Side, betas: np.ndarray, way: Way, rng: np.random.Generator) -> 
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     # The model's fingers point to -x (right) or x (left), its back to y.
     x = along if side == "left" else -along
-    trembling = rotvec_to_rotmat(0.04 * np.sin(np.arange(len(x))[:, None] / 6.0 + rng.uniform(0, 6, 3)))
+    trembling = rotvec_to_rotmat(0.04 * np.sin(t[:, None] / 6.0 + rng.uniform(0, 6, 3)))
     rotation = trembling @ np.stack([x, up, np.cross(x, up)], axis=-1)
     angles = np.repeat(random_pose(way.pose, RightHand(betas), rng)[None], len(x), axis=0)
     angles[:, [0, 3, 6, 9], 2] += np.broadcast_to(way.bend, len(x))[:, None]
-    angles[:, :, 2] += 0.08 * np.sin(np.arange(len(x))[:, None] / 8.0 + rng.uniform(0, 6, 15))
+    angles[:, :, 2] += 0.08 * np.sin(t[:, None] / 8.0 + rng.uniform(0, 6, 15))
     middle = (shaped.joints[4] - shaped.joints[0]) / 2.0
-    centre = np.array([0.0, 0.0, AWAY]) + way.palm
+    centre = np.array([0.0, 0.0, away]) + way.palm
     flexion, deviation = np.clip(rng.normal(0, [0.3, 0.12]), -0.6, 0.6)
     direction = forearm_direction(flexion, deviation, side)
     sleeve = (rng.uniform(0.0, 0.1), rng.uniform(0.004, 0.012)) if rng.random() < 0.6 else None
@@ -218,6 +261,7 @@ def measured(shot: Shot, detector: str) -> Counter[str]:
         known = own[own >= 0]
         hand = int(np.bincount(known, minlength=2).argmax())
         sums["switched"] += int(np.count_nonzero(np.diff(known)))
+        sums["own"] += int(np.count_nonzero(known == SIDES.index(track.side)))
         sums["sides"] += int(track.detected.sum()) * int(track.side != SIDES[hand])
         for t in np.flatnonzero(track.present):
             posed = track.joints_3d[t]
@@ -253,14 +297,17 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="two_hands.py", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--clips", type=int, default=5, help="clips of each kind (default 5)")
     parser.add_argument("--detector", default="direct", help="as of a capture (default direct)")
+    parser.add_argument("--fps", type=float, default=FPS, help="pictures a second (default 25)")
+    parser.add_argument("--away", type=float, default=AWAY, help="metres to the hands (default 0.6)")
+    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), help="default all")
     args = parser.parse_args(argv)
-    print("| clips | near: posed | PA | 2D % | apart: posed | PA | 2D % | switched | sides | astray |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print("| clips | near: posed | PA | 2D % | apart: posed | PA | 2D % | switched | sides | astray | own |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
     whole: Counter[str] = Counter()
-    for kind in KINDS:
+    for kind in args.kinds:
         sums: Counter[str] = Counter()
         for seed in range(args.clips):
-            sums += measured(clip(kind, seed), args.detector)
+            sums += measured(clip(kind, seed, fps=args.fps, away=args.away), args.detector)
         whole += sums
         print(_row(kind, sums), flush=True)
     print(_row("all", whole))
@@ -273,7 +320,9 @@ def _row(name: str, sums: Counter[str]) -> str:
         posed = sums[f"{frames} posed"]
         cells.append(f"{posed / sums[f'{frames} hands']:.3f}" if sums[f"{frames} hands"] else "-")
         cells += [f"{sums[f'{frames} {what}'] / posed:.2f}" if posed else "-" for what in ("PA", "2D")]
-    return "| " + " | ".join([*cells, *(str(sums[name]) for name in ("switched", "sides", "astray"))]) + " |"
+    cells += [str(sums[name]) for name in ("switched", "sides", "astray")]
+    hands = sums["near hands"] + sums["apart hands"]
+    return "| " + " | ".join([*cells, f"{sums['own'] / hands:.3f}"]) + " |"
 
 
 if __name__ == "__main__":

@@ -183,14 +183,16 @@ class ClipFinder(Detector):
 
     def _follow(self, rgb: np.ndarray) -> list[Followed]:
         """Look for the followed hands where they should be; returns those that are not there."""
-        lost, self.followed, before = [], [], self.followed
+        self.followed, before = [], self.followed
         hands = self._networks.each(lambda networks, followed: there(networks, rgb, followed), before)
-        for followed, hand in zip(before, hands, strict=True):
-            if hand is None or meets(hand, [other.last for other in self.followed]):
-                lost.append(followed)
-            else:
+        found = [(f, hand) for f, hand in zip(before, hands, strict=True) if hand is not None]
+        # Of two that are found in one place, the one that has come farther has taken the other for itself.
+        for followed, hand in sorted(found, key=lambda each: distance(each[0].last, each[1])):
+            if not meets(hand, [other.last for other in self.followed]):
                 followed.seen(hand)
                 self.followed.append(followed)
+        self.followed = [followed for followed in before if followed in self.followed]
+        lost = [followed for followed in before if followed not in self.followed]
         for followed in lost:
             followed.beside = any(distance(followed.last, other.last) < BESIDE for other in self.followed)
         return lost

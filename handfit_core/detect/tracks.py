@@ -6,14 +6,15 @@ are wrong now and then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 
+from handfit_core.detect.identity import told_apart
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.looks import THICKNESS, Crowd, distance, overlapped
+from handfit_core.detect.looks import THICKNESS, Crowd, overlapped
 from handfit_core.errors import NoHandFoundError
 from handfit_core.options import HandChoice
 from handfit_core.skeleton import SIDES, Side, other_side
@@ -61,6 +62,14 @@ class _OpenTrack:
     detections: dict[int, HandDetection] = field(default_factory=dict)
     """in the order of frames"""
     side_votes: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
+
+    @classmethod
+    def of(cls, detections: Mapping[int, HandDetection]) -> _OpenTrack:
+        """Of these, in the order of frames."""
+        track = cls()
+        for frame, detection in detections.items():
+            track.add(frame, detection)
+        return track
 
     @property
     def given_side(self) -> Side | None:
@@ -137,8 +146,10 @@ def link_and_count(
     """`link_tracks`, and among how many hands of the whole clip (of that side) it chose. `only_shown`: among
     those that a person has said to be there."""
     merging = _Merging(_link([without_duplicates(frame) for frame in frames]))
-    for one_hand in (_Merging.overlapping, _Merging.adjoining, _Merging.returning):
-        merging.merge(one_hand)
+    merging.merge(_Merging.overlapping)
+    surest = sorted(merging.tracks, key=lambda track: track.weight, reverse=True)
+    merging = _Merging([_OpenTrack.of(each) for each in told_apart([t.detections for t in surest])])
+    merging.merge(_Merging.returning)
     tracks = merging.tracks
     if only_shown:
         tracks = [track for track in tracks if track.shown]
@@ -339,22 +350,6 @@ class _Merging:
         of, count = self._of[theirs], len(self._tracks)
         return np.flatnonzero(2 * np.bincount(of[same], minlength=count) > np.bincount(of, minlength=count))
 
-    def adjoining(self, mine: np.ndarray) -> np.ndarray:
-        """Of one hand that was lost for a moment, and found near there, perhaps as one of the other side."""
-        theirs = np.flatnonzero(self._apart(mine)[self._of])
-        if not len(theirs):
-            return theirs
-        after = np.searchsorted(self._frame[mine], self._frame[theirs])
-        theirs, mine = np.tile(theirs, 2), mine.take(np.concatenate([after - 1, after]), mode="clip")
-        soon = np.abs(self._frame[theirs] - self._frame[mine]) <= SHORT_GAP
-        theirs, mine = theirs[soon], mine[soon]
-        near = np.isfinite(self._crowd.distances(theirs, self._crowd, mine, _limit(SHORT_GAP)))
-        maybe = np.unique(self._of[theirs[near]])
-        for number in maybe[np.argsort(self._places[maybe])].tolist():
-            if _adjoin(self._tracks[number], self._tracks[int(self._of[mine[0]])]):
-                return np.array([number])
-        return maybe[:0]
-
     def returning(self, mine: np.ndarray) -> np.ndarray:
         """Of a left hand that leaves the picture and a left hand that enters later."""
         return np.flatnonzero(self._apart(mine)[:-1] & (self._sides == self._sides[self._of[mine[0]]]))
@@ -372,14 +367,3 @@ class _Merging:
         apart = self._places < len(self._tracks)
         apart[self._of[self._beside(mine)[1]]] = False
         return apart
-
-
-def _adjoin(a: _OpenTrack, b: _OpenTrack) -> bool:
-    """One hand that was lost for a moment, and found near there, perhaps as one of the other side."""
-    if a.detections.keys() & b.detections.keys():
-        return False
-    frames = sorted((frame, track is b) for track in (a, b) for frame in track.detections)
-    turns = [(j - i, i, j) for (i, mine), (j, other) in pairwise(frames) if mine != other]
-    gap, i, j = min(turns)
-    before, after = (a, b) if i in a.detections else (b, a)
-    return gap <= SHORT_GAP and distance(before.detections[i], after.detections[j]) < _limit(gap)
