@@ -490,10 +490,10 @@ def test_another_hand_gets_the_shown_motion(make_take):
     apply_hand(target, source, "ANIMATION", 1.0)
     for frame in FRAMES[:3]:
         bpy.context.scene.frame_set(int(frame))
-        np.testing.assert_allclose(bends(target), bends(source), atol=0.1)  # of two shapes
+        np.testing.assert_allclose(bends(target), bends(source), atol=0.3)  # of two shapes
     apply_hand(target, source, "POSE", 7.0)
     bpy.context.scene.frame_set(7)
-    np.testing.assert_allclose(bends(target), bends(source), atol=0.1)  # of two shapes
+    np.testing.assert_allclose(bends(target), bends(source), atol=0.3)  # of two shapes
 
 
 def test_a_pose_asset_has_the_shown_pose(hand):

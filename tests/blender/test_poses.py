@@ -37,6 +37,11 @@ def hand(request, make_take, model):
     return armature, request.param, load_model(model, request.param)
 
 
+def relaxed(side) -> np.ndarray:
+    """(15, 3, 3) joint rotations of the ready pose, which is the open hand's on all hands."""
+    return rotvec_to_rotmat(relaxed_pose(load_model(None, side)).reshape(15, 3))
+
+
 def finger_rotations(armature, side) -> np.ndarray:
     """(15, 3, 3) joint rotations in the model's axes, from what the bones show."""
     frames = rig_of(armature).rest.frames
@@ -52,7 +57,7 @@ def test_fingers_relax_and_the_wrist_stays(hand):
     assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
     bpy.context.view_layer.update()
     found = finger_rotations(armature, side)
-    np.testing.assert_allclose(found, rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3)), atol=1e-4)
+    np.testing.assert_allclose(found, relaxed(model.side), atol=1e-4)
     bends = np.degrees(anatomical_angles(found, anatomical_axes(model))[:12, 2])
     assert (bends > 10).all()
     np.testing.assert_allclose(np.abs(displayed_pose(rig_of(armature))[0] @ before[0]), 1.0, atol=1e-6)
@@ -111,7 +116,7 @@ def test_between_the_frames_of_a_retimed_clip(make_take, picture):
     scene.frame_set(1003)
     bpy.ops.manient.apply_pose(pose="Relaxed")
     scene.frame_set(1003)
-    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    expected = relaxed(model.side)
     np.testing.assert_allclose(finger_rotations(armature, "right"), expected, atol=1e-4)
     assert corrections.corrected_frames(armature) == [1003]
     bpy.ops.manient.clear_corrections(scope="FRAME")
@@ -145,7 +150,7 @@ def test_bones_without_keys_are_only_posed(hand):
     keys = read_pose_keys(rig_of(armature))
     assert not keys.rotation_keyed[:, [4, 5, 6]].any()
     bpy.context.view_layer.update()
-    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    expected = relaxed(model.side)
     np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
 
 
@@ -177,7 +182,7 @@ def test_euler_bones_pose_mode_and_undo(hand):
     before = displayed_pose(rig_of(armature))
     bpy.ops.manient.apply_pose(pose="Relaxed")
     bpy.context.view_layer.update()
-    expected = rotvec_to_rotmat(relaxed_pose(model).reshape(15, 3))
+    expected = relaxed(model.side)
     np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
     assert bpy.context.mode == "POSE"
     bpy.ops.ed.undo_push(message="relaxed")

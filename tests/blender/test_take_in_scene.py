@@ -13,6 +13,7 @@ from mathutils import Vector
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.animation import CURVES
 from blender_manient.scene.build import build_take
+from blender_manient.scene.store import is_of_other_model
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
@@ -137,11 +138,14 @@ def _snapshot(built) -> list:
 
 def test_other_model_version_is_a_warning(make_take):
     take = make_take(model_digests={"left": "0" * 16, "right": "0" * 16}).take
+    models = [load_model(take.model, hand.side) for hand in take.hands]
     assert not build_take(take).warnings, "its joints are where they were; only the skin can differ"
+    assert not any(map(is_of_other_model, [take] * 2, take.hands, models))
     larger = tuple(replace(hand, joints_3d=1.01 * hand.joints_3d) for hand in take.hands)
     warnings = build_take(replace(take, hands=larger)).warnings
     assert len(warnings) == 2
     assert all("another version" in w for w in warnings)
+    assert all(map(is_of_other_model, [take] * 2, larger, models)), "the panel goes by it"
 
 
 def test_a_scene_that_is_not_open_is_refused(make_take):
