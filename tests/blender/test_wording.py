@@ -186,6 +186,14 @@ def test_a_hands_block_says_what_nobody_knows(registered, make_take):
     assert (colors == confidence.UNSEEN_COLOR).all()
 
 
+@pytest.mark.parametrize("larger", [1.0, 1.01])
+def test_a_hands_block_says_that_its_model_has_changed(registered, make_take, larger):
+    take = make_take(sides=("right",), model_digests={"right": "0" * 16}).take
+    track = replace(take.hands[0], joints_3d=larger * take.hands[0].joints_3d)
+    build_take(replace(take, hands=(track,)))
+    assert ("another version of the hand model" in drawn(MANIENT_PT_result).loud) == (larger > 1.0)
+
+
 def test_a_photos_hand_has_a_photos_word(registered, make_take):
     take = make_take(sides=("right",), frame_numbers=np.array([1])).take
     track = replace(take.hands[0], expected_error=np.full((1, 5), 0.0158))
