@@ -33,8 +33,20 @@ AROUND: Final = 0.12
 """seconds before and after that tell of a frame's error too: where a tenth of the others is doubted, so are
 73 % of painted clips' frames that are wrong by more than 15 mm, and by a frame alone 68 %"""
 
+FITS_ARE_BETTER: Final = 0.87
+"""times what the weights expect: they were found for fits to one landmark network"""
+STEADY: Final = 0.0081
+"""spread of the looks at a clean hand, in parts of its size"""
+BY_SPREAD: Final = 0.25
+"""Power with which the expected error grows with it. How far both landmark networks differ counts already, in
+the expected errors of the points"""
+BY_STANDING_OFF: Final = 1.4
+"""times the error that is expected of a hand whose thumb seems to stand off a bent finger that it crosses"""
+
 _LEAST: Final = 5e-4
 """metres; what is less than this tells nothing more"""
+STEADIEST: Final = 0.3
+"""of `STEADY`; looks that differ less tell nothing more"""
 _SUREST: Final = 6.0
 """Logit of a side that counts as certain"""
 _ACROSS, _ALONG = (17, 5), (0, 9)
@@ -83,11 +95,29 @@ def _weights() -> tuple[np.ndarray, np.ndarray]:
 
 
 @np.errstate(all="ignore")
-def expected_error(told: np.ndarray) -> np.ndarray:
-    """(B, 5) metres that each finger is likely to be off, of `evidence` (B, 5, 6); `MOST` where that has no
-    numbers."""
+def expected_error(told: np.ndarray, times: np.ndarray | float = 1.0) -> np.ndarray:
+    """(B, 5) metres that each finger is likely to be off, of `evidence` (B, 5, 6) and what else counts so
+    many `times` (B,); `MOST` where that has no numbers."""
     weights, constants = _weights()
-    return np.nan_to_num(np.minimum(np.exp(told @ weights + constants), MOST), nan=MOST)
+    expected = np.exp(told @ weights + constants) * np.reshape(times, (-1, 1))
+    return np.nan_to_num(np.minimum(expected, MOST), nan=MOST)
+
+
+@np.errstate(all="ignore")
+def doubted(detections: Sequence[HandDetection]) -> np.ndarray:
+    """(B,) times the error that the evidence of each hand expects: by how far the looks at it differ."""
+    times = np.full(len(detections), FITS_ARE_BETTER)
+    for row, d in enumerate(detections):
+        if d.spread is not None:
+            spread = np.linalg.norm(d.spread[:, :2], axis=1).mean() / max(d.extent, 1e-9)
+            times[row] *= max(spread / STEADY, STEADIEST) ** BY_SPREAD
+    return times
+
+
+def doubted_thumb(seen: Observation) -> np.ndarray:
+    """(B,) times the error that is expected of hands whose meeting parts were asked for."""
+    off = False if seen.meeting is None else seen.meeting.standing_off
+    return np.where(np.broadcast_to(off, len(seen)), BY_STANDING_OFF, 1.0)
 
 
 def among_neighbours(expected: np.ndarray, times: Times) -> np.ndarray:

@@ -13,7 +13,15 @@ from handfit_core.batch import slices, spread
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection, SideBySide
 from handfit_core.fit.clips import smoothed
-from handfit_core.fit.doubt import among_neighbours, doubtful, evidence, expected_error, side_logits
+from handfit_core.fit.doubt import (
+    among_neighbours,
+    doubted,
+    doubted_thumb,
+    doubtful,
+    evidence,
+    expected_error,
+    side_logits,
+)
 from handfit_core.fit.gaps import Times, bridged, jumps, missing_between, spans
 from handfit_core.fit.levenberg import solve
 from handfit_core.fit.meeting import meeting
@@ -83,11 +91,13 @@ class FrameFits:
     solution: Solution
     evidence: np.ndarray
     """(B, 5, 6) what tells of their errors, see `doubt.evidence`"""
+    doubted: np.ndarray
+    """(B,) times the error that this expects, see `doubt.doubted`"""
 
     @property
     def expected_error(self) -> np.ndarray:
         """(B, 5) metres that each finger is likely to be off."""
-        return expected_error(self.evidence)
+        return expected_error(self.evidence, self.doubted)
 
     @property
     def doubtful(self) -> np.ndarray:
@@ -221,6 +231,7 @@ def fit_frames(
         *fitter.chain.parameters(solution.state),
         solution=solution,
         evidence=evidence(seen, fitter.chain.points(solution.state), side_logits(detections, model.side)),
+        doubted=doubted(detections) * doubted_thumb(seen),
     )
 
 
@@ -244,6 +255,7 @@ def fit_track(
     seen = fitter.observe(detections, intrinsics)
     # A track's side is voted for by all of its frames.
     sure = side_logits(detections, model.side).mean()
+    of_looks = doubted(detections)
     del detections
     if isinstance(track.detections, SideBySide):
         track.detections.forget_corrections()
@@ -267,8 +279,9 @@ def fit_track(
         points = fitter.chain.points(state.select(rows[part]))
         told[part] = evidence(seen.select(part), points, np.full(len(points), sure))
     converged = solution.converged
+    times = of_looks[: len(found)] * doubted_thumb(seen)
     del seen, solution
-    expected = among_neighbours(expected_error(told), Times.between(found, cuts, track.fps))
+    expected = among_neighbours(expected_error(told, times), Times.between(found, cuts, track.fps))
     betas, orient, pose, transl = fitter.chain.parameters(state)
     return TrackFit(
         betas=betas[0],

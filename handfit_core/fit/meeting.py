@@ -10,6 +10,7 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Meeting, Observation
+from handfit_core.fit.terms.coupling import MIDDLE_BEND
 from handfit_core.geometry.crossing import CROSSING, CROSSING_STARTS, Crossing
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import Surface
@@ -33,8 +34,12 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 """The same along the line of sight, times the expected error of both depths"""
 
 LYING: Final = (0.10, 0.20)
-"""Of the hand's size along the line of sight: a thumb whose skin is nearer than the first to the skin of what it
-covers lies on it, as far as that tells; one that is farther than the second stands off"""
+"""Of the hand's size along the line of sight: a thumb whose skin is nearer than the first to the skin of what
+it covers lies on it, as far as that tells; one that is farther than the second stands off"""
+STANDING_OFF: Final = 0.15
+"""The same: a thumb that stands farther off a bent finger is most likely seen wrongly"""
+BENT: Final = float(np.radians(60.0))
+"""radians of a finger's middle joint"""
 LYING_DEPTH: Final = (1.5, 2.0)
 """The same, times the expected error of both depths, which grows where the networks differ"""
 
@@ -78,7 +83,10 @@ def _alone(surface: Surface, seen: Observation, state: State) -> Meeting:
     behind = np.abs(seen.depth[:, tips[1:]] - seen.depth[:, tips[:1]])
     behind /= np.hypot(seen.depth_sigma[:, tips[1:]], seen.depth_sigma[:, tips[:1]])
     touching = _within(np.linalg.norm(off, axis=-1) / size[:, None], PINCHED) * _within(behind, PINCHED_DEPTH)
-    return Meeting(along, says, apart, lying, touching)
+    bent = state.angles[:, 1:, MIDDLE_BEND] > BENT
+    off_finger = of_finger.min(axis=(1, 3)) / size[:, None]
+    standing_off = (bent & (off_finger > STANDING_OFF) & np.isfinite(off_finger)).any(axis=1)
+    return Meeting(along, says, apart, lying, standing_off, touching)
 
 
 def _within(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:

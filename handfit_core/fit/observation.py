@@ -51,6 +51,8 @@ class Meeting(Batch):
     """(B, Q) metres along the line of sight from the one's axis to the other's, where their skins touch"""
     lying: np.ndarray
     """(B, Q) how sure it is that one lies on the other where they cross, 0..1"""
+    standing_off: np.ndarray
+    """(B,) bool: whether the thumb seems to stand far off a bent finger that it crosses, as hands hardly do"""
     touching: np.ndarray
     """(B, T) how sure it is that pairs of `fit.meeting.TIPS` touch, 0..1"""
 

@@ -34,9 +34,8 @@ LEVEL_OF_BONE: Final = np.array([*(b % 3 for b in range(PALM)), 3, 3, 3, 3])
 def _may_touch(first: int, second: int) -> bool:
     """Whether parts count; those that grow together do not."""
     if second >= PALM:
-        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too, and so does the thumb's
-        # first bone the index finger's metacarpal.
-        return first < PALM and (first % 3 == 2 or (first % 3 == 1 and True))
+        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too.
+        return first < PALM and first % 3 > 0
     # So do the thumb's root and the next two fingers' first bones, through the web between them.
     return first // 3 != second // 3 and (first, second) not in ((0, 3), (0, 6))
 
@@ -45,6 +44,9 @@ PAIRS: Final = np.array(
     [(i, j) for i in range(NUM_BONES) for j in range(i + 1, NUM_BONES) if _may_touch(i, j)]
 )
 """(P, 2) bones that can touch, the lower first"""
+THUMB_IN_PALM: Final = 0.006
+"""metres by which the palm gives under the thumb's first bone, as in a fist around the thumb"""
+_GIVES: Final = np.where((PAIRS[:, 0] == 1) & (PAIRS[:, 1] >= PALM), -THUMB_IN_PALM, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,7 @@ class Surface:
         )
         ends = origins[:, :, None] + local @ frames.transpose(1, 0, 3, 2)
         radii = self.radii(betas)
-        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, 0.0))
+        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, _GIVES))
         self._last = posed, found
         return found
 
