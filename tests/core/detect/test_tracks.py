@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import SURE_OF_SIDE, HandDetection
 from handfit_core.detect.looks import distance, overlapped
 from handfit_core.detect.tracks import DUPLICATE_DISTANCE, link_and_count, link_tracks, without_duplicates
 from handfit_core.errors import NoHandFoundError
@@ -14,6 +14,13 @@ SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
 
 def hand(x: float, side: Side = "right", score: float = 0.9, y: float = 300.0) -> HandDetection:
     return HandDetection(side, score, SHAPE + [x, y, 0.0], SHAPE / 1000)
+
+
+def unsure_hand(
+    x: float, side: Side = "right", right_side: float = 1.0, score: float = 0.85, y: float = 300.0
+) -> HandDetection:
+    """Whose side the detector says with a score below `SURE_OF_SIDE`, so that the network's word counts."""
+    return replace(hand(x, side, score, y), right_side=right_side)
 
 
 def x_of(detection: HandDetection | None) -> float | None:
@@ -152,24 +159,36 @@ def test_a_long_clip_with_a_long_gap() -> None:
 
 def test_the_networks_word_decides_the_side() -> None:
     """The detector names all of them left, and the network says that is unlikely."""
-    frames = [[replace(hand(100 + t, "left"), right_side=0.2)] for t in range(6)]
+    frames = [[unsure_hand(100 + t, "left", 0.2)] for t in range(6)]
     (track,) = link_tracks(frames)
     assert track.side == "right"
     assert [t.side for t in link_tracks(frames, "right")] == ["right"]
     with pytest.raises(NoHandFoundError, match="only a right one"):
         link_tracks(frames, "left")
     # A few frames that are sure of one side outweigh more that are not.
-    mixed = [replace(hand(100 + t, "left"), right_side=1.0 if t < 4 else 0.4) for t in range(10)]
+    mixed = [unsure_hand(100 + t, "left", 1.0 if t < 4 else 0.4) for t in range(10)]
     (track,) = link_tracks([[d] for d in mixed])
-    assert track.side == "left"  # 0.9 (4 + 6 x 0.4) against 0.9 x 6 x 0.6
+    assert track.side == "left"  # 0.85 (4 + 6 x 0.4) against 0.85 x 6 x 0.6
+
+
+def test_the_network_does_not_overrule_a_sure_detector() -> None:
+    """Of a clip's frames, those in which the detector is sure count for its side alone."""
+    frames = [[unsure_hand(100 + t, "left", 0.2, SURE_OF_SIDE)] for t in range(6)]
+    assert [track.side for track in link_tracks(frames)] == ["left"]
+    with pytest.raises(NoHandFoundError, match="only a left one"):
+        link_tracks(frames, "right")
+    mixed = [unsure_hand(100 + t, "left", 0.2, 0.95 if t < 3 else 0.8) for t in range(6)]
+    assert [track.side for track in link_tracks([[d] for d in mixed])] == ["left"]  # 2.85 + 0.48 against 1.92
+    mixed = [unsure_hand(100 + t, "left", 0.2, 0.95 if t < 1 else 0.8) for t in range(6)]
+    assert [track.side for track in link_tracks([[d] for d in mixed])] == ["right"]  # 0.95 + 0.8 against 3.2
 
 
 def test_crossing_hands_by_the_networks_word() -> None:
     """The detector names both alike; only the network tells them apart."""
     frames = []
     for t in range(21):
-        left = replace(hand(100 + 20 * t, "right"), right_side=0.1)
-        right = replace(hand(500 - 20 * t, "right", y=340), right_side=0.95)
+        left = unsure_hand(100 + 20 * t, "right", 0.1)
+        right = unsure_hand(500 - 20 * t, "right", 0.95, y=340)
         frames.append([left, right] if t % 2 else [right, left])
     tracks = {t.side: t for t in link_tracks(frames)}
     assert [x_of(d) for d in tracks["left"].detections] == [100 + 20 * t for t in range(21)]
@@ -178,8 +197,8 @@ def test_crossing_hands_by_the_networks_word() -> None:
 
 def test_where_places_are_undecided_the_networks_word_decides() -> None:
     """Each hand is a little nearer to where the other one was."""
-    before = [replace(hand(100), right_side=0.1), replace(hand(200), right_side=0.9)]
-    after = [replace(hand(152, y=340), right_side=0.1), replace(hand(148, y=260), right_side=0.9)]
+    before = [unsure_hand(100, right_side=0.1), unsure_hand(200, right_side=0.9)]
+    after = [unsure_hand(152, right_side=0.1, y=340), unsure_hand(148, right_side=0.9, y=260)]
     tracks = {t.side: t for t in link_tracks([before, after])}
     assert [x_of(d) for d in tracks["left"].detections] == [100, 152]
     assert [x_of(d) for d in tracks["right"].detections] == [200, 148]
@@ -200,13 +219,22 @@ def test_points_where_another_hand_is_are_marked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("unsure", "apart", "sides"),
-    [(0.4, 60, {"left", "right"}), (0.05, 60, {"right"}), (0.4, 400, {"right"})],
-    ids=["one person's", "two people's", "apart"],
+    ("unsure", "score", "apart", "sides"),
+    [
+        (0.4, 0.85, 60, {"left", "right"}),
+        (0.05, 0.85, 60, {"right"}),
+        (0.4, 0.85, 400, {"right"}),
+        (0.4, 0.9, 60, {"right"}),
+    ],
+    ids=["one person's", "two people's", "apart", "sure"],
 )
-def test_hands_that_touch_are_left_and_right(unsure: float, apart: float, sides: set[Side]) -> None:
+def test_hands_that_touch_are_left_and_right(
+    unsure: float, score: float, apart: float, sides: set[Side]
+) -> None:
     """The detector names both right, one of them with so much doubt."""
-    frames = [[hand(100 + t), replace(hand(100 + apart + t), right_side=1.0 - unsure)] for t in range(9)]
+    frames = [
+        [hand(100 + t), unsure_hand(100 + apart + t, right_side=1.0 - unsure, score=score)] for t in range(9)
+    ]
     tracks = link_tracks(frames)
     assert {t.side for t in tracks} == sides
     assert len(tracks) == 2
