@@ -72,6 +72,9 @@ SMOOTH_PLACE: Final = 1.05
 """metres per second squared, of the wrist"""
 OVERLAP_SECONDS: Final = 2.4
 """Shared by two windows of a long clip at strength 1"""
+JITTER: Final = 1.75
+"""times the expected errors of depth, where motion is smoothed: from frame to frame the depth of the landmark
+network of December 2020 trembles three to four times as much as the present one's"""
 DISTANCE_SIGMA: Final = 0.002
 """of the wrist's distance, from what the whole clip says of it"""
 
@@ -345,6 +348,7 @@ def over_time(
             # Rows of frames without a detection repeat another's; they are not looked at.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
             observed = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
+            observed = replace(observed, depth_sigma=JITTER * observed.depth_sigma)
             problem = fitter.problem(observed, held=here, solid=True)
             if observed.kept is None and observed.depth_zero is None and len(stretch) > 2:
                 certain = known & False if here is None else here.joints[:, 0]

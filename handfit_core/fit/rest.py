@@ -26,7 +26,7 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import PALM_KEYPOINTS
 
-NOISE: Final = 0.003
+NOISE: Final = 0.004
 """of the distance, of every frame by itself"""
 ERROR: Final = 0.03
 """of the distance: the pose's error of an open hand"""
