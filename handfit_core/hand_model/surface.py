@@ -34,9 +34,9 @@ LEVEL_OF_BONE: Final = np.array([*(b % 3 for b in range(PALM)), 3, 3, 3, 3])
 def _may_touch(first: int, second: int) -> bool:
     """Whether parts count; those that grow together do not."""
     if second >= PALM:
-        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too, and so does the thumb's
-        # first bone the index finger's metacarpal.
-        return first < PALM and (first % 3 == 2 or (first % 3 == 1 and True))
+        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too, and the thumb's next
+        # bone lies beside the index finger's metacarpal, in the web between them.
+        return first < PALM and first % 3 > 0 and (first, second) != (1, PALM)
     # So do the thumb's root and the next two fingers' first bones, through the web between them.
     return first // 3 != second // 3 and (first, second) not in ((0, 3), (0, 6))
 
@@ -45,6 +45,11 @@ PAIRS: Final = np.array(
     [(i, j) for i in range(NUM_BONES) for j in range(i + 1, NUM_BONES) if _may_touch(i, j)]
 )
 """(P, 2) bones that can touch, the lower first"""
+
+THUMB_IN_PALM: Final = 0.00525
+"""metres by which the palm gives under the thumb's first bone, as in a fist around the thumb"""
+_GIVES: Final = np.where((PAIRS[:, 0] == 1) & (PAIRS[:, 1] >= PALM), THUMB_IN_PALM, 0.0)
+"""(P,) metres"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +62,7 @@ class Capsules:
     """(B, 19, 2) at these ends"""
     grown: np.ndarray
     """(B, P) metres, 0 or less: gaps of `PAIRS` in the flat hand, where fingers side by side grow out of
-    the palm. So much does not count"""
+    the palm, and by which the palm gives under the thumb. So much does not count"""
 
     def of(
         self, hand: np.ndarray, bones: np.ndarray
@@ -99,7 +104,7 @@ class Surface:
         self._last: tuple[Posed, Capsules] | None = None
         betas = np.concatenate([np.zeros((1, NUM_BETAS)), np.eye(NUM_BETAS)])
         flat = self.of(betas, np.zeros((len(betas), 45)))
-        gaps = self.near(flat, np.inf).gap.reshape(len(betas), -1)
+        gaps = self.near(flat, np.inf).gap.reshape(len(betas), -1) - _GIVES
         self._flat, self._flat_dirs = gaps[0], (gaps[1:] - gaps[0]).T
 
     def of(self, betas: np.ndarray, hand_pose: np.ndarray) -> Capsules:
@@ -125,7 +130,7 @@ class Surface:
         )
         ends = origins[:, :, None] + local @ frames.transpose(1, 0, 3, 2)
         radii = self.radii(betas)
-        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, 0.0))
+        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, 0.0) - _GIVES)
         self._last = posed, found
         return found
 

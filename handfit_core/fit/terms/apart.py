@@ -9,7 +9,7 @@ import numpy as np
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms.rows import PairRows, between
 from handfit_core.hand_model.chain import Posed
-from handfit_core.hand_model.surface import FINGER_OF_BONE, PALM, Surface
+from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 SIGMA: Final = 0.001
 """metres of depth that cost as much as one sigma"""
@@ -17,8 +17,6 @@ EDIT_SIGMA: Final = 0.00025
 """The same where a pose is corrected: pins are surer than landmarks, and would push parts into each other"""
 GIVES: Final = 0.00075
 """metres by which flesh gives where parts touch"""
-THUMB_IN_PALM: Final = 0.006
-"""metres by which the palm gives under the thumb's first bone, as in a fist around the thumb"""
 
 
 class Apart:
@@ -34,9 +32,6 @@ class Apart:
         corrected = seen.kept is not None and np.isfinite(seen.kept.limits_sigma)[near.hand]
         sigma = np.where(corrected, EDIT_SIGMA, SIGMA)
         slope = between(posed, near.hand, near.bones, near.places, -near.towards / sigma[..., None])
-        in_palm = (near.bones[:, 0] == 1) & (near.bones[:, 1] >= PALM)
-        gap = near.gap + np.where(in_palm, THUMB_IN_PALM, GIVES)
-        slope[gap > 0.0] = 0.0
-        residual = np.maximum(-gap, 0.0) / sigma
+        residual = -(near.gap + GIVES) / sigma
         columns = np.concatenate([slope, residual[:, None]], axis=1)
         return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, np.square(residual))
