@@ -222,7 +222,8 @@ def _keep(
     take = replace(
         hand.take,
         hands=(*hand.take.hands, mirrored),
-        model_digests={**hand.take.model_digests, model.side: model.digest},
+        # A hand of that side that an older model was fitted to keeps its own.
+        model_digests={model.side: model.digest, **hand.take.model_digests},
     )
     describe(armature, take, mirrored)
     keep_take(hand.collection, take)

@@ -488,12 +488,14 @@ def test_another_hand_gets_the_shown_motion(make_take):
     control(source, "index").rotation_euler.x = 0.4
     bpy.context.view_layer.objects.active = target
     apply_hand(target, source, "ANIMATION", 1.0)
+    # They are of two shapes, between which the thumb's bones lie a little differently to each other.
+    within = np.repeat([0.1, 0.3], [12, 3])
     for frame in FRAMES[:3]:
         bpy.context.scene.frame_set(int(frame))
-        np.testing.assert_allclose(bends(target), bends(source), atol=0.3)  # of two shapes
+        assert (np.abs(bends(target) - bends(source)) < within).all()
     apply_hand(target, source, "POSE", 7.0)
     bpy.context.scene.frame_set(7)
-    np.testing.assert_allclose(bends(target), bends(source), atol=0.3)  # of two shapes
+    assert (np.abs(bends(target) - bends(source)) < within).all()
 
 
 def test_a_pose_asset_has_the_shown_pose(hand):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -127,6 +129,16 @@ def test_it_is_a_captured_hand_of_the_same_capture(make_take, tmp_path):
     # And its shape can be changed like any other's.
     other.manient.betas[0] += 1.0
     np.testing.assert_allclose(list(other["betas"]), list(other.manient.betas), atol=1e-6)
+
+
+def test_a_hand_of_an_older_model_stays_one_beside_a_mirrored_hand_of_its_side(make_take):
+    """The take has one digest a side."""
+    made = aside(make_take(model_digests={"left": "0" * 16, "right": "0" * 16}))
+    older = tuple(replace(track, joints_3d=track.joints_3d + 0.01) for track in made.take.hands)
+    built = build_take(replace(made.take, hands=older))
+    new = hand_of(mirrored(built.hands[0]))
+    assert [hand_of(hand.armature).is_of_other_model() for hand in built.hands] == [True, True]
+    assert not new.is_of_other_model(), "it was made with the present one"
 
 
 def test_a_moved_rig_without_keys_and_undo(make_take):

@@ -59,7 +59,10 @@ def take(make_take, movie):
     made = make_take(sides=("right",), source=source, fps=CLIP_FPS, frame_numbers=FRAMES).take
     (track,) = made.hands
     depth = track.keypoints_2d[..., 0] * 0.0
-    return replace(made, hands=(replace(track, keypoints_depth=depth, world_landmarks=track.joints_3d),))
+    second = np.concatenate([track.keypoints_2d + 1.0, track.keypoints_2d[..., :1]], axis=-1)
+    second[2] = np.nan  # where the second network was not asked
+    detected = {"keypoints_depth": depth, "world_landmarks": track.joints_3d, "keypoints_2020": second}
+    return replace(made, hands=(replace(track, **detected),))
 
 
 def scene_of(rate: float):
@@ -102,9 +105,10 @@ def test_hand_and_picture_show_the_same_moment(take, rate):
         (row,) = store.rows_at(built.collection, hand.take, np.array([frame]))
         assert shown_numbers([moment])[0] == number
         if frame in keys.frames and take.hands[0].detected[number - FRAMES[0]]:
-            np.testing.assert_array_equal(
-                hand.track.keypoints_2d[row], take.hands[0].keypoints_2d[number - FRAMES[0]]
-            )
+            for seen in ("keypoints_2d", "keypoints_2020"):
+                np.testing.assert_array_equal(
+                    getattr(hand.track, seen)[row], getattr(take.hands[0], seen)[number - FRAMES[0]]
+                )
     # Poses are those that the clip's own keys have between them.
     chosen = keys.frames
     there = take.hands[0].present

@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.refiner import Refiner
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
+from blender_manient.scene.retake import retaken
 from blender_manient.scene.timing import Timing
+from handfit_core.edit.messages import from_message
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.take import Take
 
-from .conftest import FRAMES
+from .conftest import FRAMES, UNSEEN
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -58,6 +61,31 @@ def test_the_take_survives_saving(make_take, tmp_path):
         assert hand.mesh is not None
         assert hand.mesh.parent == armature
         np.testing.assert_allclose(armature.manient.betas, hand.track.betas, atol=1e-5)
+
+
+def test_what_both_networks_saw_comes_back_from_a_file_to_takes_and_to_who_fits_anew(make_take, tmp_path):
+    made = make_take(sides=("right",)).take
+    track = made.hands[0]
+    second = np.concatenate([track.keypoints_2d + 1.5, track.keypoints_2d[..., :1]], axis=-1)
+    second[2] = np.nan  # where the second network was not asked
+    seen = {"keypoints_depth": 0.0 * second[..., 2], "world_landmarks": track.joints_3d}
+    seen["keypoints_depth"][2] = 0.0
+    (hand,) = build_take(replace(made, hands=(replace(track, **seen, keypoints_2020=second),))).hands
+    name, path = hand.armature.name, tmp_path / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    no_memory()
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    armature = bpy.data.objects[name]
+    found = store.hand_of(armature)
+    for take in (found.take, retaken([found]), Take.from_bytes(retaken([found]).to_bytes())):
+        np.testing.assert_allclose(take.hands[0].keypoints_2020, second, atol=1e-3)
+    refiner = Refiner(armature)
+    rows = [0, 2, UNSEEN]
+    asked = from_message(refiner.request(rows, [{}] * 3, refiner.start_poses(rows))()["hand"])
+    one, unasked, unseen = asked.detections
+    np.testing.assert_allclose(one.keypoints_2020, second[0], atol=1e-3)
+    assert unasked.keypoints_2020 is None
+    assert unseen is None
 
 
 def test_a_mesh_leads_to_its_hand_and_other_objects_to_none(make_take):
