@@ -12,13 +12,13 @@ from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
 from handfit_core.fit.gaps import LONGEST_GAP
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
 from handfit_core.skeleton import PARENTS, SIDES, Side
 from handfit_core.solvers import TrackFit
 from tests.core.fit.detections import (
     CAMERA,
     angles_of_pose,
+    ends_of_range,
     keypoints_of,
     laid_error,
     landmarks_of,
@@ -91,8 +91,8 @@ def test_alone_or_among_others() -> None:
 
 def excess(pose: np.ndarray, side: Side) -> np.ndarray:
     """(N,) by how many degrees the worst angle of each hand lies outside of its range."""
-    angles, limits = angles_of_pose(pose, side), joint_limits(side)
-    return np.degrees(np.maximum(angles - limits.upper, limits.lower - angles).max(axis=(1, 2)))
+    angles, (lower, upper) = angles_of_pose(pose, side), ends_of_range(side)
+    return np.degrees(np.maximum(angles - upper, lower - angles).max(axis=(1, 2)))
 
 
 def garbage(side: Side, count: int) -> list[HandDetection]:

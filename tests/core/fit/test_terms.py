@@ -23,8 +23,8 @@ from handfit_core.fit.terms import (
     near_pose,
     reprojection,
 )
-from handfit_core.fit.terms.limits import BEND, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
-from handfit_core.fit.terms.pose_prior import WEIGHT
+from handfit_core.fit.terms.limits import BEND, CLOSED, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
+from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
 from handfit_core.geometry.camera import Intrinsics
@@ -181,7 +181,7 @@ def test_limits_are_the_distance_from_the_nearer_end_in_sigmas() -> None:
     inside[..., SPREAD] *= 0.1
     assert not limits(*with_angles(inside)).columns.any()
     outside = inside.copy()
-    outside[0, 1, 5], outside[0, 2, 8] = limits.upper[1, 5] + 3.5 * SIGMA, limits.lower[2, 8] - 3 * SIGMA
+    outside[0, 1, 5], outside[0, 2, 8] = limits.upper[1, 5] + CLOSED[1, 5] + 3.5 * SIGMA, limits.lower[2, 8] - 3 * SIGMA
     residual = limits(*with_angles(outside)).residual
     assert (residual[0, 1, 5], residual[0, 2, 8]) == pytest.approx((3.5, -3.0))
     assert np.abs(residual).sum() == pytest.approx(6.5)
@@ -207,6 +207,10 @@ def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
     angles[0, 1, 5], angles[0, 2, 5] = limits.upper[1, 5] + 0.41, limits.upper[2, 5] + PASSIVE_RANGE + 0.02
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
+    # No less than closed hands have.
+    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED[3, 8] + 0.03
+    residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
+    assert residual[0, 3, 8] == pytest.approx(0.03 / sigma)
     # A frame without a pose among those that keep one is as if nobody kept any.
     free = limits(posed, replace(seen, kept=kept_near(kept))).residual
     np.testing.assert_array_equal(free, limits(posed, seen).residual)
@@ -219,6 +223,19 @@ def test_the_pose_prior_is_the_mahalanobis_distance_and_mirrored_for_left_hands(
     close(np.square(PosePrior(MEAN, COVARIANCE)(posed, seen).residual).sum(axis=-1), WEIGHT * expected)
     left = replace(posed, state=replace(posed.state, angles=posed.state.angles * MIRROR))
     close(np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1), WEIGHT * expected)
+
+
+def test_the_pose_prior_counts_more_where_a_person_has_put_points() -> None:
+    """Also while a finger goes for its pin alone, which is then no surer than other points."""
+    posed, seen = hands()
+    prior = PosePrior(MEAN, COVARIANCE)
+    times = np.sqrt(PINNED_WEIGHT / WEIGHT)
+    pinned = replace(seen, pinned=np.arange(63).reshape(3, 21) == 25)
+    close(prior(posed, pinned).columns, prior(posed, seen).columns * np.array([1.0, times, 1.0])[:, None, None, None])
+    corrected = replace(seen, kept=kept_near(posed.state, 0.005))
+    close(prior(posed, corrected).columns, prior(posed, seen).columns * times)
+    at_distance = replace(seen, kept=kept_near(posed.state))
+    close(prior(posed, at_distance).columns, prior(posed, seen).columns)
 
 
 def test_a_last_joint_bent_alone_costs_but_not_the_thumbs() -> None:
