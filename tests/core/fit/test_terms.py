@@ -26,6 +26,7 @@ from handfit_core.fit.terms import (
 from handfit_core.fit.terms.limits import BEND, CLOSED, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
 from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
 from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.fit.terms.shape import WEIGHT as SHAPE_WEIGHT
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
@@ -48,6 +49,7 @@ TERMS: list[Term] = [
     distance,
     Shape(random(10, seed=6)),
     Shape(random(10, seed=6), RATES, 0.3),
+    Shape(random(10, seed=6), RATES, 0.3, measured=False),
 ]
 every_term = pytest.mark.parametrize("term", TERMS, ids=lambda t: getattr(t, "__name__", type(t).__name__))
 
@@ -280,6 +282,19 @@ def test_all_shapes_of_the_measured_length_differ_by_their_proportions_alone() -
         residual = Shape(expected, RATES)(shaped, seen).residual[0, 0]
         close(residual[:10], betas - expected)
         assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
+
+
+def test_an_unknown_length_is_held_and_proportions_are_hardly() -> None:
+    posed, seen = hands(1)
+    across = random(10, seed=3)
+    across -= RATES * (across @ RATES) / (RATES @ RATES)
+    term = Shape(np.zeros(10), RATES, measured=False)
+    for betas, share in ((RATES / np.linalg.norm(RATES), 1.0), (across / np.linalg.norm(across), SHAPE_WEIGHT)):
+        shaped = replace(posed, state=replace(posed.state, betas=2.0 * betas[None]))
+        assert np.square(term(shaped, seen).residual).sum() == pytest.approx(4.0 * share)
+    # Of a model whose shapes do not change its length, all are proportions.
+    bare = Shape(np.zeros(10), np.zeros(10), measured=False)
+    assert np.square(bare(shaped, seen).residual).sum() == pytest.approx(4.0 * SHAPE_WEIGHT)
 
 
 def test_uncertain_points_count_linearly_beyond_one_sigma() -> None:
