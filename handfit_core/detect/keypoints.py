@@ -124,8 +124,8 @@ class HandDetection:
 
 
 def largest_extent(hands: Iterable[HandDetection]) -> float:
-    """Pixels that the largest of these hands has, but for one in twenty: outliers, and a hand that reaches for
-    the lens; 0 where there is none."""
+    """Pixels that the largest of these hands has, but for one in twenty: outliers, and a hand that reaches
+    for the lens; 0 where there is none."""
     extents = [hand.extent for hand in hands]
     return float(np.percentile(extents, 95.0)) if extents else 0.0
 

@@ -3,7 +3,8 @@
 Palm and landmark network lie in the landmark model file; a landmark network of December 2020, whose depth is
 better and which is faster, in a file of its own that may be absent. MediaPipe's own graph shows them crops of
 its own choice; its image embedder runs any network on any picture and returns all of its outputs, which is
-all that is needed here. Crops are MediaPipe's: "MediaPipe Hands: On-device Real-time Hand Tracking" (Zhang et al., 2020).
+all that is needed here. Crops are MediaPipe's: "MediaPipe Hands: On-device Real-time Hand Tracking" (Zhang et
+al., 2020).
 """
 
 from __future__ import annotations
@@ -171,8 +172,8 @@ def _upright(up: np.ndarray) -> float:
 class Networks:
     """The palm network and the landmark networks. Use as a context manager.
 
-    Of quality `draft`, the landmark network of December 2020 stands in for the present one, where it is there.
-    Raises LandmarkModelError when the landmark model file is missing or damaged.
+    Of quality `draft`, the landmark network of December 2020 stands in for the present one, where it is
+    there. Raises LandmarkModelError when the landmark model file is missing or damaged.
     """
 
     def __init__(
@@ -327,8 +328,8 @@ class Networks:
         return _with_depth(self._run(self._hand_2020, crop)[0])
 
     def _draft(self, crop: np.ndarray, view: View) -> Look:
-        """What the landmark network of December 2020 alone makes of a crop of that view. Its world landmarks are
-        its keypoints at the size of an average hand."""
+        """What the landmark network of December 2020 alone makes of a crop of that view. Its world landmarks
+        are its keypoints at the size of an average hand."""
         landmarks, presence, handedness = self._run(self._hand_2020, crop)
         keypoints, right = _with_depth(landmarks), float(handedness[0])
         bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)

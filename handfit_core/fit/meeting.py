@@ -33,8 +33,8 @@ PINCHED_DEPTH: Final = (2.0, 3.0)
 """The same along the line of sight, times the expected error of both depths"""
 
 LYING: Final = (0.10, 0.20)
-"""Of the hand's size along the line of sight: a thumb whose skin is nearer than the first to the skin of what it
-covers lies on it, as far as that tells; one that is farther than the second stands off"""
+"""Of the hand's size along the line of sight: a thumb whose skin is nearer than the first to the skin of what
+it covers lies on it, as far as that tells; one that is farther than the second stands off"""
 LYING_DEPTH: Final = (1.5, 2.0)
 """The same, times the expected error of both depths, which grows where the networks differ"""
 

@@ -34,8 +34,8 @@ LEVEL_OF_BONE: Final = np.array([*(b % 3 for b in range(PALM)), 3, 3, 3, 3])
 def _may_touch(first: int, second: int) -> bool:
     """Whether parts count; those that grow together do not."""
     if second >= PALM:
-        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too, and the thumb's next
-        # bone lies beside the index finger's metacarpal, in the web between them.
+        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too, and the thumb's
+        # next bone lies beside the index finger's metacarpal, in the web between them.
         return first < PALM and first % 3 > 0 and (first, second) != (1, PALM)
     # So do the thumb's root and the next two fingers' first bones, through the web between them.
     return first // 3 != second // 3 and (first, second) not in ((0, 3), (0, 6))

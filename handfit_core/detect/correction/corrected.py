@@ -39,8 +39,8 @@ class Second:
     depth: float = 0.4
     """of the way from the corrected depth to this network's"""
     agree: float = 0.14
-    """disagreement up to which that holds; beyond it the weight falls: of a blurred or covered hand this depth
-    is no better"""
+    """disagreement up to which that holds; beyond it the weight falls: of a blurred or covered hand this
+    depth is no better"""
     least: float = 0.3
     """of `depth`, however much they disagree"""
     doubted: float = 0.12
@@ -48,8 +48,8 @@ class Second:
     most_doubted: float = 4.0
     """times the expected errors, at most"""
     thumb: float = 0.7
-    """as `depth`, of a thumb of which the networks differ whether it lies over a finger or under it: of thumbs
-    under fingers this network is right"""
+    """as `depth`, of a thumb of which the networks differ whether it lies over a finger or under it: of
+    thumbs under fingers this network is right"""
     depth_doubted: float = 0.3
     """of the difference of both depths, which adds to the depth's expected error"""
 

@@ -37,7 +37,8 @@ class Limits:
     below.
 
     A knuckle's range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
-    It is wider by `CLOSED`; where hands are to stay near a pose by `PASSIVE_RANGE`, or as far as that pose goes.
+    It is wider by `CLOSED`; where hands are to stay near a pose by `PASSIVE_RANGE`, or as far as that pose
+    goes.
     """
 
     def __init__(self, side: Side, model: str = OPEN_HAND) -> None:

@@ -255,8 +255,9 @@ def test_a_stopped_clip_keeps_the_chunks_that_are_done(monkeypatch: pytest.Monke
 @pytest.mark.parametrize("length", [0.15, 0.17, 0.21])
 def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> None:
     model = model_of(side)
-    true = tuple(np.tile(values, (3, 1)) for values in parameters_of(side, 12, seed=5)[1:])
-    true = (np.tile(betas_of_length(model, length), (36, 1)), *true)
+    _, orient, pose, transl = (np.tile(values, (3, 1)) for values in parameters_of(side, 12, seed=5))
+    betas = np.tile(betas_of_length(model, length), (36, 1))
+    true = (betas, orient, pose, transl)
     detections = detections_of(side, true, noise=2.0)
     guessed = fit_frames(model, detections, CAMERA)
     told = fit_frames(model, detections, CAMERA, hand_length=length)
