@@ -126,8 +126,8 @@ def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def angle_sigma(doubt: np.ndarray, size: np.ndarray, idle: np.ndarray) -> np.ndarray:
-    """(N, 21) `followed`, (N,) pixels -> (N, 5) radians, how firmly the fingers' angles are kept. `idle` (N, 5)
-    bool: those that nothing moves by themselves."""
+    """(N, 21) `followed`, (N,) pixels -> (N, 5) radians, how firmly the fingers' angles are kept. `idle` (N,
+    5) bool: those that nothing moves by themselves."""
     of_finger = doubt[:, _FINGERS].max(axis=2) * np.where(idle, RIDES, 1.0)
     return np.maximum(ANGLE_SIGMA * of_finger / size[:, None], LEAST_ANGLE_SIGMA)
 

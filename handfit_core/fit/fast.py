@@ -130,10 +130,9 @@ class FastFitter:
         self.surface = surface_of(model)
         self._apart = Apart(self.surface)
         self._in_front, self._touch = InFront(self.surface), Touch(self.surface)
-        self._betas, self._length_rates = np.zeros(NUM_BETAS), None
-        if hand_length is not None:
-            self._betas = betas_of_measured(model, hand_length)
-            self._length_rates = length_rates(model, self._betas)
+        self._measured = hand_length is not None
+        self._betas = np.zeros(NUM_BETAS) if hand_length is None else betas_of_measured(model, hand_length)
+        self._length_rates = length_rates(model, self._betas)
 
     def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
         """What is seen of those detections through that camera."""
@@ -163,7 +162,7 @@ class FastFitter:
             terms = (*terms, near_pose, distance)
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
-            terms = (*terms, Shape(self._betas, self._length_rates, weight))
+            terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
         reach = self.reach if seen.kept is None else None
         return Problem(self.chain, seen, terms, shape, held, reach=reach)
 
