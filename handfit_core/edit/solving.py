@@ -34,9 +34,8 @@ LOOSE: Final = 4.0
 MAX_ITERATIONS: Final = 50
 """More than captures take. Where they are too few, a drag's result does still not depend on the way there:
 from the frame's own pose the steps are the same every time."""
-DRAFT_ITERATIONS: Final = 10
-"""While a point is dragged, each answer goes on where the one before ended. With fewer, a finger that is
-drawn far may lag behind by a twentieth of the hand's size"""
+DRAFT_ITERATIONS: Final = 6
+"""While a point is dragged, each answer goes on where the one before ended"""
 FREE_DRAFT_ITERATIONS: Final = 10
 """of hands that begin anew each time, from all sides"""
 CHEAPER: Final = 0.9
