@@ -55,7 +55,10 @@ from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
 
 MAX_ITERATIONS: Final = 20
 """Most need four to seven, fists up to fifteen"""
-TOLERANCE: Final = 2e-3
+TOLERANCE: Final = 5e-3
+"""Relative decrease of the cost at which to stop"""
+PINNED_TOLERANCE: Final = 2e-3
+"""The same of hands with points that a person has put in place, which are to be met"""
 
 SHAPE_FRAMES: Final = 48
 """So many frames, evenly spread over a clip, decide the hand's one shape"""
@@ -72,7 +75,7 @@ SMOOTH_PLACE: Final = 1.05
 """metres per second squared, of the wrist"""
 OVERLAP_SECONDS: Final = 2.4
 """Shared by two windows of a long clip at strength 1"""
-JITTER: Final = 1.75
+JITTER: Final = 1.5
 """times the expected errors of depth, where motion is smoothed: from frame to frame the depth of the landmark
 network of December 2020 trembles three to four times as much as the present one's"""
 DISTANCE_SIGMA: Final = 0.002
@@ -169,10 +172,11 @@ class FastFitter:
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
+        tolerance = TOLERANCE if problem.seen.pinned is None else PINNED_TOLERANCE
         return Solution.filled(
             len(start),
             (
-                solve(problem.select(part), start.select(part), max_iterations=most, tolerance=TOLERANCE)
+                solve(problem.select(part), start.select(part), max_iterations=most, tolerance=tolerance)
                 for part in slices(len(start), SLICE)
             ),
         )
