@@ -145,8 +145,8 @@ def _of_chunk(
         weight[:] = (SECOND.depth * np.clip(SECOND.agree / apart, SECOND.least, 1.0))[:, None]
         crossing = Crossing.of(canonical_points[..., :2])
         deeper = crossing.deeper(canonical_points[..., 2]) * crossing.deeper(other[..., 2])
-        disputed = (crossing.crossed & (deeper < 0.0)).any(axis=1)
-        weight[:, _THUMB] = np.where(disputed[:, None], SECOND.thumb, weight[:, _THUMB])
+        disputed = np.any(crossing.crossed & (deeper < 0.0), axis=1, keepdims=True)
+        weight[:, _THUMB] = np.where(disputed, SECOND.thumb, weight[:, _THUMB])
         difference = other[asked, :, 2] - canonical_points[asked, :, 2]
         canonical_points[asked, :, 2] += weight[asked] * difference
         depths_apart[asked] = SECOND.depth_doubted * np.abs(difference)
