@@ -55,6 +55,8 @@ PALM_DISTANCE: Final = 0.5
 """of a palm pin's displacement, in parts of the hand's size: what it adds to that"""
 ANGLE_SIGMA: Final = 8.0
 """radians: how firmly angles of a finger in doubt are kept, per hand's size of its doubt"""
+RIDES: Final = 0.25
+"""of that, for fingers without pins: they ride on a palm that is moved"""
 LEAST_ANGLE_SIGMA: Final = 0.002
 REACH: Final = 0.25
 """seconds: frames up to so far from a pin doubt their own landmarks too, the farther the less"""
@@ -123,9 +125,10 @@ def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.hypot(DISTANCE_SIGMA, PALM_DISTANCE * displaced[:, _PALM].max(axis=1) / size)
 
 
-def angle_sigma(doubt: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(N, 21) `followed`, (N,) pixels -> (N, 5) radians, how firmly the fingers' angles are kept."""
-    of_finger = doubt[:, _FINGERS].max(axis=2)
+def angle_sigma(doubt: np.ndarray, size: np.ndarray, idle: np.ndarray) -> np.ndarray:
+    """(N, 21) `followed`, (N,) pixels -> (N, 5) radians, how firmly the fingers' angles are kept. `idle` (N,
+    5) bool: those that nothing moves by themselves."""
+    of_finger = doubt[:, _FINGERS].max(axis=2) * np.where(idle, RIDES, 1.0)
     return np.maximum(ANGLE_SIGMA * of_finger / size[:, None], LEAST_ANGLE_SIGMA)
 
 

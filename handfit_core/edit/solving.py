@@ -242,7 +242,8 @@ class _Frames(Batch):
     ) -> State:
         observed = observation_of(seen, self.intrinsics)
         # A frame without a pose has nothing to keep.
-        turned = np.where(self.posed[:, None], pinning.angle_sigma(doubt, pinning.sizes(seen.pixels)), np.inf)
+        turned = pinning.angle_sigma(doubt, pinning.sizes(seen.pixels), self._idle)
+        turned = np.where(self.posed[:, None], turned, np.inf)
         limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
         near = Kept(kept.wrist, far, kept.angles, turned, limits)
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
@@ -424,8 +425,8 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
     if len(detections) > 1:
         return landmarked(detections, side)
     (one,) = detections
-    overlapped = None if one.overlapped is None else one.overlapped.tobytes()
-    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes(), overlapped)
+    others = [None if a is None else a.tobytes() for a in (one.keypoints_2020, one.overlapped)]
+    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes(), *others)
     if "one" not in _LAST or _LAST["one"][0] != key:
         _LAST["one"] = key, landmarked(detections, side)
     return _LAST["one"][1]

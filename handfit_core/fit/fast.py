@@ -55,7 +55,10 @@ from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
 
 MAX_ITERATIONS: Final = 20
 """Most need four to seven, fists up to fifteen"""
-TOLERANCE: Final = 2e-3
+TOLERANCE: Final = 5e-3
+"""Relative decrease of the cost at which to stop"""
+PINNED_TOLERANCE: Final = 2e-3
+"""The same of hands with points that a person has put in place, which are to be met"""
 
 SHAPE_FRAMES: Final = 48
 """So many frames, evenly spread over a clip, decide the hand's one shape"""
@@ -72,6 +75,9 @@ SMOOTH_PLACE: Final = 1.05
 """metres per second squared, of the wrist"""
 OVERLAP_SECONDS: Final = 2.4
 """Shared by two windows of a long clip at strength 1"""
+JITTER: Final = 1.5
+"""times the expected errors of depth, where motion is smoothed: from frame to frame the depth of the landmark
+network of December 2020 trembles three to four times as much as the present one's"""
 DISTANCE_SIGMA: Final = 0.002
 """of the wrist's distance, from what the whole clip says of it"""
 
@@ -127,10 +133,9 @@ class FastFitter:
         self.surface = surface_of(model)
         self._apart = Apart(self.surface)
         self._in_front, self._touch = InFront(self.surface), Touch(self.surface)
-        self._betas, self._length_rates = np.zeros(NUM_BETAS), None
-        if hand_length is not None:
-            self._betas = betas_of_measured(model, hand_length)
-            self._length_rates = length_rates(model, self._betas)
+        self._measured = hand_length is not None
+        self._betas = np.zeros(NUM_BETAS) if hand_length is None else betas_of_measured(model, hand_length)
+        self._length_rates = length_rates(model, self._betas)
 
     def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
         """What is seen of those detections through that camera."""
@@ -160,17 +165,18 @@ class FastFitter:
             terms = (*terms, near_pose, distance)
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
-            terms = (*terms, Shape(self._betas, self._length_rates, weight))
+            terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
         reach = self.reach if seen.kept is None else None
         return Problem(self.chain, seen, terms, shape, held, reach=reach)
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
+        tolerance = TOLERANCE if problem.seen.pinned is None else PINNED_TOLERANCE
         return Solution.filled(
             len(start),
             (
-                solve(problem.select(part), start.select(part), max_iterations=most, tolerance=TOLERANCE)
+                solve(problem.select(part), start.select(part), max_iterations=most, tolerance=tolerance)
                 for part in slices(len(start), SLICE)
             ),
         )
@@ -345,6 +351,7 @@ def over_time(
             # Rows of frames without a detection repeat another's; they are not looked at.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
             observed = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
+            observed = replace(observed, depth_sigma=JITTER * observed.depth_sigma)
             problem = fitter.problem(observed, held=here, solid=True)
             if observed.kept is None and observed.depth_zero is None and len(stretch) > 2:
                 certain = known & False if here is None else here.joints[:, 0]

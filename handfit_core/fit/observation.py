@@ -52,7 +52,7 @@ class Meeting(Batch):
     lying: np.ndarray
     """(B, Q) how sure it is that one lies on the other where they cross, 0..1"""
     standing_off: np.ndarray
-    """(B,) bool: whether the thumb seems to stand far off a bent finger that it crosses, as hands hardly do"""
+    """(B,) bool: whether the thumb seems to stand far off a bent finger that it crosses, as it hardly does"""
     touching: np.ndarray
     """(B, T) how sure it is that pairs of `fit.meeting.TIPS` touch, 0..1"""
 

@@ -44,7 +44,7 @@ STILL: Final = 0.4
 """radians per second that fingers seem to bend, and the palm to turn, when they do not"""
 STILL_WRIST: Final = 0.075
 """of the distance, per second, that the wrist seems to move across when it does not"""
-SPEED: Final = 0.02
+SPEED: Final = 0.0175
 """metres per second, of a wrist at rest"""
 ACCELERATION: Final = 0.4
 """metres per second squared, of the same"""

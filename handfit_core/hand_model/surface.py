@@ -46,7 +46,14 @@ PAIRS: Final = np.array(
 """(P, 2) bones that can touch, the lower first"""
 THUMB_IN_PALM: Final = 0.006
 """metres by which the palm gives under the thumb's first bone, as in a fist around the thumb"""
-_GIVES: Final = np.where((PAIRS[:, 0] == 1) & (PAIRS[:, 1] >= PALM), -THUMB_IN_PALM, 0.0)
+THUMB_IN_WEB: Final = 0.0085
+"""The same beside the index finger's metacarpal, in the web between both"""
+_GIVES: Final = np.select(
+    [(PAIRS == (1, PALM)).all(axis=1), (PAIRS[:, 0] == 1) & (PAIRS[:, 1] > PALM)],
+    [-THUMB_IN_WEB, -THUMB_IN_PALM],
+    0.0,
+)
+"""(P,) metres, negative as overlaps are"""
 
 
 @dataclass(frozen=True, eq=False)

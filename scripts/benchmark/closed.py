@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.hand_model.surface import surface_of
+from handfit_core.hand_model.surface import PAIRS, PALM, surface_of
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS
 
 from .contact import capsules, overlaps
@@ -29,16 +29,20 @@ _THUMBS_TRIED: Final = 300
 _TRIES: Final = 8
 _PLACE: Final = 0.2
 """What it counts to touch at the right place, against touching at all"""
+_IN_PALM: Final = np.flatnonzero((PAIRS[:, 0] == 1) & (PAIRS[:, 1] >= PALM))
+"""Of `PAIRS`: the thumb's first bone and the palm, which `contact.overlaps` does not see"""
 _STILL_OPEN: Final = 0.3
 """Of the bends of the parts that close last, where the solver starts"""
 
 _BENDS: Final = {
     "s": ((-4, 10), (0, 10)),  # straight
     "b": ((20, 45), (0, 12)),  # straight, bent at the knuckle
+    "f": ((50, 70), (0, 15)),  # straight, bent so far forward that a thumb gets beside its first bone
     "r": ((30, 50), (35, 55)),  # round
     "l": ((50, 66), (60, 80)),  # loosely curled
     "c": ((70, 86), (86, 100)),  # curled
     "d": ((70, 86), (55, 80)),  # draped over the thumb
+    "u": ((76, 86), (55, 80)),  # the same, bent farther at the knuckle, so that the thumb stays under it
     "e": ((25, 45), (88, 100)),  # claws, the tips at the knuckles
     "o": ((58, 74), (92, 102)),  # curled, with room for a thumb before it
     "x": ((8, 18), (2, 12)),  # in front of a crossed finger
@@ -115,12 +119,12 @@ CLOSED: Final[dict[str, Recipe]] = {
     "G": Recipe("bccc", "beside", _thumb_on("middle", 1, "thumb", 0.3)),
     "H": Recipe("sscc", "across", _thumb_on("ring", 1, "back", 0.3)),
     "I": Recipe("oocs", "over", _OVER, giving=_PAIR),
-    "K": Recipe("sbcc", "up", _thumb_on("middle", 0, "thumb", 0.8), giving=_PAIR, fan=(0.2, 0.6)),
+    "K": Recipe("sfcc", "up", _thumb_on("middle", 0, "thumb", 0.8), giving=_PAIR, fan=(0.2, 0.6)),
     "L": Recipe("sccc", "out"),
     "M": Recipe("dddc", "across", _thumb_on("ring", 1, "palm", 0.3), LONG),
-    "N": Recipe("ddcc", "across", _thumb_on("middle", 1, "palm", 0.3), LONG),
+    "N": Recipe("uucc", "across", _thumb_on("middle", 1, "palm", 0.6), LONG),
     "O": Recipe("rrrr", "opposed", _tips("index", "middle")),
-    "P": Recipe("bbcc", "up", _thumb_on("middle", 0, "thumb", 0.9), giving=_PAIR, fan=(0.2, 0.6)),
+    "P": Recipe("bfcc", "up", _thumb_on("middle", 0, "thumb", 0.9), giving=_PAIR, fan=(0.2, 0.6)),
     "Q": Recipe("bccc", "opposed"),
     "R": Recipe(
         "xycc", "across", _thumb_on("ring", 1, "back", 0.3), giving=_PAIR, spreads=(-14.0, 14.0, 0.0, 0.0)
@@ -203,7 +207,17 @@ def _drawn(recipe: Recipe, hand: RightHand, rng: np.random.Generator) -> np.ndar
     else:
         start[[j - 1 for f in recipe.last for j in FINGER_JOINTS[f]], 2] *= _STILL_OPEN
     moving = {*recipe.last, *recipe.giving, "thumb", *(t.finger for t in touches)}
-    return reach(hand, start, fingers_mask(*moving), miss, wanted, right_limits())
+    return reach(
+        hand, start, fingers_mask(*moving), miss, wanted, right_limits(), lambda a: _in_palm(hand, a)
+    )
+
+
+def _in_palm(hand: RightHand, angles: np.ndarray) -> np.ndarray:
+    """How deep the thumb's first bone stands in each of the palm's, (B, 4) metres; angles (B, 15, 3)."""
+    surface, batch = surface_of(model_of("right")), len(angles)
+    capsules = surface.of(np.repeat(hand.betas[None], batch, axis=0), hand_pose_from_angles(angles, "right"))
+    rows, pairs = np.repeat(np.arange(batch), len(_IN_PALM)), np.tile(_IN_PALM, batch)
+    return -surface.gaps(capsules, rows, pairs).gap.reshape(batch, -1)
 
 
 def _thumb_anywhere(
@@ -217,7 +231,8 @@ def _thumb_anywhere(
     trials = np.repeat(angles[None], _THUMBS_TRIED, axis=0)
     trials[1:, rows] = rng.uniform(limits.lower[rows], limits.upper[rows], (_THUMBS_TRIED - 1, 3, 3))
     points = hand.keypoints(trials)
-    deep = np.maximum(overlaps(points, hand.scale) - 0.001, 0.0)
+    cut = np.concatenate([overlaps(points, hand.scale), _in_palm(hand, trials)], axis=1)
+    deep = np.maximum(cut - 0.001, 0.0)
     return trials[np.argmin(np.sum(miss(points) ** 2, axis=1) + np.sum(deep**2, axis=1))]
 
 

@@ -146,7 +146,7 @@ def _of_chunk(
         crossing = Crossing.of(canonical_points[..., :2])
         deeper = crossing.deeper(canonical_points[..., 2]) * crossing.deeper(other[..., 2])
         disputed = (crossing.crossed & (deeper < 0.0)).any(axis=1)
-        weight[np.ix_(disputed, _THUMB)] = SECOND.thumb
+        weight[:, _THUMB] = np.where(disputed[:, None], SECOND.thumb, weight[:, _THUMB])
         difference = other[asked, :, 2] - canonical_points[asked, :, 2]
         canonical_points[asked, :, 2] += weight[asked] * difference
         depths_apart[asked] = SECOND.depth_doubted * np.abs(difference)

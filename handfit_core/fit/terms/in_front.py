@@ -22,7 +22,7 @@ FAR: Final = 0.02
 
 class InFront:
     """One row for each crossing of `seen.meeting`: r = apart - distance in the right order, over SIGMA where
-    it is positive. Parts that are farther apart than need be cost nothing, unless they lie on each other: then
+    it is positive. Parts farther apart than need be cost nothing, unless they lie on each other: then
     r / LYING_SIGMA with Geman and McClure's kernel, as of `touch`."""
 
     def __init__(self, surface: Surface) -> None:

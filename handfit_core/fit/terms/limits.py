@@ -57,7 +57,7 @@ class Limits:
             own = np.isnan(kept.limits_sigma)[:, None, None]
             sigma = np.where(own, SIGMA, kept.limits_sigma[:, None, None])
             more = np.maximum(np.abs(self._outside(kept.angles, below, below)), PASSIVE_RANGE)
-            below, above = np.where(own, below, more), np.where(own, above, more)
+            below, above = np.where(own, below, more), np.where(own, above, np.maximum(more, CLOSED))
         angles = posed.state.angles
         outside = self._outside(angles, below, above)
         slope = (outside != 0.0) / sigma

@@ -31,6 +31,8 @@ class PosePrior:
         """The rows of B posed hands."""
         angles = posed.state.angles
         pinned = np.zeros(len(angles), dtype=bool) if seen.pinned is None else seen.pinned.any(axis=1)
+        if seen.kept is not None:
+            pinned = pinned | np.isfinite(seen.kept.limits_sigma)  # a finger that goes for its pin alone
         whiten = np.sqrt(np.where(pinned, PINNED_WEIGHT, WEIGHT))[:, None, None, None] * self._whiten
         rows = Rows.zeros(FINGERS, len(angles), 9)
         rows.jacobian[...] = whiten

@@ -13,27 +13,35 @@ LENGTH_SIGMA = 0.001
 """metres, of a length that was measured; left to the coefficients' own spread, proportions would overrule
 it"""
 
-
 WEIGHT = 0.2
-"""of the squared betas, where the length is not known: hands differ more than the open hand's betas, of sigma
-1, expect"""
+"""of the squared betas, where the length is not known: hands' proportions differ more than the open hand's
+betas, of sigma 1, expect. Their size, which hardly any picture tells from their distance, does not"""
 
 
 class Shape:
-    """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured.
+    """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured. Where it was
+    not, the ten count `WEIGHT` times but for what changes the length.
 
-    `length_rates` (10,): metres by which it grows with each beta; it is all but linear in them. None: it is
-    not known. All counts `weight` times: in a clip with one shape that would else be judged in each frame.
+    `length_rates` (10,): metres by which it grows with each beta; it is all but linear in them. None: nobody
+    knows. All counts `weight` times: in a clip with one shape that would else be judged in each frame.
     """
 
     def __init__(
-        self, expected: np.ndarray, length_rates: np.ndarray | None = None, weight: float = 1.0
+        self,
+        expected: np.ndarray,
+        length_rates: np.ndarray | None = None,
+        weight: float = 1.0,
+        *,
+        measured: bool = True,
     ) -> None:
         self.expected = expected
-        if length_rates is None:
-            rows = np.eye(NUM_BETAS) * np.sqrt(WEIGHT)
-        else:
+        if length_rates is not None and measured:
             rows = np.concatenate([np.eye(NUM_BETAS), length_rates[None] / LENGTH_SIGMA])
+        else:
+            rows = np.eye(NUM_BETAS) * np.sqrt(WEIGHT)
+            if length_rates is not None and length_rates.any():
+                size = length_rates / np.linalg.norm(length_rates)
+                rows = np.concatenate([rows, np.sqrt(1.0 - WEIGHT) * size[None]])
         self._slope = rows * np.sqrt(weight)
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)

@@ -16,7 +16,7 @@ import pytest
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineResult, landmark_points, refit_each
 from handfit_core.edit.pins import REACHED
-from handfit_core.fit.terms.apart import GIVES
+from handfit_core.fit.terms.apart import EDIT_SIGMA, GIVES
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
     anatomical_angles,
@@ -24,7 +24,8 @@ from handfit_core.hand_model.anatomy import (
     joint_limits,
     rotmats_from_angles,
 )
-from handfit_core.hand_model.surface import surface_of
+from handfit_core.hand_model.surface import FINGER_OF_BONE, PAIRS, surface_of
+from handfit_core.hand_model.surface import PALM as PALM_BONES
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from tests.core.edit.test_refit import captured, distance, handles, make_hand, no_pins, true_hands
 from tests.core.fit.detections import CAMERA, landmarks_of, model_of, seen
@@ -91,10 +92,19 @@ def ways(keypoint: int) -> Iterator[tuple[Hand, np.ndarray]]:
             yield hand, far * hand.size * np.array([np.cos(angle), np.sin(angle)])
 
 
-def pressed(hand: Hand, result: RefineResult) -> bool:
-    """Whether the finger lies on another part of the hand, which keeps it from its pin."""
+def pressed(hand: Hand, keypoint: int, result: RefineResult) -> bool:
+    """Whether the finger lies on another part of the hand, which keeps it from its pin: a sigma deeper than
+    flesh gives, and than in the capture, where fingers that are side by side may press each other."""
+    before, now = (depths_of(hand, keypoint, pose) for pose in (hand.pose[2], result.hand_pose))
+    return bool((now > np.maximum(before, GIVES) + EDIT_SIGMA).any())
+
+
+def depths_of(hand: Hand, keypoint: int, pose: np.ndarray) -> np.ndarray:
+    """(P,) metres by which the finger stands in other parts, of all pairs; 0 of those of other fingers."""
     surface = surface_of(model_of(hand.side))
-    return bool(surface.depths(surface.of(hand.pose[0], result.hand_pose)) > GIVES)
+    gap = surface.near(surface.of(hand.pose[0], pose), within=np.inf).gap
+    own = (FINGER_OF_BONE[PAIRS] == (keypoint - 1) // 4) & (PAIRS < PALM_BONES)
+    return np.where(own.any(axis=1), -gap, 0.0)
 
 
 def shortfall(hand: Hand, keypoint: int, pin: np.ndarray) -> float:
@@ -165,7 +175,7 @@ def test_other_fingers_stay_unless_the_palm_must_follow(keypoint: int) -> None:
         assert bent.sum() <= 1, (hand.side, by)
         pin = hand.before[keypoint] + by
         moved = distance(found, hand.before)[others(keypoint)].max()
-        if pressed(hand, result):
+        if pressed(hand, keypoint, result):
             on_others += 1
             continue
         short = shortfall(hand, keypoint, pin) if moved > LEAST * hand.size else 0.0
@@ -195,7 +205,7 @@ def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
         if keypoint in PALM and np.linalg.norm(by) > 0.5 * hand.size:
             continue
         one, other = (hand.dragged(keypoint, by + nudge) for nudge in (0.0, 1e-4))
-        if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, one):
+        if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, keypoint, one):
             continue
         missed = distance(one.landmarks_2d[0, keypoint], hand.before[keypoint] + by)
         if abs(missed - REACHED) < 0.1:  # the palm moves, or it does not

@@ -7,14 +7,15 @@ from functools import cache
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.fit.terms.limits import CLOSED
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.hand_model.landmarks import detector_landmarks
 from handfit_core.paper.placement import turn_to_ray
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side, other_side
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, Side, other_side
 from scripts.benchmark.kinematics import MIRROR_ROTVEC
 
 CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)
@@ -116,6 +117,13 @@ def mirror_image(detection: HandDetection, camera: Intrinsics = CAMERA) -> HandD
 def angles_of_pose(pose: np.ndarray, side: Side) -> np.ndarray:
     """(N, 45) -> (N, 15, 3) twist, spread, bend in radians."""
     return anatomical_angles(rotvec_to_rotmat(pose.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
+
+
+def ends_of_range(side: Side) -> tuple[np.ndarray, np.ndarray]:
+    """(15, 3) radians: the least and the most that a hand bends joints to, closed as far as it goes."""
+    ranges, closed = joint_limits(side), np.zeros((15, 3))
+    closed[JOINTS_BY_FINGER - 1] = CLOSED.reshape(5, 3, 3)
+    return ranges.lower, ranges.upper + closed
 
 
 def laid_error(found: np.ndarray, aims: np.ndarray) -> np.ndarray:

@@ -12,13 +12,13 @@ from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
 from handfit_core.fit.gaps import LONGEST_GAP
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
 from handfit_core.skeleton import PARENTS, SIDES, Side
 from handfit_core.solvers import TrackFit
 from tests.core.fit.detections import (
     CAMERA,
     angles_of_pose,
+    ends_of_range,
     keypoints_of,
     laid_error,
     landmarks_of,
@@ -91,8 +91,8 @@ def test_alone_or_among_others() -> None:
 
 def excess(pose: np.ndarray, side: Side) -> np.ndarray:
     """(N,) by how many degrees the worst angle of each hand lies outside of its range."""
-    angles, limits = angles_of_pose(pose, side), joint_limits(side)
-    return np.degrees(np.maximum(angles - limits.upper, limits.lower - angles).max(axis=(1, 2)))
+    angles, (lower, upper) = angles_of_pose(pose, side), ends_of_range(side)
+    return np.degrees(np.maximum(angles - upper, lower - angles).max(axis=(1, 2)))
 
 
 def garbage(side: Side, count: int) -> list[HandDetection]:
@@ -255,8 +255,8 @@ def test_a_stopped_clip_keeps_the_chunks_that_are_done(monkeypatch: pytest.Monke
 @pytest.mark.parametrize("length", [0.15, 0.17, 0.21])
 def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> None:
     model = model_of(side)
-    _, orient, pose, transl = parameters_of(side, 12, seed=5)
-    betas = np.tile(betas_of_length(model, length), (12, 1))
+    _, orient, pose, transl = (np.tile(values, (3, 1)) for values in parameters_of(side, 12, seed=5))
+    betas = np.tile(betas_of_length(model, length), (36, 1))
     true = (betas, orient, pose, transl)
     detections = detections_of(side, true, noise=2.0)
     guessed = fit_frames(model, detections, CAMERA)
@@ -269,7 +269,8 @@ def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> No
 
     assert abs(distance(told).mean() - 1.0) < 0.025
     assert abs(distance(guessed).mean() - 1.0) > 0.05  # without being told it is an average hand's
-    track = DetectedTrack(side, tuple(detections), FPS)
+    assert distance(guessed).std() < 0.05  # and does not grow and shrink with what little a picture tells
+    track = DetectedTrack(side, tuple(detections[:12]), FPS)
     found = fit_track(0.0, model, track, CAMERA, lambda: None, hand_length=length)
     assert flat_hand_length(model, found.betas) == pytest.approx(length, rel=0.01)
 
@@ -303,11 +304,15 @@ def test_fingers_that_another_hand_hides_are_carried_by_their_neighbours_in_time
         detections[t] = replace(detections[t], keypoints=keypoints)
     told = list(detections)
     told[wrong] = [replace(d, overlapped=covered) for d in detections[wrong]]
-    errors = []
+    errors, aims = [], keypoints_of("right", *poses)
     for given in (detections, told):
         found = fit_track(1.0, model, DetectedTrack("right", tuple(given), FPS), CAMERA, lambda: None)
         points = keypoints_of(
             "right", np.tile(found.betas, (30, 1)), found.global_orient, found.hand_pose, found.transl
         )
-        errors.append(np.linalg.norm(points - keypoints_of("right", *poses), axis=-1)[wrong].mean())
+        # As seen from the wrist: the hand's size is guessed, and its distance with it.
+        off = (points - points[:, :1]) - (aims - aims[:, :1])
+        errors.append(np.linalg.norm(off, axis=-1)[wrong].mean())
+        distance = points[:, 0, 2] / aims[:, 0, 2]
+        assert np.all((distance > 0.9) & (distance < 1.1))
     assert errors[1] < 0.6 * errors[0]

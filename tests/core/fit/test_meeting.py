@@ -66,7 +66,14 @@ def anything(batch: int) -> Meeting:
     rng = np.random.default_rng(3)
     many, tips = (batch, len(CROSSING)), (batch, len(TIPS))
     front = rng.choice([-1.0, 1.0], many)
-    return Meeting(rng.random((*many, 2)), front, np.full(many, 0.01), rng.random(tips))
+    return Meeting(
+        rng.random((*many, 2)),
+        front,
+        np.full(many, 0.01),
+        rng.random(many),
+        np.zeros(batch, dtype=bool),
+        rng.random(tips),
+    )
 
 
 @pytest.mark.parametrize("side", SIDES)

@@ -23,10 +23,11 @@ from handfit_core.fit.terms import (
     near_pose,
     reprojection,
 )
-from handfit_core.fit.terms.limits import BEND, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
-from handfit_core.fit.terms.pose_prior import WEIGHT
+from handfit_core.fit.terms.limits import BEND, CLOSED, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
+from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
+from handfit_core.fit.terms.shape import WEIGHT as SHAPE_WEIGHT
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
 from tests.core.fit.differences import by_each, close, random
@@ -48,6 +49,7 @@ TERMS: list[Term] = [
     distance,
     Shape(random(10, seed=6)),
     Shape(random(10, seed=6), RATES, 0.3),
+    Shape(random(10, seed=6), RATES, 0.3, measured=False),
 ]
 every_term = pytest.mark.parametrize("term", TERMS, ids=lambda t: getattr(t, "__name__", type(t).__name__))
 
@@ -181,7 +183,8 @@ def test_limits_are_the_distance_from_the_nearer_end_in_sigmas() -> None:
     inside[..., SPREAD] *= 0.1
     assert not limits(*with_angles(inside)).columns.any()
     outside = inside.copy()
-    outside[0, 1, 5], outside[0, 2, 8] = limits.upper[1, 5] + 3.5 * SIGMA, limits.lower[2, 8] - 3 * SIGMA
+    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED[1, 5] + 3.5 * SIGMA
+    outside[0, 2, 8] = limits.lower[2, 8] - 3 * SIGMA
     residual = limits(*with_angles(outside)).residual
     assert (residual[0, 1, 5], residual[0, 2, 8]) == pytest.approx((3.5, -3.0))
     assert np.abs(residual).sum() == pytest.approx(6.5)
@@ -207,6 +210,10 @@ def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
     angles[0, 1, 5], angles[0, 2, 5] = limits.upper[1, 5] + 0.41, limits.upper[2, 5] + PASSIVE_RANGE + 0.02
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
+    # No less than closed hands have.
+    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED[3, 8] + 0.03
+    residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
+    assert residual[0, 3, 8] == pytest.approx(0.03 / sigma)
     # A frame without a pose among those that keep one is as if nobody kept any.
     free = limits(posed, replace(seen, kept=kept_near(kept))).residual
     np.testing.assert_array_equal(free, limits(posed, seen).residual)
@@ -219,6 +226,21 @@ def test_the_pose_prior_is_the_mahalanobis_distance_and_mirrored_for_left_hands(
     close(np.square(PosePrior(MEAN, COVARIANCE)(posed, seen).residual).sum(axis=-1), WEIGHT * expected)
     left = replace(posed, state=replace(posed.state, angles=posed.state.angles * MIRROR))
     close(np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1), WEIGHT * expected)
+
+
+def test_the_pose_prior_counts_more_where_a_person_has_put_points() -> None:
+    """Also while a finger goes for its pin alone, which is then no surer than other points."""
+    posed, seen = hands()
+    prior = PosePrior(MEAN, COVARIANCE)
+    times = np.sqrt(PINNED_WEIGHT / WEIGHT)
+    pinned = replace(seen, pinned=np.arange(63).reshape(3, 21) == 25)
+    expected = prior(posed, seen).columns
+    expected[1] *= times
+    close(prior(posed, pinned).columns, expected)
+    corrected = replace(seen, kept=kept_near(posed.state, 0.005))
+    close(prior(posed, corrected).columns, prior(posed, seen).columns * times)
+    at_distance = replace(seen, kept=kept_near(posed.state))
+    close(prior(posed, at_distance).columns, prior(posed, seen).columns)
 
 
 def test_a_last_joint_bent_alone_costs_but_not_the_thumbs() -> None:
@@ -263,6 +285,20 @@ def test_all_shapes_of_the_measured_length_differ_by_their_proportions_alone() -
         residual = Shape(expected, RATES)(shaped, seen).residual[0, 0]
         close(residual[:10], betas - expected)
         assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
+
+
+def test_an_unknown_length_is_held_and_proportions_are_hardly() -> None:
+    posed, seen = hands(1)
+    across = random(10, seed=3)
+    across -= RATES * (across @ RATES) / (RATES @ RATES)
+    term = Shape(np.zeros(10), RATES, measured=False)
+    for way, share in ((RATES, 1.0), (across, SHAPE_WEIGHT)):
+        betas = 2.0 * way / np.linalg.norm(way)
+        shaped = replace(posed, state=replace(posed.state, betas=betas[None]))
+        assert np.square(term(shaped, seen).residual).sum() == pytest.approx(4.0 * share)
+        # Of a model whose shapes do not change its length, all are proportions.
+        bare = Shape(np.zeros(10), np.zeros(10), measured=False)
+        assert np.square(bare(shaped, seen).residual).sum() == pytest.approx(4.0 * SHAPE_WEIGHT)
 
 
 def test_uncertain_points_count_linearly_beyond_one_sigma() -> None:

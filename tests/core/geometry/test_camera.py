@@ -39,6 +39,14 @@ def test_assumed_camera_sees_53_degrees_along_the_longer_side() -> None:
         assert (spans[0] > spans[1]) == (width > height)
 
 
+def test_assumed_cameras_have_hands_no_nearer_than_an_arm() -> None:
+    """A hand of 0.17 metres that has so many pixels is 0.4 metres away, or farther."""
+    assert Intrinsics.assumed(640, 480, 272.0) == Intrinsics.assumed(640, 480)
+    close = Intrinsics.assumed(640, 480, 400.0)
+    assert close.fx == close.fy == pytest.approx(400.0 * 0.4 / 0.17)
+    assert (close.cx, close.cy) == (320.0, 240.0)
+
+
 @pytest.mark.parametrize(
     "values",
     [
