@@ -89,5 +89,6 @@ def with_added(
         world_landmarks=nothing,
         placed=placed,
     )
-    digests = {**take.model_digests, model.side: model.digest}
+    # A hand of that side that an older model was fitted to keeps its own.
+    digests = {model.side: model.digest, **take.model_digests}
     return replace(take, hands=(*take.hands, track), model_digests=digests)

@@ -58,7 +58,7 @@ MAX_ITERATIONS: Final = 20
 TOLERANCE: Final = 5e-3
 """Relative decrease of the cost at which to stop"""
 PINNED_TOLERANCE: Final = 2e-3
-"""The same of hands with points that a person has put in place, which are to be met"""
+"""The same of hands that a person corrects: points that are put in place or made to touch are to be met"""
 
 SHAPE_FRAMES: Final = 48
 """So many frames, evenly spread over a clip, decide the hand's one shape"""
@@ -172,7 +172,9 @@ class FastFitter:
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
-        tolerance = TOLERANCE if problem.seen.pinned is None else PINNED_TOLERANCE
+        # Fingers that are made to touch have none of `pinned`.
+        corrected = problem.seen.pinned is not None or problem.seen.touches is not None
+        tolerance = PINNED_TOLERANCE if corrected else TOLERANCE
         return Solution.filled(
             len(start),
             (

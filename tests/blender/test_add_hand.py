@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -81,6 +82,16 @@ def test_a_hand_is_added_to_a_capture(make_take, side):
     first = hand_of(built.hands[0].armature)
     assert first is not None
     assert first.track.placed is None
+
+
+def test_a_hand_of_an_older_model_stays_one_beside_an_added_hand_of_its_side(make_take):
+    """The take has one digest a side."""
+    take = make_take(sides=("right",), model_digests={"right": "0" * 16}).take
+    older = replace(take.hands[0], joints_3d=take.hands[0].joints_3d + 0.01)
+    first = build_take(replace(take, hands=(older,))).hands[0].armature
+    bpy.context.view_layer.objects.active = first
+    assert not added("right").is_of_other_model(), "it is made with the present one"
+    assert hand_of(first).is_of_other_model()
 
 
 def test_a_picture_is_shown_for_the_hand_alone(tmp_path):
