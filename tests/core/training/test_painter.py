@@ -43,7 +43,7 @@ def without_noise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("without_noise")
-@pytest.mark.parametrize("number", [0, 20, 40])
+@pytest.mark.parametrize("number", [0, 30, 40])  # none is seen into its open wrist
 def test_the_hand_covers_what_its_mesh_projects_to(number: int) -> None:
     shot = bare_shot(number)
     hand = shot.hands[0]
