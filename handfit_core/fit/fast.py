@@ -58,7 +58,7 @@ MAX_ITERATIONS: Final = 20
 TOLERANCE: Final = 5e-3
 """Relative decrease of the cost at which to stop"""
 PINNED_TOLERANCE: Final = 2e-3
-"""The same of hands that a person corrects: points that are put in place or made to touch are to be met"""
+"""Relative decrease of the cost at which to stop where a person has put points in place or made them touch"""
 
 SHAPE_FRAMES: Final = 48
 """So many frames, evenly spread over a clip, decide the hand's one shape"""

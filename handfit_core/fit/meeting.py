@@ -37,11 +37,11 @@ LYING: Final = (0.10, 0.20)
 """Of the hand's size along the line of sight: a thumb whose skin is nearer than the first to the skin of what
 it covers lies on it, as far as that tells; one that is farther than the second stands off"""
 STANDING_OFF: Final = 0.15
-"""The same: a thumb that stands farther off a bent finger is most likely seen wrongly"""
+"""Of the hand's size: a thumb that stands farther off a bent finger that it crosses is likely seen wrongly"""
 BENT: Final = float(np.radians(60.0))
 """radians of a finger's middle joint"""
 LYING_DEPTH: Final = (1.5, 2.0)
-"""The same, times the expected error of both depths, which grows where the networks differ"""
+"""Bounds of lying and standing off, times the expected error of both depths"""
 
 
 def meeting(surface: Surface, seen: Observation, state: State, times: Times | None = None) -> Meeting:

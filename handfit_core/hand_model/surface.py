@@ -47,7 +47,7 @@ PAIRS: Final = np.array(
 THUMB_IN_PALM: Final = 0.006
 """metres by which the palm gives under the thumb's first bone, as in a fist around the thumb"""
 THUMB_IN_WEB: Final = 0.0085
-"""The same beside the index finger's metacarpal, in the web between both"""
+"""metres by which the web between thumb and index finger gives under the thumb's first bone"""
 _GIVES: Final = np.select(
     [(PAIRS == (1, PALM)).all(axis=1), (PAIRS[:, 0] == 1) & (PAIRS[:, 1] > PALM)],
     [-THUMB_IN_WEB, -THUMB_IN_PALM],

@@ -12,7 +12,7 @@ from handfit_core.skeleton import Side
 WEIGHT = 0.15
 """of the squared distance: with more of it, closed hands open and others are drawn towards usual poses"""
 PINNED_WEIGHT = 0.7
-"""The same of hands with points that a person has put in place: little else tells the others' places"""
+"""Weight where a person has put points in place: little else tells where the others are"""
 
 
 class PosePrior:

@@ -17,7 +17,7 @@ from scripts.extension.wheels import BuildError
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """As an old one is: the first file alone."""
+    """A cache of an older version holds the first file alone."""
     folder = tmp_path / "cache"
     folder.mkdir()
     monkeypatch.setenv("HANDFIT_CACHE", str(folder))
