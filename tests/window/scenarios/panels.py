@@ -44,7 +44,14 @@ def preferences(stage):
     bpy.context.window_manager.addon_search = "manient"
     area = stage.area()
     area.type = "PREFERENCES"
-    yield 0.3
+
+    def drawn() -> bool:
+        if ADDON == "blender_manient":  # Blender forgets it when it looks through its folders once more.
+            addon_utils.addons_fake_modules.setdefault(ADDON, _listed())
+        area.tag_redraw()
+        return any(name.startswith("preferences.") and name.endswith(".draw") for name in stage.meter.calls)
+
+    yield from stage.until(drawn, 20.0, "the preferences to be drawn")
     yield from stage.screenshot("preferences")
     area.type = "VIEW_3D"
     addon_utils.addons_fake_modules.pop("blender_manient", None)
