@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -104,13 +106,15 @@ class Followed:
 class ClipFinder(Detector):
     """Finds the hands of consecutive frames of one clip.
 
-    A hand that turns up is followed backwards too: `frames` is final only at the end.
+    A hand that turns up is followed backwards too, and the landmark network of December 2020 looks at a frame
+    while the next one is looked for: `frames` is final only at the end.
     """
 
     def __init__(self, settings: DetectorSettings, networks: Networks, *, whole_past: bool = False) -> None:
         """`whole_past`: a hand that turns up is followed back to the first frame, not only for a second."""
-        self.frames: list[tuple[HandDetection, ...]] = []
-        """The hands of every frame so far"""
+        self._frames: list[tuple[HandDetection, ...]] = []
+        self._second_looks: list[tuple[int, HandDetection, Future[HandDetection]]] = []
+        """The hands of the last frame, with the frame's index, that are being looked at by both networks"""
         self.cuts: list[int] = []
         """Which of them begin another shot"""
         self.counts: list[int] = []
@@ -128,6 +132,14 @@ class ClipFinder(Detector):
         self._past = Packed() if whole_past else Past()
         self._searches = 0
         self._search_wait = 0
+
+    @property
+    def frames(self) -> list[tuple[HandDetection, ...]]:
+        """The hands of every frame so far."""
+        for index, hand, second in self._second_looks:
+            self._frames[index] = tuple(second.result() if h is hand else h for h in self._frames[index])
+        self._second_looks = []
+        return self._frames
 
     def look_in(
         self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
@@ -149,8 +161,8 @@ class ClipFinder(Detector):
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
         """As `Detector.find`; hands that are found in it later are told by `frames`."""
-        index = len(self.frames)
-        self.frames.append(())
+        index = len(self._frames)
+        self._frames.append(())
         if rgb is None:
             self._past.append(None)
             return ()
@@ -165,6 +177,7 @@ class ClipFinder(Detector):
         new = self._search(rgb, index, bool(lost) or cut)
         self._lost += lost
         self.frames[index] = tuple(followed.last for followed in self.followed)
+        self._look_twice(rgb, index)
         for followed in new:
             hand = followed.last
             behind = [f for f in self._lost if f.beside]
@@ -175,7 +188,13 @@ class ClipFinder(Detector):
             self._past.clear()  # nothing is added to frames in which all that are wanted are seen
         else:
             self._past.append(rgb)
-        return self.frames[index]
+        return self._frames[index]
+
+    def _look_twice(self, rgb: np.ndarray, index: int) -> None:
+        """Begin to look at the hands of a frame with both networks."""
+        for followed in self.followed:
+            second = self._networks.beside(partial(second_look, self._networks, rgb, replace(followed)))
+            self._second_looks.append((index, followed.last, second))
 
     @property
     def _full(self) -> bool:
@@ -235,7 +254,7 @@ class ClipFinder(Detector):
         """Follow hands that are not followed, and add them to the new ones."""
         for hand in hands:
             if not self._full and not self._known(hand):
-                new.append(self._follow_new(self._networks.seen_twice(rgb, hand)))
+                new.append(self._follow_new(hand))
                 self._searches, self._search_wait = 0, FIRST_WAIT
 
     def _follow_new(self, hand: HandDetection) -> Followed:
@@ -253,27 +272,34 @@ class ClipFinder(Detector):
 def there(networks: Networks, rgb: np.ndarray, followed: Followed) -> HandDetection | None:
     """A followed hand where it should be; looked at once more where it has moved away from there."""
     expected = followed.expected()
-    look = networks.look(rgb, view_of(expected), twice=True)
+    look = networks.look(rgb, view_of(expected))
     off = np.linalg.norm(look.hand.keypoints_2d - expected, axis=-1).mean()
     if look.presence >= followed.least and off > ASTRAY * look.hand.extent:
-        look = networks.look(rgb, view_of(look.hand.keypoints), twice=True)
+        look = networks.look(rgb, view_of(look.hand.keypoints))
     if look.presence < followed.least:
         return None
-    more = [networks.look(rgb, view) for view in _more_views(networks, look.hand)]
-    hands = [look.hand, *(another.hand for another in more if another.presence >= followed.least)]
-    return replace(mean_of(hands), shown=followed.last.shown)
+    views = list(around(look.hand.keypoints))[1:] if networks.quality == "best" else []
+    return replace(_mean_with(networks, rgb, look.hand, views, followed.least), shown=followed.last.shown)
 
 
-def _more_views(networks: Networks, hand: HandDetection) -> list[View]:
-    """The crops in which a followed hand is looked at besides the first: all in quality `best`; in `standard`
-    the mirror image alone, where the two networks differ."""
-    views = list(around(hand.keypoints))
-    if networks.quality == "best":
-        return views[1:]
-    if networks.quality == "draft" or hand.keypoints_2020 is None:
-        return []
+def second_look(networks: Networks, rgb: np.ndarray, followed: Followed) -> HandDetection:
+    """A hand that was just seen, with what the landmark network of December 2020 sees of it; the mirror image
+    is looked at as well where the two networks differ and nothing but one look was had."""
+    hand = networks.seen_twice(rgb, followed.last)
+    if networks.quality != "standard" or hand.keypoints_2020 is None or hand.spread is not None:
+        return hand
     apart = disagreement(hand.keypoints[None], hand.keypoints_2020[None])[0]
-    return views[len(TURNS) : len(TURNS) + 1] if apart > DIFFER else []
+    mirrored = list(around(hand.keypoints))[len(TURNS)]
+    return _mean_with(networks, rgb, hand, [mirrored] if apart > DIFFER else [], followed.least)
+
+
+def _mean_with(
+    networks: Networks, rgb: np.ndarray, hand: HandDetection, views: Sequence[View], least: float
+) -> HandDetection:
+    """A hand and what more views show of it, where they show so much presence."""
+    more = [networks.look(rgb, view) for view in views]
+    hands = [hand, *(look.hand for look in more if look.presence >= least)]
+    return replace(mean_of(hands), shown=hand.shown) if len(hands) > 1 else hand
 
 
 def meets(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
@@ -295,7 +321,7 @@ def goes_on(
     if hand is None or meets(hand, frames[row]):
         return False
     followed.seen(hand)
-    frames[row] = (*frames[row], hand)
+    frames[row] = (*frames[row], second_look(networks, rgb, followed))
     return True
 
 

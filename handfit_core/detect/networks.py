@@ -186,7 +186,7 @@ class Networks:
         self._landmark_model = landmark_model
         self._pool: ThreadPoolExecutor | None = None
         self._beside: ThreadPoolExecutor | None = None
-        """Runs the second landmark network while the first one runs"""
+        """Runs the landmark network of December 2020 while the present one looks at the next frame"""
         self._idle: SimpleQueue[Networks | None] = SimpleQueue()
         """What threads run; None: networks that are not loaded yet"""
         # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
@@ -289,17 +289,11 @@ class Networks:
             points=(numbers[:, 2:] - view.offset) @ back.T,
         )
 
-    def look(self, rgb: np.ndarray, view: View, *, twice: bool = False) -> Look:
-        """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB;
-        `twice`: and that of December 2020, where it is there."""
+    def look(self, rgb: np.ndarray, view: View) -> Look:
+        """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB."""
         crop = view.render(rgb)
         if self.is_draft:
             return self._draft(crop, view)
-        second: Future[np.ndarray] | None = None
-        twice = twice and self._hand_2020 is not None
-        if twice and self.threads > 1:
-            self._beside = self._beside or ThreadPoolExecutor(1, "handfit-2020")
-            second = self._beside.submit(self._seen_2020, crop)
         landmarks, presence, handedness, world = self._run(self._hand, crop)
         right = float(handedness[0])
         found = HandDetection(
@@ -308,11 +302,7 @@ class Networks:
             keypoints=_with_depth(landmarks),
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
         )
-        hand = view.to_picture(found)
-        if twice:
-            points = self._seen_2020(crop) if second is None else second.result()
-            hand = replace(hand, keypoints_2020=view.points_to_picture(points))
-        return Look(float(presence[0]), hand)
+        return Look(float(presence[0]), view.to_picture(found))
 
     def seen_twice(self, rgb: np.ndarray, hand: HandDetection) -> HandDetection:
         """A hand of a picture (H, W, 3) uint8 RGB with what the landmark network of December 2020 sees of it,
@@ -320,12 +310,18 @@ class Networks:
         if self._hand_2020 is None or hand.keypoints_2020 is not None:
             return hand
         view = view_of(hand.keypoints)
-        points = self._seen_2020(view.render(rgb))
+        points = _with_depth(self._run(self._hand_2020, view.render(rgb))[0])
         return replace(hand, keypoints_2020=view.points_to_picture(points))
 
-    def _seen_2020(self, crop: np.ndarray) -> np.ndarray:
-        """(21, 3) pixels of the crop, with depth."""
-        return _with_depth(self._run(self._hand_2020, crop)[0])
+    def beside(self, do: Callable[[], Result]) -> Future[Result]:
+        """What comes of doing something in a thread of its own, one thing after another; at once where the
+        networks have one thread."""
+        if self.threads < 2:
+            done: Future[Result] = Future()
+            done.set_result(do())
+            return done
+        self._beside = self._beside or ThreadPoolExecutor(1, "handfit-beside")
+        return self._beside.submit(do)
 
     def _draft(self, crop: np.ndarray, view: View) -> Look:
         """What the landmark network of December 2020 alone makes of a crop of that view. Its world landmarks
