@@ -15,6 +15,7 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.looks import same_hand
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.regions import looked_at, shown_in
+from handfit_core.detect.sharing import shared
 from handfit_core.detect.stretches import Stretch
 from handfit_core.errors import Cancelled, InputError, OptionError
 from handfit_core.media.opening import MediaInput, open_media
@@ -22,7 +23,6 @@ from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame, Media
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import ShouldStop, never
-from handfit_core.worker.sharing import shared
 
 log = logging.getLogger("handfit")
 

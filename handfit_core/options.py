@@ -340,11 +340,11 @@ class CaptureOptions:
     processes: int | None = _option(
         None,
         _whole,
-        "how many processes find the hands of a clip; its result is the same",
+        "how many threads find the hands of a clip; its result is the same",
         "N",
         least=1,
         most=64,
-        by_default="all cores but one, at most 8",
+        by_default="one a core, at most 8",
     )
     solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=_solvers)
     model: str | None = _option(

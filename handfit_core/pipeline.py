@@ -17,6 +17,7 @@ from handfit_core.batch import slices
 from handfit_core.detect.detector import DETECTORS, Detected, Quality
 from handfit_core.detect.keypoints import DetectedTrack, SideBySide, largest_extent
 from handfit_core.detect.opening import settings_of
+from handfit_core.detect.sharing import expected_frames, shared
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
@@ -45,7 +46,6 @@ from handfit_core.parts import Part, Parts, stretches_in
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import MOST_HANDS, HandTrack, Take
-from handfit_core.worker.sharing import expected_frames, shared
 
 Chosen = TypeVar("Chosen", DetectedTrack, PosedHand)
 

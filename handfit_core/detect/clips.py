@@ -229,19 +229,19 @@ class ClipFinder(Detector):
                 hand = followed.last
                 centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
                 view = View.of_square(centre, AROUND * max(hand.extent, 8.0), PALM_SIZE)
-                self._take(rgb, self._seen_in(rgb, [view]), new)
+                self._take(self._seen_in(rgb, [view]), new)
                 followed.missed()
         self._lost = [f for f in self._lost if not (f.hopeless or (self._known(f.last) and not f.beside))]
         if (lost_one and not self._full) or index % SEARCH_EVERY == 0:
             height, width = rgb.shape[:2]
             there = self._seen_in(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.followed) + len(there))
-            self._take(rgb, there, new)
+            self._take(there, new)
         if not self.followed:
             if self._search_wait > 0:
                 self._search_wait -= 1
             else:
-                self._take(rgb, self._searching.every_hand(rgb), new)
+                self._take(self._searching.every_hand(rgb), new)
                 self._searches += 1
                 self._search_wait = min(FIRST_WAIT * 2**self._searches, LONGEST_WAIT)
         return new
@@ -250,7 +250,7 @@ class ClipFinder(Detector):
         known = [followed.last for followed in self.followed]
         return self._searching.more_hands(rgb, views, known)
 
-    def _take(self, rgb: np.ndarray, hands: list[HandDetection], new: list[Followed]) -> None:
+    def _take(self, hands: list[HandDetection], new: list[Followed]) -> None:
         """Follow hands that are not followed, and add them to the new ones."""
         for hand in hands:
             if not self._full and not self._known(hand):

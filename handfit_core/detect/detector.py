@@ -107,7 +107,7 @@ class ChunkedDetector(Protocol):
         """Give memory, threads and the file back."""
 
     def single_threaded(self) -> None:
-        """Leave the other cores to other processes."""
+        """Leave the other cores to those that look at other stretches."""
 
     def stretch(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Any:
         """The `Stretch` after `index` others, of its own frames alone. `on_frame` is called with the count of
@@ -130,7 +130,7 @@ class Backend:
     which detections it may use again"""
     clip: Callable[[Media, Any], ChunkedDetector] | None = None
     """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: what `open` makes
-    looks at it frame after frame, in one process; no cut to another shot is noticed, and a batch cannot
+    looks at it frame after frame, in one thread; no cut to another shot is noticed, and a batch cannot
     `--split` it"""
     calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
     """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings:

@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from handfit_core.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable, output_path, path_of, shown, written_whole
 from handfit_core.interchange.opening import is_recording, read_recording
@@ -145,7 +147,7 @@ def _info(args: argparse.Namespace) -> int:
             ("frames", _frames(take.frame_numbers, take.fps)),
             ("picture", f"{take.width}x{take.height} pixels"),
             ("hands", ", ".join(_hand(hand) for hand in take.hands) or "none"),
-            *([("program", take.program)] if take.program else []),
+            *([("program", take.program)] if take.program else [("networks", _networks(take))]),
         ]
     elif is_recording(args.input):
         recording = read_recording(args.input, CaptureOptions.of_arguments(args))
@@ -169,6 +171,16 @@ def _info(args: argparse.Namespace) -> int:
 
 def _hand(hand: HandTrack) -> str:
     return f"{hand.side} hand in {int(hand.present.sum())} frames"
+
+
+def _networks(take: Take) -> str:
+    """Which of MediaPipe's landmark networks have looked at the hands."""
+    second = [(hand.keypoints_2020, hand.keypoints_2d) for hand in take.hands]
+    seen = [(points, first) for points, first in second if points is not None]
+    if not seen:
+        return "the landmark network alone"
+    alone = all(np.array_equal(points[..., :2], first, equal_nan=True) for points, first in seen)
+    return "that of December 2020 alone" if alone else "the landmark network and that of December 2020"
 
 
 def _frames(numbers: Any, fps: float) -> str:

@@ -35,10 +35,6 @@ def answer(
             return edit.answer(message, should_stop)
         case "probe":
             return probe(message)
-        case "stretch":
-            from handfit_core.worker import sharing
-
-            return sharing.answer(message, should_stop, on_progress)
         case "find":
             return find(message)
         case "sheet":

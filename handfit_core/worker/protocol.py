@@ -21,7 +21,7 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
 
-JOBS: Final = ("capture", "detect", "probe", "find", "sheet", "refit", "stretch", "warm", "check")
+JOBS: Final = ("capture", "detect", "probe", "find", "sheet", "refit", "warm", "check")
 """Requests that are done one at a time, in order, and answered by `done` or `error`"""
 
 REQUESTS: Final = (*JOBS, "cancel", "end")

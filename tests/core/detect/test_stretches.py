@@ -1,8 +1,6 @@
-"""A clip in stretches: joined without a seam, the same from any number of processes."""
+"""A clip in stretches: joined without a seam, the same from any number of threads."""
 
-import logging
 import os
-import signal
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.detect import stretches
+from handfit_core.detect import sharing, stretches
 from handfit_core.detect.cuts import Glance
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.stretches import Stretch
@@ -20,9 +18,6 @@ from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.solvers import never
-from handfit_core.worker import sharing
-from handfit_core.worker.client import Worker
 from tests.core.detect.clips import SAMPLE, picture, write_two_hands
 
 pytestmark = pytest.mark.usefixtures("landmark_model")
@@ -71,7 +66,7 @@ def test_hands_go_on_over_the_ends_of_stretches(alone: Detected) -> None:
 
 
 @pytest.mark.parametrize("processes", [2, 3])
-def test_any_number_of_processes_finds_the_same(clip: Path, alone: Detected, processes: int) -> None:
+def test_any_number_of_threads_finds_the_same(clip: Path, alone: Detected, processes: int) -> None:
     told: list[int] = []
     found = detect_frames(open_media(clip), CaptureOptions(processes=processes), told.append)
     assert same(found, alone)
@@ -113,68 +108,7 @@ def test_a_stretch_that_sees_less_is_helped_by_its_neighbours(
     assert min(counts[end:]) == 1
 
 
-class Killer:
-    """Ends each process that is at one of the stretches, `times` times at most."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, times: int) -> None:
-        self.killed: set[int] = set()
-        hear = sharing._Shared._hear
-
-        def heard(shared: sharing._Shared, helper: sharing._Helper) -> None:
-            hear(shared, helper)
-            pid = helper.worker.pid
-            if helper.stretch == 1 and helper.done and pid and len(self.killed | {pid}) <= times:
-                self.killed.add(pid)
-                os.kill(pid, signal.SIGKILL)
-
-        monkeypatch.setattr(sharing._Shared, "_hear", heard)
-
-
-@pytest.fixture
-def the_other_takes_stretch_1(monkeypatch: pytest.MonkeyPatch) -> None:
-    """This process is never faster there."""
-    taken = sharing._Shared._taken
-
-    def later(shared: sharing._Shared, *, most: int | None = None) -> int | None:
-        waits = most is None and shared._next == 1 and bool(shared._helpers)
-        return None if waits else taken(shared, most=most)
-
-    monkeypatch.setattr(sharing._Shared, "_taken", later)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no signals")
-@pytest.mark.usefixtures("the_other_takes_stretch_1")
-@pytest.mark.parametrize("times", [1, 2])
-def test_a_process_that_dies(
-    clip: Path,
-    alone: Detected,
-    times: int,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    killer = Killer(monkeypatch, times)
-    with caplog.at_level(logging.WARNING, "handfit"):
-        found = detect_frames(open_media(clip), CaptureOptions(processes=2))
-    assert len(killer.killed) == times
-    said = [record.getMessage() for record in caplog.records]
-    if times == 1:
-        assert same(found, alone)
-        assert said == []
-    else:
-        assert found.numbers == alone.numbers
-        assert len(said) == 1
-        assert found.frames[96:192] == [()] * 96
-        assert said[0].startswith("frames 97 to 192 count as not seen: the process that looked at them ended")
-
-
-def test_where_no_other_process_starts_this_one_does_it(
-    clip: Path, alone: Detected, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sharing, "Worker", lambda _, threads: Worker("/nowhere/python", threads))
-    assert same(detect_frames(open_media(clip), CaptureOptions(processes=2)), alone)
-
-
-def test_what_goes_wrong_in_another_process_is_told_here(tmp_path: Path) -> None:
+def test_what_goes_wrong_in_another_thread_is_told_here(tmp_path: Path) -> None:
     for i in range(200):
         cv2.imwrite(
             str(tmp_path / f"a.{i:04}.png"), np.zeros((64, 48 if i == 150 else 64, 3), dtype=np.uint8)
@@ -220,31 +154,28 @@ def test_motion_and_light_are_no_cuts() -> None:
 @pytest.mark.parametrize(
     ("asked", "frames", "expected"), [(1, 1000, 1), (5, 1000, 5), (5, 100, 2), (5, 96, 1), (3, 0, 3)]
 )
-def test_how_many_processes(asked: int, frames: int, expected: int) -> None:
-    assert sharing.usable_processes(asked, frames) == expected
+def test_how_many_threads(asked: int, frames: int, expected: int) -> None:
+    assert sharing.usable_count(asked, frames) == expected
 
 
-def test_all_cores_but_one_help_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_thread_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    for cores, expected in ((1, 1), (2, 1), (5, 4), (64, sharing.MOST)):
+    for cores, expected in ((1, 1), (2, 2), (5, 5), (64, sharing.MOST)):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: range(cores), raising=False)
-        assert sharing.usable_processes(None, 10_000) == expected
+        assert sharing.usable_count(None, 10_000) == expected
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    assert sharing.usable_processes(None, 10_000) == 2
+    assert sharing.usable_count(None, 10_000) == 3
 
 
-def test_a_helper_looks_with_the_clip_of_the_named_detector(
+def test_another_thread_looks_with_the_clip_of_the_named_detector(
     clip: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process that helps with a clip of a plug-in's detector looked with our own networks before."""
-
     class Blind(stretches.ClipDetector):
-        def stretch(self, *_: object) -> Stretch:
-            return Stretch([7], [()], [], [3], [], None, None)
+        def stretch(self, index: int, *_: object) -> Stretch:
+            numbers = [7 + index] * (stretches.STRETCH if index < 2 else 1)
+            return Stretch(numbers, [()] * len(numbers), [], [3], [], None, None)
 
     blind = replace(DETECTORS.get("direct"), clip=Blind)
     monkeypatch.setitem(DETECTORS._parts, "direct", blind)
-    monkeypatch.setattr(sharing, "_open", {})
-    message = {"input": [str(clip)], "options": CaptureOptions().to_message(), "index": 0}
-    done = sharing.of_message(sharing.answer(message, never, lambda *_: None), 0.5)
-    assert (done.numbers, done.counts) == ([7], [3])
+    found = detect_frames(open_media(clip), CaptureOptions(processes=3))
+    assert (sorted(set(found.numbers)), found.most_seen) == ([7, 8, 9], 3)
