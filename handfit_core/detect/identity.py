@@ -30,7 +30,7 @@ FARTHEST: Final = 3.0
 """Hand sizes from frame to frame, from which on all movements are as unlikely"""
 
 BEGINNING: Final = 1.0
-"""Another hand's first detection is as unlikely as a movement by so many hand sizes"""
+"""The cost of beginning another hand, as that of a movement by so many hand sizes"""
 
 LEAST_MOTION: Final = 0.1
 """Hand sizes a frame; what hands usually move is the clip's median, and no less"""
@@ -80,7 +80,7 @@ Track = Mapping[int, HandDetection]
 
 
 def told_apart(tracks: Sequence[Track]) -> list[Track]:
-    """The same detections, in tracks that stay on their hands where two of them come near each other. A hand
+    """Detections, rearranged into tracks that stay on their hands where two of these come near each other. A hand
     that was lost for a moment is one track again. tracks: the surest first.
 
     What a person has said of sides is never contradicted: no track has detections of two given sides, where
@@ -130,7 +130,7 @@ def _pairs(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Tr
 
 
 def _of_two(tracks: Sequence[Track]) -> list[Track]:
-    """The same detections in tracks of two hands, and of what is left in frames that have three."""
+    """Detections, rearranged into tracks of two hands, and of what is left in frames that have three."""
     hands = sorted(
         ((frame, number, hand) for number, track in enumerate(tracks) for frame, hand in track.items()),
         key=lambda each: each[:2],

@@ -51,7 +51,7 @@ class SourceHand:
 
     @classmethod
     def of(cls, shaped: ShapedHand, side: Side, model: str = OPEN_HAND) -> SourceHand:
-        """That of the hand model of that name with a shape."""
+        """The source hand of the hand model of that name with a shape."""
         return cls(side, points_to_rest(shaped.joints), points_to_rest(shaped.tips), model)
 
     def mirrored(self) -> SourceHand:
