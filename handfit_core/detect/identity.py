@@ -80,8 +80,8 @@ Track = Mapping[int, HandDetection]
 
 
 def told_apart(tracks: Sequence[Track]) -> list[Track]:
-    """Detections, rearranged into tracks that stay on their hands where two of these come near each other. A hand
-    that was lost for a moment is one track again. tracks: the surest first.
+    """Detections, rearranged into tracks that stay on their hands where two of these come near each other.
+    A hand that was lost for a moment is one track again. tracks: the surest first.
 
     What a person has said of sides is never contradicted: no track has detections of two given sides, where
     another one is near that they may be of.
