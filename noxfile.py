@@ -153,7 +153,7 @@ def blender_sessions(version: str, python: str) -> None:
         env, allowed = {"HANDFIT_ZIP": built_zip(session)}, ""
         if version != "5.2":  # beside which the real Blender has its turn
             env["HANDFIT_BLENDER_CHROOT"], allowed = "", "chroot"
-        run_pytest(session, "tests/installed", allowed_skips=allowed, env=env)
+        run_pytest(session, "tests/installed", "tests/blender/test_golden.py", allowed_skips=allowed, env=env)
 
     def checkout(session: nox.Session) -> None:
         run_blender_tests(session, version)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.golden import Golden
+
 # Started in the background by a script, Ctrl-C is ignored here and in all children, which are tested for it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -25,6 +27,16 @@ def samples() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the sample photos and videos are not here ({folder}); set HANDFIT_SAMPLES")
     return folder
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--write-golden", action="store_true", help="write the files of tests/golden anew")
+
+
+@pytest.fixture
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Compares with the files of tests/golden."""
+    return Golden(write=request.config.getoption("--write-golden"))
 
 
 @pytest.fixture(scope="session")

@@ -12,11 +12,11 @@ from blender_manient.rigs.captured_hand import bone_names
 from .conftest import evaluated_vertices, joint_heads, world
 
 
-def read_back(*files: Path, first: int = 1) -> None:
-    """Import files of one format into an empty file of 30 frames per second; BVH has no frame numbers, and
-    begins at `first`."""
+def read_back(*files: Path, first: int = 1, fps: int = 30) -> None:
+    """Import files of one format into an empty file of so many frames per second; BVH has no frame numbers,
+    and begins at `first`."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.scene.render.fps = 30
+    bpy.context.scene.render.fps = fps
     for file in map(str, files):
         match Path(file).suffix:
             case ".fbx":
