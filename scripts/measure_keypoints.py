@@ -23,9 +23,9 @@ import numpy as np
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.errors import HandfitError
 from handfit_core.evaluate.flat import Flat, flattened
+from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
-from handfit_core.pipeline import hand_track
 from handfit_core.solvers import get_solver
 from handfit_core.take import HandTrack, Take
 

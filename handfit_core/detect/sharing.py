@@ -48,7 +48,7 @@ def shared(
         found.append(detector.stretch(index, lambda _: on_progress(next(done)), should_stop))
         if len(found[-1].numbers) < STRETCH:
             break
-    return found
+    return [stretch for stretch in found if stretch.numbers]
 
 
 def _in_threads(
@@ -102,7 +102,7 @@ def _in_threads(
         whole.append(stretch)
         if len(stretch.numbers) < STRETCH:
             break
-    return whole
+    return [stretch for stretch in whole if stretch.numbers]
 
 
 def _another(detector: ChunkedDetector, options: CaptureOptions) -> ChunkedDetector:

@@ -69,14 +69,14 @@ def add_input(command: argparse.ArgumentParser) -> None:
 def take_of_input(args: argparse.Namespace) -> Take:
     """The take that the arguments of `add_input` name, or that is captured of what they name. Raises
     HandfitError."""
-    from handfit_core.pipeline import capture_with
+    from handfit_core.pipeline import capture
 
     take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
     if take is not None:
         return _chosen(take, args)
     source = args.input[0] if len(args.input) == 1 else args.input
     report = None if args.progress == "none" else args.reporter.progress
-    return capture_with(source, CaptureOptions.of_arguments(args), report)
+    return capture(source, CaptureOptions.of_arguments(args), report)
 
 
 _OF_TAKES: Final = ("hands", "frames", "max_hands")

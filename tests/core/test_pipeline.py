@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import handfit_core
-from handfit_core import Intrinsics, Progress, Take, capture, pipeline
+from handfit_core import Intrinsics, Progress, Take, capture, fitting, pipeline
 from handfit_core.__main__ import _mean_error
 from handfit_core.detect.detector import DETECTORS, Backend, Detector
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
@@ -28,15 +28,17 @@ from handfit_core.errors import (
     TakeError,
 )
 from handfit_core.farm import report
+from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import _rate, hand_summaries, hand_track
+from handfit_core.pipeline import hand_summaries
 from handfit_core.registry import Registry
 from handfit_core.solvers import SOLVERS, Solver, TrackFit, TrackSolver, get_solver
+from handfit_core.sources import _rate
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -141,7 +143,7 @@ def test_stopped_while_fitting_keeps_what_was_fitted() -> None:
 
 
 def test_stopped_while_finding_with_a_slow_solver_fits_a_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline, "LAST_FITS_SECONDS", 0.0)
+    monkeypatch.setattr(fitting, "LAST_FITS_SECONDS", 0.0)
     seen, stop = stopping_at("detect", 4)
     take = capture(PATTERN, solver="paper-a", progress=seen.append, should_stop=stop)
     np.testing.assert_array_equal(take.frame_numbers, range(1, 5))
@@ -185,7 +187,7 @@ def test_a_take_keeps_what_the_solver_was_given(
 
         return solver
 
-    monkeypatch.setattr(pipeline, "get_solver", watched)
+    monkeypatch.setattr(fitting, "get_solver", watched)
     take = capture(two_right_hands, hands=hands)
     assert [hand.side for hand in take.hands] == ["right", "left" if hands == "both" else "right"]
     for hand, track in zip(take.hands, given, strict=True):

@@ -24,7 +24,7 @@ from typing import Any
 import cv2  # noqa: F401  (loaded before the first case: its memory is no case's)
 import numpy as np
 
-from handfit_core import errors
+from handfit_core import errors, pipeline
 from handfit_core.__main__ import main
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.tracks import link_tracks
@@ -41,7 +41,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
 from handfit_core.parts import Part
-from handfit_core.pipeline import capture_with, hand_summaries
+from handfit_core.pipeline import hand_summaries
 from handfit_core.sheet import write_sheet
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
@@ -124,7 +124,7 @@ def _recorded(path: str, mano: bool) -> None:
         assert len(phrase) < 1000, phrase
     options = replace(options, picture_size=(640, 480) if found.size in (None, RELATIVE) else None)
     numbers = open_input(path, options).numbers(0, 2)
-    check_take(capture_with(path, replace(options, frames=FrameRange(numbers[0], numbers[-1]))))
+    check_take(pipeline.capture(path, replace(options, frames=FrameRange(numbers[0], numbers[-1]))))
 
 
 _doing: list[Pool] = []
@@ -186,7 +186,7 @@ def media(path: str | list[str]) -> None:
 
 def capture(path: str) -> None:
     """Look for hands as a capture does."""
-    capture_with(path, CaptureOptions())
+    pipeline.capture(path, CaptureOptions())
 
 
 def find(path: str) -> None:

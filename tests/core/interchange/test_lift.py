@@ -12,12 +12,12 @@ from handfit_core.detect.correction.corrected import OVERLAPPED, landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.refit import refit_range
+from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.lift import BONE, lifted
 from handfit_core.interchange.recording import Recording, SeenHands
 from handfit_core.interchange.taking import detected_in
-from handfit_core.pipeline import hand_track
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
 from handfit_core.solvers import get_solver
 from tests.core.fit.detections import CAMERA, landmarks_of, mirrored, model_of, poses, seen

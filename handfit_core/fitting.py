@@ -1,0 +1,159 @@
+"""From the tracks of hands to what a take keeps of each: the fitted model, and how well it fits."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.batch import slices
+from handfit_core.detect.keypoints import DetectedTrack, SideBySide
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model.length import tell_of_odd_shapes
+from handfit_core.interchange.taking import seen_of
+from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS
+from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
+from handfit_core.sources import Found
+from handfit_core.take import HandTrack
+
+LAST_FITS_SECONDS: Final = 0.3
+"""What slow solvers get for what was found when detection was stopped. Others get the time that they need,
+since that is a small part of what detecting took."""
+
+
+def fit_hands(
+    found: Found,
+    options: CaptureOptions,
+    fps: float,
+    on_frame: Callable[[int, int], None],
+    should_stop: ShouldStop,
+) -> tuple[tuple[HandTrack, ...], dict[str, str]]:
+    """The hands of a source as a take has them, and the digests of their models.
+
+    `on_frame` gets the counts of fitted frames and of all. Once it is to stop, the hands that were fitted are
+    kept, at least one."""
+    solver = SOLVERS.get(options.solver)
+    solve = get_solver(options.solver, options.smoothing, options.hand_length)
+    if should_stop():
+        should_stop = _after(LAST_FITS_SECONDS) if solver.slow else never
+    total = sum(int(track.detected.sum()) for track in found.tracks)
+    done = 0
+
+    def one_more() -> None:
+        nonlocal done
+        done += 1
+        on_frame(done, total)
+
+    # A long clip's detections take most of the memory: they are there once, and not kept of hands that are
+    # fitted.
+    waiting = deque[DetectedTrack]()
+    while found.tracks:
+        waiting.append(_side_by_side(found.tracks.pop(0)))
+    models = {each.side: load_model(options.model, each.side) for each in waiting}
+    digests = {side: model.digest for side, model in models.items()}
+    if found.fits is not None:
+        pairs = zip(waiting, found.fits, strict=True)
+        return tuple(hand_track(models[t.side], t, fit, found.intrinsics) for t, fit in pairs), digests
+    if options.hand_length is not None and solver.takes_hand_length:
+        # Both hands' models have one length.
+        tell_of_odd_shapes(next(iter(models.values())), options.hand_length)
+    fitted: list[HandTrack] = []
+    while waiting and not (fitted and should_stop()):
+        track = waiting.popleft()
+        model = models[track.side]
+        with SOLVERS.blamed(options.solver):
+            fit = solve(model, track, found.intrinsics, one_more, should_stop)
+            hand = hand_track(model, _reached(track, fit), fit, found.intrinsics)
+        fitted.append(
+            hand if track.landmarks is None else _as_detected(model, hand, fit, fps, found.intrinsics)
+        )
+    return tuple(fitted), digests
+
+
+def _side_by_side(track: DetectedTrack) -> DetectedTrack:
+    return replace(track, detections=SideBySide(track.detections))
+
+
+def _after(seconds: float) -> ShouldStop:
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() > end
+
+
+def _reached(track: DetectedTrack, fit: TrackFit) -> DetectedTrack:
+    """The track without the detections that a stopped solver did not come to."""
+    if fit.present[track.detected].all():
+        return track
+    kept = [d if there else None for d, there in zip(track.detections, fit.present, strict=True)]
+    return replace(track, detections=tuple(kept))
+
+
+def _as_detected(
+    model: HandModel, told: HandTrack, fit: TrackFit, fps: float, intrinsics: Intrinsics
+) -> HandTrack:
+    """A hand that was fitted to points elsewhere on it, with those that the detector would see: with these it
+    can be fitted again."""
+    seen = seen_of(model, fit, told.side, intrinsics, fps, told.score)
+    rows = [d if there else None for d, there in zip(seen.detections, told.detected, strict=True)]
+    clean = hand_track(model, replace(seen, detections=tuple(rows)), fit, intrinsics)
+    return replace(clean, reprojection_error=told.reprojection_error, overlapped=told.overlapped)
+
+
+def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics: Intrinsics) -> HandTrack:
+    """What a take keeps of one fitted track: the parameters and what follows from them."""
+    # A hand of hours has its arrays once here, and no list of its detections.
+    count, seen, present = len(track.detections), track.detected, fit.present
+    points, world, second, joints_3d = (np.full((count, NUM_KEYPOINTS, 3), np.nan) for _ in range(4))
+    score, right_side = np.full(count, np.nan), np.full(count, np.nan)
+    other_side, overlapped = np.zeros(count, dtype=bool), np.zeros((count, NUM_KEYPOINTS), dtype=bool)
+    for row in np.flatnonzero(seen).tolist():
+        d = track.detections[row]
+        assert d is not None
+        points[row], world[row], score[row], other_side[row] = (
+            d.keypoints,
+            d.world,
+            d.score,
+            d.side != track.side,
+        )
+        if d.keypoints_2020 is not None:
+            second[row] = d.keypoints_2020
+        if d.right_side is not None:
+            right_side[row] = d.right_side
+        if d.overlapped is not None:
+            overlapped[row] = d.overlapped
+    expected = fit.expected_error
+    if expected is None and not track.calibrated:
+        expected = np.full((count, len(FINGERS)), np.nan)
+    keypoints_2d = points[..., :2]
+    there, error = np.flatnonzero(present), np.full(count, np.nan)
+    for rows in (there[part] for part in slices(len(there))):
+        posed = fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
+        joints_3d[rows] = model.keypoints(fit.betas, *posed)
+        distance = np.linalg.norm(intrinsics.project(joints_3d[rows]) - keypoints_2d[rows], axis=-1)
+        error[rows] = distance.mean(axis=-1)
+    return HandTrack(
+        side=track.side,
+        betas=fit.betas,
+        global_orient=fit.global_orient,
+        hand_pose=fit.hand_pose,
+        transl=fit.transl,
+        joints_3d=joints_3d,
+        keypoints_2d=keypoints_2d,
+        reprojection_error=error,
+        detected=seen,
+        score=score,
+        filled=present & ~seen,
+        doubtful=fit.doubtful,
+        expected_error=expected,
+        keypoints_depth=points[..., 2],
+        world_landmarks=world,
+        keypoints_2020=second if np.isfinite(second).any() else None,
+        right_side=right_side,
+        other_side=other_side,
+        overlapped=overlapped if overlapped.any() else None,
+    )
