@@ -96,7 +96,7 @@ def freely_posed(
     for nearness, left in ((_ROUGHLY, 4), (0.2 * _ROUGHLY, 2), (0.0, 1)):
         least = nearness * pinning.sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
-        problem = replace(fitter.problem(about, held=held), reach=fitter.reach)
+        problem = replace(fitter.problem(about, held=held), angle_bounds=fitter.angle_bounds)
         solution = fitter.solve_each(problem, start, max_iterations)
         same_side = solution.state.root[..., _BACK] @ own.root[0, :, _BACK]
         cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf)
@@ -156,7 +156,7 @@ def _following(
     share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
     followed = own[0, left]
     followed[:, _BENDS] += share @ (found - own)[0][known][:, _BENDS]
-    least, most = (end[left] for end in fitter.reach)
+    least, most = (end[left] for end in fitter.angle_bounds)
     angles = found.copy()
     angles[0, left] = np.clip(followed, np.minimum(least, own[0, left]), np.maximum(most, own[0, left]))
     return angles

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -152,7 +152,7 @@ class RefineHand:
         points = np.reshape(
             [d.keypoints_2d for d in self.detections if d is not None], (-1, NUM_KEYPOINTS, 2)
         )
-        seen = spread(points, self.detected, len(self))
+        seen = scatter(points, self.detected, len(self))
         return np.where(self.pinned[..., None], self.pins, seen)
 
 

@@ -137,7 +137,7 @@ def untouched(doubt: np.ndarray) -> np.ndarray:
     return np.asarray(doubt[:, _FINGERS].max(axis=2) == 0.0)
 
 
-def over_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
+def propagate_in_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
     """(N, 21) the same, with a part of what pins in neighbouring frames were displaced by: where the detector
     errs in one frame it errs in the next. `frames` (N,) rising."""
     spread = displaced.copy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
@@ -95,15 +95,15 @@ def _result(hand: RefineHand, model: HandModel, pose: dict[str, np.ndarray]) -> 
     present = np.isfinite(pose["transl"]).all(axis=1)
     rows = [pose[name][present] for name in START_ARRAYS]
     joints = model.keypoints(hand.betas, *rows)
-    projected = spread(hand.intrinsics.project(joints), present, count)
+    projected = scatter(hand.intrinsics.project(joints), present, count)
     distance = np.linalg.norm(projected - hand.keypoints_2d, axis=-1)
     known = np.isfinite(distance)
     error = np.where(known, distance, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     return RefineResult(
         **pose,
-        joints_3d=spread(joints, present, count),
+        joints_3d=scatter(joints, present, count),
         projected=projected,
-        landmarks_2d=spread(
+        landmarks_2d=scatter(
             hand.intrinsics.project(landmark_points(model, hand.betas, *rows)), present, count
         ),
         reprojection_error=np.where(known.any(axis=1), error, np.nan),

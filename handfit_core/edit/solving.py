@@ -16,8 +16,8 @@ from handfit_core.edit.free import freely_posed, is_free
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
-from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, over_time
-from handfit_core.fit.gaps import Times, jumps, missing_between
+from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, smooth_track
+from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.fit.solution import Solution
@@ -263,13 +263,13 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     keep = pinning.kept(points[rows], hand.intrinsics)
     seen = _detected(hand, rows).where(hand.detected[rows], _loosely(keep))
     # Before the pins, of which one may lie far away.
-    cuts = jumps(seen.pixels) | missing_between(rows, hand.holes)
+    cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model)
     everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
 
     def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
-        return over_time(
+        return smooth_track(
             fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
             lambda: _check(should_stop),
         )  # fmt: skip
@@ -283,13 +283,13 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
         parts.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
     held = None if everywhere is None else everywhere.select(rows)
     times = Times.between(rows, cuts, hand.fps)
-    observed, solution = fitter.solve_solid(observed, Solution.joined(parts), times, held)
+    observed, solution = fitter.solve_solid(observed, Solution.concatenate(parts), times, held)
     alone = solution.state
     frames, state = smoothly(observed, alone)
     if told[rows].any():
         plain = state.select(np.searchsorted(frames, rows))
         pinned, touched = _corrected(fitter, hand, seen, rows, plain)
-        observed = replace(pinned, meeting=observed.meeting)
+        observed = replace(pinned, self_contact=observed.self_contact)
         corrected = [alone]
         for at, _ in _chunks(touched):
             _check(should_stop)
@@ -299,7 +299,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
             corrected.append(found.state)
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
-        frames, state = smoothly(observed, State.joined(corrected).select(latest))
+        frames, state = smoothly(observed, State.concatenate(corrected).select(latest))
     for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
         pose[name][frames] = values
     pose = _with_held(hand, locked, pose)
@@ -319,7 +319,7 @@ def _corrected(
     pins, size, touches = hand.pins[rows], pinning.sizes(seen.pixels), _touches(hand, rows)
     displaced = pinning.displacement(pins, seen.pixels)
     displaced = _drawn_together(fitter, hand.intrinsics, plain, touches, displaced)
-    displaced = pinning.over_time(displaced, rows, hand.fps)
+    displaced = pinning.propagate_in_time(displaced, rows, hand.fps)
     doubt = pinning.followed(displaced)
     touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
     kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
@@ -384,7 +384,7 @@ def _put(state: State, rows: np.ndarray, found: State) -> State:
     """`state` with other poses in those rows."""
     order = np.arange(len(state))
     order[rows] = len(state) + np.arange(len(rows))
-    return State.joined([state, found]).select(order)
+    return State.concatenate([state, found]).select(order)
 
 
 def _check(should_stop: ShouldStop) -> None:
@@ -490,7 +490,7 @@ def _cheapest(
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     held = held if held is None or len(starts) == 1 else held.select(index)
-    start = State.joined(starts)
+    start = State.concatenate(starts)
     observed = observed if len(starts) == 1 else observed.select(index)
     problem = fitter.problem(observed, held=held, solid=solid)
     solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)

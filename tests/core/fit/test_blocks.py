@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.fit.blocks import FLOOR, Blocks
+from handfit_core.fit.blocks import DIAGONAL_FLOOR, Blocks
 from handfit_core.hand_model.chain import BETAS
 from tests.core.fit.differences import close, random
 
@@ -45,7 +45,7 @@ def make_blocks(
 
 def damped(whole: np.ndarray, damping: np.ndarray) -> np.ndarray:
     diagonal = np.einsum("bii->bi", whole)
-    return whole + (diagonal * damping[:, None] + FLOOR)[..., None] * np.eye(whole.shape[-1])
+    return whole + (diagonal * damping[:, None] + DIAGONAL_FLOOR)[..., None] * np.eye(whole.shape[-1])
 
 
 fingers_alone_or_coupled = pytest.mark.parametrize("coupled", [False, True])
@@ -102,7 +102,7 @@ def test_held_variables_stay_and_the_others_are_solved_without_them(coupled: boo
     held[0, :6] = True
     held[1] = False
     damping = np.array([1e-3, 0.1, 1e-7])
-    of_hand, of_fingers = blocks.holding(held[:, :n], held[:, n:].reshape(3, 5, 9)).step(damping)
+    of_hand, of_fingers = blocks.with_fixed(held[:, :n], held[:, n:].reshape(3, 5, 9)).step(damping)
     found = np.concatenate([of_hand, of_fingers.reshape(-1, 45)], axis=1)
     full = damped(whole, damping)
     for i in range(3):

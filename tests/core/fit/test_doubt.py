@@ -31,7 +31,7 @@ def expected_of(detections: list[HandDetection]) -> np.ndarray:
 def test_the_worse_hands_are_seen_the_more_they_are_expected_to_err() -> None:
     means = [expected_of(detections_of(noise)).mean() for noise in (0.0, 6.0, 20.0, 60.0)]
     assert np.all(np.diff(means) > 0.0)
-    assert means[0] < doubt.DOUBTFUL_ERROR < means[-1] < doubt.MOST
+    assert means[0] < doubt.DOUBTFUL_ERROR < means[-1] < doubt.MAX_ERROR
 
 
 def test_a_finger_that_is_somewhere_else_is_doubted_more_than_the_others() -> None:
@@ -85,7 +85,7 @@ def test_what_is_no_hand_has_numbers_too() -> None:
         for sure in (-6.0, 0.0, 6.0):
             expected = doubt.expected_error(doubt.evidence(observed, points, np.array([sure])))
             assert expected.shape == (1, 5)
-            assert np.all((expected > 0.0) & (expected <= doubt.MOST))
+            assert np.all((expected > 0.0) & (expected <= doubt.MAX_ERROR))
     assert doubt.doubtful(doubt.expected_error(doubt.evidence(observed, np.nan * start, np.ones(1)))).all()
 
 
@@ -111,23 +111,23 @@ def test_neighbours_in_time_tell_too_but_not_over_cuts_and_gaps() -> None:
     expected[6] = 0.04
     frames = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 20, 21, 22])
     shots = (frames > 6).astype(int)
-    found = doubt.among_neighbours(expected, Times(frames, shots, 25.0))
+    found = doubt.temporal_mean(expected, Times(frames, shots, 25.0))
     np.testing.assert_allclose(found[[0, 1, 2, 7, 8, 9, 10, 11]], 0.005)
     assert np.all(found[3:7] > 0.005)
     np.testing.assert_allclose(found[6], (0.005**3 * 0.04) ** 0.25)
-    np.testing.assert_allclose(doubt.among_neighbours(expected, Times(frames, shots, 1.0)), expected)
-    alone = doubt.among_neighbours(expected[:1], Times(frames[:1], shots[:1], 25.0))
+    np.testing.assert_allclose(doubt.temporal_mean(expected, Times(frames, shots, 1.0)), expected)
+    alone = doubt.temporal_mean(expected[:1], Times(frames[:1], shots[:1], 25.0))
     assert alone == pytest.approx(expected[:1])
 
 
 def test_calibration_finds_the_weights_that_made_the_errors() -> None:
     rng = np.random.default_rng(0)
-    told = rng.normal(size=(4000, 5, 6))
+    features = rng.normal(size=(4000, 5, 6))
     weights, constants = (
         np.array([0.4, 0.1, -0.2, 0.0, 0.3, -0.1]),
         np.log([0.004, 0.006, 0.008, 0.01, 0.012]),
     )
-    true = np.exp(told @ weights + constants)
-    found = calibrated(told, true * rng.exponential(size=true.shape))
+    true = np.exp(features @ weights + constants)
+    found = calibrated(features, true * rng.exponential(size=true.shape))
     np.testing.assert_allclose(found["weights"], weights, atol=0.03)
     np.testing.assert_allclose(found["constants"], constants, atol=0.06)

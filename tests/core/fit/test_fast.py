@@ -10,7 +10,7 @@ import pytest
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
-from handfit_core.fit.gaps import LONGEST_GAP
+from handfit_core.fit.gaps import MAX_GAP_SECONDS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
 from handfit_core.skeleton import PARENTS, SIDES, Side
@@ -197,7 +197,7 @@ def test_smoothing_takes_jitter_out() -> None:
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
 def test_short_gaps_are_filled_and_marked(smoothing: float) -> None:
-    most = int(LONGEST_GAP * FPS)
+    most = int(MAX_GAP_SECONDS * FPS)
     true, track = clip("right", 40, missing=(0, *range(3, 6), *range(20, 20 + most + 1)))
     found = fitted(track, smoothing)
     expected = np.zeros(40, dtype=bool)

@@ -23,7 +23,14 @@ from handfit_core.fit.terms import (
     near_pose,
     reprojection,
 )
-from handfit_core.fit.terms.limits import BEND, CLOSED, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
+from handfit_core.fit.terms.limits import (
+    BEND,
+    BENT_SPREAD_SHARE,
+    CLOSED_HAND_MARGIN,
+    PASSIVE_RANGE,
+    SIGMA,
+    SPREAD,
+)
 from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
@@ -183,14 +190,14 @@ def test_limits_are_the_distance_from_the_nearer_end_in_sigmas() -> None:
     inside[..., SPREAD] *= 0.1
     assert not limits(*with_angles(inside)).columns.any()
     outside = inside.copy()
-    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED[1, 5] + 3.5 * SIGMA
+    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED_HAND_MARGIN[1, 5] + 3.5 * SIGMA
     outside[0, 2, 8] = limits.lower[2, 8] - 3 * SIGMA
     residual = limits(*with_angles(outside)).residual
     assert (residual[0, 1, 5], residual[0, 2, 8]) == pytest.approx((3.5, -3.0))
     assert np.abs(residual).sum() == pytest.approx(6.5)
 
 
-@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + SPREAD_LEFT) / 2)])
+@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + BENT_SPREAD_SHARE) / 2)])
 def test_a_knuckles_spread_tightens_as_it_bends(finger: int, left: float) -> None:
     """Half of the way at 45 degrees; not the thumb's."""
     limits = Limits("right")
@@ -211,7 +218,7 @@ def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
     # No less than closed hands have.
-    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED[3, 8] + 0.03
+    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED_HAND_MARGIN[3, 8] + 0.03
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert residual[0, 3, 8] == pytest.approx(0.03 / sigma)
     # A frame without a pose among those that keep one is as if nobody kept any.

@@ -9,7 +9,7 @@ import pytest
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.fast import fit_track
-from handfit_core.fit.rest import STILLEST, palm_motion, wrist_distances
+from handfit_core.fit.stationary import MIN_MOTION_SCALE, palm_motion_scale, wrist_distance_factors
 from handfit_core.hand_model.chain import State
 from tests.core.fit.detections import CAMERA, landmarks_of, model_of, poses, seen
 from tests.core.fit.hands import chain_of, make_state, observe, repeated
@@ -118,7 +118,7 @@ def distances(
 ) -> np.ndarray:
     known = np.ones(COUNT, dtype=bool) if known is None else known
     certain = np.zeros(COUNT, dtype=bool) if certain is None else certain
-    return state.wrist[:, 2] * wrist_distances(state, known, certain, FPS, smoothing)
+    return state.wrist[:, 2] * wrist_distance_factors(state, known, certain, FPS, smoothing)
 
 
 def test_time_has_no_direction() -> None:
@@ -149,7 +149,7 @@ def test_a_wrist_that_is_held_is_where_it_is() -> None:
     held = replace(state, wrist=np.where(certain[:, None], state.wrist[25], state.wrist))
     found_at = distances(held, certain=certain)
     np.testing.assert_allclose(found_at[certain], held.wrist[25, 2], rtol=1e-4)
-    assert np.abs(np.diff(found_at)).max() < 0.02  # metres; nothing jumps where it begins
+    assert np.abs(np.diff(found_at)).max() < 0.02  # metres; nothing detect_cuts where it begins
 
 
 def test_more_smoothing_holds_firmer() -> None:
@@ -167,9 +167,9 @@ def test_palms_that_hold_still() -> None:
     observed = observe(chain_of().points(state), noise=0.2)
     known = np.ones(COUNT, dtype=bool)
     known[5:8] = False
-    moves = palm_motion(observed, known, FPS)
+    moves = palm_motion_scale(observed, known, FPS)
     rests = known & ((TIME < 1.0) | (TIME > 2.8))
-    np.testing.assert_array_equal(moves[rests], STILLEST)
+    np.testing.assert_array_equal(moves[rests], MIN_MOTION_SCALE)
     np.testing.assert_array_equal(moves[(TIME > 1.6) & (TIME < 2.2)], 1.0)
     np.testing.assert_array_equal(moves[~known], 1.0)
 
@@ -183,7 +183,7 @@ def test_numbers_that_are_no_hands_are_left_where_they_are(fps: float) -> None:
         for distance in (0.001, np.nan):
             wrist = state.wrist.copy()
             wrist[near, 2] = distance
-            factors = wrist_distances(replace(state, wrist=wrist), everywhere, nowhere, fps, 1.0)
+            factors = wrist_distance_factors(replace(state, wrist=wrist), everywhere, nowhere, fps, 1.0)
             assert np.isfinite(factors).all()
             if near == slice(None):
                 np.testing.assert_array_equal(factors, 1.0)
