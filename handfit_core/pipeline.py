@@ -25,7 +25,7 @@ from handfit_core.files import check_writable
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel, load_model
-from handfit_core.hand_model.length import tell_of_odd_shapes
+from handfit_core.hand_model.length import warn_of_odd_shapes
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
 from handfit_core.interchange.readers import program_of
 from handfit_core.interchange.recording import LEAST_POINTS, PosedHand, Recording
@@ -214,7 +214,7 @@ def capture_with(
     models = {track.side: load_model(options.model, track.side) for track in waiting}
     if hand_length is not None and can.takes_hand_length:
         # Both hands' models have one length.
-        tell_of_odd_shapes(next(iter(models.values())), hand_length)
+        warn_of_odd_shapes(next(iter(models.values())), hand_length)
     fitted: list[HandTrack] = []
     while waiting and not (fitted and stop()):
         track = waiting.popleft()

@@ -37,7 +37,7 @@ FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
 """of a correction: what is written into the .blend is what was applied, to the last digit"""
 
-_TELLING: Final = 0.01
+_MIN_CHANGE: Final = 0.01
 """radians; a tenth of it for metres. What is turned less does not tell whether a key is the corrected one"""
 
 _ARRAYS: Final[dict[str, tuple[int, ...]]] = {
@@ -97,11 +97,11 @@ class Correction:
         where it was put. Else keys were moved in time, or another pose was keyed."""
         if not np.any(self.pose):
             return True
-        turned = np.linalg.norm(self.rotation, axis=-1) > _TELLING
-        same = np.linalg.norm(correction_between(self.pose, pose), axis=-1) < _TELLING
+        turned = np.linalg.norm(self.rotation, axis=-1) > _MIN_CHANGE
+        same = np.linalg.norm(correction_between(self.pose, pose), axis=-1) < _MIN_CHANGE
         found = same[turned].tolist()
-        if np.linalg.norm(self.location) > _TELLING / 10 and np.any(self.place):
-            found.append(bool(np.linalg.norm(place - self.place) < _TELLING / 10))
+        if np.linalg.norm(self.location) > _MIN_CHANGE / 10 and np.any(self.place):
+            found.append(bool(np.linalg.norm(place - self.place) < _MIN_CHANGE / 10))
         return not found or 2 * sum(found) >= len(found)
 
     @property
@@ -298,7 +298,7 @@ class CorrectionField:
         )
 
 
-def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
+def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
     """Stretches of source frames, apart from each other, outside of which the two fields are the same.
 
     A correction that comes, goes or changes matters up to the nearest unchanged ones; these reach
@@ -307,7 +307,7 @@ def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[
     same = sorted(
         g for g, c in old.corrections.items() if g in new.corrections and _equal(c, new.corrections[g])
     )
-    stretches = []
+    segments = []
     for g in sorted((set(old.corrections) | set(new.corrections)) - set(same)):
         spread = max(one.corrections[g].spread for one in (old, new) if g in one.corrections)
         first, last = float(g - spread), float(g + spread)
@@ -321,9 +321,9 @@ def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[
             reach = right - old.corrections[right].spread
             first, last = (min(first, reach), right) if reach < g else (first, min(last, right))
             first = first if at == 0 else max(first, same[at - 1])
-        stretches.append((float(first), float(last)))
+        segments.append((float(first), float(last)))
     merged: list[tuple[float, float]] = []
-    for first, last in sorted(stretches):
+    for first, last in sorted(segments):
         if merged and first <= merged[-1][1]:
             first, last = merged[-1][0], max(last, merged.pop()[1])
         merged.append((first, last))

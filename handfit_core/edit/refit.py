@@ -33,7 +33,7 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
     from handfit_core.edit import solving
 
     model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.each(hand, model, guess, draft=draft))
+    return _result(hand, model, solving.solve_each(hand, model, guess, draft=draft))
 
 
 def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResult:
@@ -49,7 +49,7 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResu
     from handfit_core.edit import solving
 
     model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.over_range(hand, model, should_stop))
+    return _result(hand, model, solving.solve_range(hand, model, should_stop))
 
 
 def warm_up(model: str = OPEN_HAND) -> None:

@@ -27,15 +27,15 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_
 
 LOCATION: Final = NUM_JOINTS
 """`Channels.joint` of the wrist's location"""
-_SMOOTH = 0.03
+_SMOOTHNESS = 0.03
 """s above: decides the slopes where no dense frame lies between two keys, and keeps jumps from swinging"""
-_MET = 0.999
+_BOUND_SHARE = 0.999
 """of a bound: what is left for Blender, which keeps keys in 32 bits"""
 _NEAREST = 1e-3
 """metres in front of the camera. What lies nearer is not judged in pixels"""
 _THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2
 """Every n-th key, from which one on, is taken away in turn"""
-_STRETCH = 20
+_SEGMENT_FRAMES = 20
 """Dense frames of which the keys are kept as they were before a thinning, if that left no fewer"""
 
 
@@ -131,7 +131,11 @@ def simplifying(
     do. `pixels` is asked for with a `sight` only. Locations have to keep to `degrees`, too, by their `arm`.
     """
     fit = _Fit(
-        np.asarray(frames, dtype=np.float64), channels, _MET * np.radians(degrees), _MET * pixels, sight
+        np.asarray(frames, dtype=np.float64),
+        channels,
+        _BOUND_SHARE * np.radians(degrees),
+        _BOUND_SHARE * pixels,
+        sight,
     )
     needed = np.zeros(len(frames), dtype=bool)
     needed[[0, -1, *kept]] = True
@@ -142,7 +146,7 @@ def simplifying(
             spare = np.flatnonzero(keys & ~needed)
             keys[spare[first::every]] = False
         found = yield from fit.refined(thinned)
-        merged = yield from fit.refined(_fewer(best.keys, found.keys, turn * _STRETCH // 3) | needed)
+        merged = yield from fit.refined(_fewer(best.keys, found.keys, turn * _SEGMENT_FRAMES // 3) | needed)
         best = min(best, found, merged, key=lambda state: state.cost)
     return best.simplified()
 
@@ -301,12 +305,12 @@ def _worst(keys: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def _fewer(keys: np.ndarray, others: np.ndarray, first: int) -> np.ndarray:
-    """(G, N) bool: stretch by stretch those of two choices of keys that are fewer; `first`: which frame of a
-    stretch the clip begins with."""
-    stretch = (np.arange(keys.shape[1]) + first) // _STRETCH
-    starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+    """(G, N) bool: segment by segment those of two choices of keys that are fewer; `first`: which frame of a
+    segment the clip begins with."""
+    segment = (np.arange(keys.shape[1]) + first) // _SEGMENT_FRAMES
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
     counts = [np.add.reduceat(choice, starts, axis=1, dtype=int) for choice in (keys, others)]
-    return np.where((counts[1] < counts[0])[:, stretch - stretch[0]], others, keys)
+    return np.where((counts[1] < counts[0])[:, segment - segment[0]], others, keys)
 
 
 def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -333,7 +337,7 @@ def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[n
     rest = dense.reshape(-1, 4) - base
 
     total = lambda rows: np.add.reduceat(rows, at[left], axis=0)  # noqa: E731
-    weight = _SMOOTH / h
+    weight = _SMOOTHNESS / h
     pull = 6.0 * weight * (value[right] - value[left]) / h
     diagonal, beside, wanted = np.zeros((len(at), 1)), np.zeros((len(at), 1)), np.zeros((len(at), 4))
     diagonal[left] += total(rise * rise) + 4.0 * weight

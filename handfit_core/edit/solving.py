@@ -12,7 +12,7 @@ from handfit_core.batch import Batch
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.edit import pins as pinning
-from handfit_core.edit.free import freely_posed, is_free
+from handfit_core.edit.free import is_free, pose_from_pins
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
@@ -29,7 +29,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
 from handfit_core.solvers import ShouldStop
 
-LOOSE: Final = 4.0
+STAND_IN_FACTOR: Final = 4.0
 """times the expected errors of a pose's points, where they stand in for a detection among others"""
 MAX_ITERATIONS: Final = 50
 """More than captures take. Where they are too few, a drag's result does still not depend on the way there:
@@ -38,9 +38,9 @@ DRAFT_ITERATIONS: Final = 6
 """While a point is dragged, each answer goes on where the one before ended"""
 FREE_DRAFT_ITERATIONS: Final = 10
 """of hands that begin anew each time, from all sides"""
-CHEAPER: Final = 0.9
+RESTART_COST_RATIO: Final = 0.9
 """of the cost from the first start: where another leads to less, its result counts"""
-OTHER_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
+RESTART_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
 """of what a finger's three joints can do: where a finger that cannot reach its pin begins again"""
 
 
@@ -49,7 +49,7 @@ def load() -> None:
     import scipy.linalg  # noqa: F401
 
 
-def each(
+def solve_each(
     hand: RefineHand, model: HandModel, guess: RefineResult | None, *, draft: bool = False
 ) -> dict[str, np.ndarray]:
     """Poses (T rows) of all frames, each by itself. `draft`: a few steps from the guess, or from the frame's
@@ -63,7 +63,7 @@ def each(
     for row in np.flatnonzero(free):
         own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
         most = FREE_DRAFT_ITERATIONS if draft else MAX_ITERATIONS
-        state = freely_posed(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
+        state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
         for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
             pose[name][row] = values[0]
     if free[hand.touching].any():
@@ -75,7 +75,7 @@ def each(
     if not len(rows):
         return _with_held(hand, held, pose)
     detected = _detected(hand, rows)
-    seen = pinning.kept(points[rows], hand.intrinsics).where(posed[rows], detected)
+    seen = pinning.landmarks_of_pose(points[rows], hand.intrinsics).where(posed[rows], detected)
     for at, part in _chunks(rows):
         observed = observation_of(seen.select(part), hand.intrinsics)
         own = _start(fitter, hand, hand, posed[at], observed, at)
@@ -122,15 +122,17 @@ class _Frames(Batch):
         alone = np.flatnonzero(self.posed & ~self._idle.all(axis=1))
         if len(alone):
             some = self.select(alone)
-            found, held[alone] = some._fingers_alone()
+            found, held[alone] = some._solve_fingers()
             state = _put(state, alone, found)
-        seen = pinning.kept(_points(self.fitter, state), self.intrinsics).where(self.posed, self.seen)
+        seen = pinning.landmarks_of_pose(_points(self.fitter, state), self.intrinsics).where(
+            self.posed, self.seen
+        )
         left = pinning.displacement(self.pins, seen.pixels)
-        fall_short = (left.max(axis=1) > pinning.REACHED) & ~self.locked[:, 0]
+        fall_short = (left.max(axis=1) > pinning.REACHED_PIXELS) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self.select(palm)
-            found, held[palm] = some._palm_follows(state.select(palm), seen.select(palm), left[palm])
+            found, held[palm] = some._solve_palm(state.select(palm), seen.select(palm), left[palm])
             state = _put(state, palm, found)
         return state, held
 
@@ -148,24 +150,24 @@ class _Frames(Batch):
     @property
     def _idle(self) -> np.ndarray:
         """(B, 5) bool: fingers that neither pins nor touches move by themselves."""
-        return pinning.unpinned(self.pins) & ~self._touching
+        return pinning.unpinned_fingers(self.pins) & ~self._touching
 
-    def _fingers_alone(self) -> tuple[State, np.ndarray]:
+    def _solve_fingers(self) -> tuple[State, np.ndarray]:
         """Fingers with pins beyond their knuckles go for these, and those that touch for each other; all else
         is held."""
-        pins = pinning.of_fingers(self.pins)
+        pins = pinning.finger_pins(self.pins)
         displaced = pinning.displacement(pins, self.seen.pixels)
-        seen = pinning.forgetting(self.seen, self.detected, pinning.followed(displaced))
-        doubt = pinning.followed(
-            _drawn_together(self.fitter, self.intrinsics, self.own, self.touches, displaced)
+        seen = pinning.blend_to_detection(self.seen, self.detected, pinning.propagate(displaced))
+        uncertainty = pinning.propagate(
+            _with_touches(self.fitter, self.intrinsics, self.own, self.touches, displaced)
         )
-        seen = pinning.pinned(seen, pins, doubt)
+        seen = pinning.apply_pins(seen, pins, uncertainty)
         held = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
-        anywhere = np.full(len(pins), np.inf)
+        free_distance = np.full(len(pins), np.inf)
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
         seen = replace(seen, pinned=None)
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
-        found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+        found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
         if self.near is None:
             if self.touches is not None:
                 # Frames in which the same points touch do so in the same way.
@@ -176,22 +178,29 @@ class _Frames(Batch):
                     if same.any():
                         bends[same] = np.median((found.angles - self.own.angles)[same], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
-                found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+                found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
-            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
+            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED_PIXELS)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
-                starts = [found.select(short), *some._other_bends()]
-                others = seen.select(short), kept, anywhere[short], doubt[short], held[short], starts
+                starts = [found.select(short), *some._restart_poses()]
+                others = (
+                    seen.select(short),
+                    kept,
+                    free_distance[short],
+                    uncertainty[short],
+                    held[short],
+                    starts,
+                )
                 found = _put(found, short, some._solved(*others))
         return found, held
 
-    def _other_bends(self) -> list[State]:
+    def _restart_poses(self) -> list[State]:
         """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
         model = self.fitter.model
         upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
-        for bends in OTHER_BENDS:
+        for bends in RESTART_BENDS:
             angles = np.zeros((1, 5, 3, 3))
             angles[0, ..., 2] = np.array(bends) * upper[..., 2]
             states.append(
@@ -199,24 +208,28 @@ class _Frames(Batch):
             )
         return states
 
-    def _palm_follows(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
+    def _solve_palm(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
         """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
         (B, 21) pixels."""
-        size = pinning.sizes(seen.pixels)
-        doubt = pinning.followed(_drawn_together(self.fitter, self.intrinsics, reached, self.touches, left))
-        forget = pinning.followed(pinning.of_palm(left))
-        far = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
-        aim = pinning.pinned(pinning.forgetting(seen, self.detected, forget), self.pins, doubt)
-        still = pinning.untouched(doubt) & self._idle
-        held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
+        size = pinning.hand_sizes(seen.pixels)
+        uncertainty = pinning.propagate(
+            _with_touches(self.fitter, self.intrinsics, reached, self.touches, left)
+        )
+        forget = pinning.propagate(pinning.palm_displacement(left))
+        distance_sigma = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
+        aim = pinning.apply_pins(
+            pinning.blend_to_detection(seen, self.detected, forget), self.pins, uncertainty
+        )
+        still = pinning.unmoved_fingers(uncertainty) & self._idle
+        held = self.locked | _joints(np.zeros(len(uncertainty), dtype=bool), self.posed[:, None] & still)
         # A finger draws the hand along as it is; wrist and knuckles rather turn it.
         starts = [self._shifted(reached, seen.pixels)]
-        turns = pinning.of_palm(left).any(axis=1)
+        turns = pinning.palm_displacement(left).any(axis=1)
         if self.near is not None:
             starts.insert(0, replace(self.near, angles=reached.angles))
         elif turns.any():
             starts.insert(0, reached.where(np.asarray(turns), starts[0]))
-        return self._solved(aim, reached, far, doubt, held, starts), held
+        return self._solved(aim, reached, distance_sigma, uncertainty, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
         """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
@@ -235,33 +248,33 @@ class _Frames(Batch):
         self,
         seen: Landmarked,
         kept: State,
-        far: np.ndarray,
-        doubt: np.ndarray,
+        distance_sigma: np.ndarray,
+        uncertainty: np.ndarray,
         held: np.ndarray,
         starts: list[State],
     ) -> State:
         observed = observation_of(seen, self.intrinsics)
         # A frame without a pose has nothing to keep.
-        turned = pinning.angle_sigma(doubt, pinning.sizes(seen.pixels), self._idle)
+        turned = pinning.angle_sigma(uncertainty, pinning.hand_sizes(seen.pixels), self._idle)
         turned = np.where(self.posed[:, None], turned, np.inf)
         limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
-        near = Kept(kept.wrist, far, kept.angles, turned, limits)
+        near = Kept(kept.wrist, distance_sigma, kept.angles, turned, limits)
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
         observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
 
-def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
+def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
     """Poses (T rows) of all frames, over time. Those with pins or touches are found twice: without, which
     tells how far away the wrist is, and with them."""
     pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
     posed, points = _posed(hand, model)
-    told = hand.pinned.any(axis=1) | hand.touching
-    rows = np.flatnonzero(hand.detected | (posed & told))
+    edited = hand.pinned.any(axis=1) | hand.touching
+    rows = np.flatnonzero(hand.detected | (posed & edited))
     if not len(rows):
         return pose
-    keep = pinning.kept(points[rows], hand.intrinsics)
-    seen = _detected(hand, rows).where(hand.detected[rows], _loosely(keep))
+    keep = pinning.landmarks_of_pose(points[rows], hand.intrinsics)
+    seen = _detected(hand, rows).where(hand.detected[rows], _as_stand_in(keep))
     # Before the pins, of which one may lie far away.
     cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
@@ -286,7 +299,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     observed, solution = fitter.solve_solid(observed, Solution.concatenate(parts), times, held)
     alone = solution.state
     frames, state = smoothly(observed, alone)
-    if told[rows].any():
+    if edited[rows].any():
         plain = state.select(np.searchsorted(frames, rows))
         pinned, touched = _corrected(fitter, hand, seen, rows, plain)
         observed = replace(pinned, self_contact=observed.self_contact)
@@ -308,7 +321,7 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
     _check(should_stop)
     # What smoothness leaves open between points that touch, their fingers close.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
-    return each(replace(hand, pins=pins, **pose), model, None)
+    return solve_each(replace(hand, pins=pins, **pose), model, None)
 
 
 def _corrected(
@@ -316,14 +329,14 @@ def _corrected(
 ) -> tuple[Observation, np.ndarray]:
     """What is seen of those frames with their pins and touches, and which of them that changes. Distances are
     kept as they are without these, in `plain`."""
-    pins, size, touches = hand.pins[rows], pinning.sizes(seen.pixels), _touches(hand, rows)
+    pins, size, touches = hand.pins[rows], pinning.hand_sizes(seen.pixels), _touches(hand, rows)
     displaced = pinning.displacement(pins, seen.pixels)
-    displaced = _drawn_together(fitter, hand.intrinsics, plain, touches, displaced)
+    displaced = _with_touches(fitter, hand.intrinsics, plain, touches, displaced)
     displaced = pinning.propagate_in_time(displaced, rows, hand.fps)
-    doubt = pinning.followed(displaced)
-    touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
+    uncertainty = pinning.propagate(displaced)
+    touched = uncertainty.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
     kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
-    observed = observation_of(pinning.pinned(seen, pins, doubt), hand.intrinsics)
+    observed = observation_of(pinning.apply_pins(seen, pins, uncertainty), hand.intrinsics)
     return replace(observed, kept=kept, touches=touches), np.flatnonzero(touched)
 
 
@@ -332,7 +345,7 @@ def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
     return None if hand.touches is None or not hand.touching[rows].any() else np.asarray(hand.touches)[rows]
 
 
-def _drawn_together(
+def _with_touches(
     fitter: FastFitter,
     intrinsics: Intrinsics,
     state: State,
@@ -348,7 +361,7 @@ def _drawn_together(
     capsules = fitter.surface.capsules(fitter.chain.pose(state))
     gap = np.abs(fitter.surface.gaps_at(capsules, row, np.stack([point, other], axis=1)).gap)
     gap *= 0.5 * (intrinsics.fx + intrinsics.fy) / state.wrist[row, 2]
-    most = pinning.followed(displaced)
+    most = pinning.propagate(displaced)
     most = gap + np.maximum(most[row, point], np.where(other > 0, most[row, other], 0.0))
     drawn = displaced.copy()
     for points in (point, other):
@@ -432,8 +445,10 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
     return _LAST["one"][1]
 
 
-def _loosely(seen: Landmarked) -> Landmarked:
-    return Landmarked(seen.pixels, LOOSE * seen.pixel_sigma, seen.depth, LOOSE * seen.depth_sigma)
+def _as_stand_in(seen: Landmarked) -> Landmarked:
+    return Landmarked(
+        seen.pixels, STAND_IN_FACTOR * seen.pixel_sigma, seen.depth, STAND_IN_FACTOR * seen.depth_sigma
+    )
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -497,7 +512,7 @@ def _cheapest(
     if len(starts) == 1:
         return solution
     cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
-    cost[0] *= CHEAPER
+    cost[0] *= RESTART_COST_RATIO
     return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 

@@ -11,7 +11,7 @@ CROSSING: Final = np.array([(a, b) for a in (1, 2) for b in range(3, 15)])
 """(Q, 2) bones of the thumb and of the fingers, three each and thumb first, that can lie over each other"""
 CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
 """(Q, 2) keypoints at which these begin; they end at the next ones"""
-CROSSED: Final = 0.08
+MAX_CROSSING_DISTANCE: Final = 0.08
 """Of the hand's size in the picture: bones that are nearer there lie over each other"""
 
 
@@ -33,7 +33,7 @@ class Crossing:
         ends = points[:, CROSSING_STARTS + 1]
         along, across = _nearest(starts[:, :, 0], ends[:, :, 0], starts[:, :, 1], ends[:, :, 1])
         size = np.ptp(points, axis=1).max(axis=1)
-        return cls(along, across, across <= CROSSED * np.maximum(size, 1e-9)[:, None])
+        return cls(along, across, across <= MAX_CROSSING_DISTANCE * np.maximum(size, 1e-9)[:, None])
 
     def deeper(self, depth: np.ndarray) -> np.ndarray:
         """(B, Q) by how much the second of a pair lies deeper, by the keypoints' depths (B, 21)."""

@@ -169,8 +169,8 @@ def _matrices_of_products() -> np.ndarray:
     return matrices
 
 
-_OF_PRODUCTS: Final = _matrices_of_products()
-_LEAST_OFFSET: Final = 2e-4
+_PRODUCT_MATRICES: Final = _matrices_of_products()
+_MIN_OFFSET: Final = 2e-4
 """metres, where the product is 1, which most never come near"""
 
 
@@ -186,7 +186,7 @@ def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
     bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
     mean = _by_product(model, bone_frames(model.shaped(), model.side))
-    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _LEAST_OFFSET
+    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _MIN_OFFSET
     return np.where(used, _by_product(model, frames), 0.0)
 
 
@@ -206,7 +206,7 @@ def posedirs_of(offsets: np.ndarray, frames: np.ndarray) -> np.ndarray:
 def _products_to_elements(frames: np.ndarray) -> np.ndarray:
     """(15, 9, 9): row p of a joint is B M_p B^T, row by row."""
     basis = REST_FROM_MODEL.T @ frames[1:]
-    return np.einsum("jak,pkl,jbl->jpab", basis, _OF_PRODUCTS, basis).reshape(NUM_JOINTS - 1, 9, 9)
+    return np.einsum("jak,pkl,jbl->jpab", basis, _PRODUCT_MATRICES, basis).reshape(NUM_JOINTS - 1, 9, 9)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from handfit_core.hand_model.data import HandModel
 
-_FINER: Final = 2
+_SUPERSAMPLING: Final = 2
 """Samples of a pixel along either axis"""
 _MARGIN: Final = 0.04
 """of the picture, free on every side"""
@@ -16,7 +16,7 @@ _KEY, _FILL = np.array([-0.45, 0.65, 0.62]), np.array([0.8, 0.1, 0.59])
 """Unit vectors to the lights: from the left above, and from the right"""
 _SKIN: Final = np.linspace([52, 26, 22], [255, 222, 196], 256).round().astype(np.uint8)
 """(256, 3) RGB from the dark to full light"""
-_REACH: Final = 0.008
+_OCCLUSION_RADIUS: Final = 0.008
 """metres around a place in which what stands before it takes light from it"""
 
 
@@ -37,16 +37,16 @@ def drawn_pose(
     around = np.array([[np.cos(a), 0.0, -np.sin(a)], [0.0, 1.0, 0.0], [np.sin(a), 0.0, np.cos(a)]])
     down = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
     points = points @ (down @ around).T
-    fine = size * _FINER
+    fine = size * _SUPERSAMPLING
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (1.0 - 2.0 * _MARGIN) * fine / max(high[:2] - low[:2])
     at = (points - (low + high) / 2.0) * scale + [fine / 2.0, fine / 2.0, 0.0]
     depth, light = _lit(at, model.faces, fine)
-    light *= 1.0 - 0.75 * _hidden(depth, _REACH * scale)
+    light *= 1.0 - 0.75 * _hidden(depth, _OCCLUSION_RADIUS * scale)
     there = np.isfinite(depth)
     picture = np.stack([np.where(there, np.clip(light, 0.0, 1.0), 0.0), there], axis=-1)
-    picture = picture.reshape(size, _FINER, size, _FINER, 2).mean(axis=(1, 3))
-    picture[..., 0] /= np.maximum(picture[..., 1], 1.0 / _FINER**2)
+    picture = picture.reshape(size, _SUPERSAMPLING, size, _SUPERSAMPLING, 2).mean(axis=(1, 3))
+    picture[..., 0] /= np.maximum(picture[..., 1], 1.0 / _SUPERSAMPLING**2)
     return (255.0 * picture[::-1]).round().astype(np.uint8)
 
 

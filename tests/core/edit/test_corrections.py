@@ -9,7 +9,7 @@ from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
     changed_quats,
-    changed_stretches,
+    changed_segments,
     correction_between,
 )
 from handfit_core.errors import TakeError
@@ -71,7 +71,7 @@ def test_outside_of_the_changed_stretches_two_fields_are_the_same():
         for frame in rng.choice(100, rng.integers(0, 3), replace=False):
             new = new.having({int(frame): correction(rng, float(rng.integers(0, 15)))})
         inside = np.zeros(len(grid), dtype=bool)
-        for first, last in changed_stretches(old, new):
+        for first, last in changed_segments(old, new):
             inside |= (grid >= first) & (grid <= last)
         for before, after in zip(old.at(grid), new.at(grid), strict=True):
             np.testing.assert_allclose(before[~inside], after[~inside], atol=1e-12)
