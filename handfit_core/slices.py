@@ -20,7 +20,7 @@ def slice_clock(seconds: float = SLICE) -> Callable[[], bool]:
 
 
 def run_to_completion(steps: Generator[Any, None, _T]) -> _T:
-    """Take all steps at once; returns what they return, and raises what they raise."""
+    """Exhaust a generator of steps; returns its result."""
     while True:
         try:
             next(steps)
@@ -29,7 +29,7 @@ def run_to_completion(steps: Generator[Any, None, _T]) -> _T:
 
 
 def map_yields(steps: Generator[Any, None, _T], value: Callable[[], _Value]) -> Generator[_Value, None, _T]:
-    """The same steps, but after each of them `tell()` is yielded instead; returns what they return."""
+    """Yield `value()` after each of the steps instead of what they yield; returns their result."""
     while True:
         try:
             next(steps)

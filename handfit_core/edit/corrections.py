@@ -35,10 +35,10 @@ from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
-"""of a correction: what is written into the .blend is what was applied, to the last digit"""
+"""Decimals to which corrections are rounded, so that the .blend holds exactly what was applied"""
 
 _MIN_CHANGE: Final = 0.01
-"""radians; a tenth of it for metres. What is turned less does not tell whether a key is the corrected one"""
+"""radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
 
 _ARRAYS: Final[dict[str, tuple[int, ...]]] = {
     "rotation": (NUM_JOINTS, 3),
@@ -57,7 +57,7 @@ Touches = Mapping[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the artist changed in one source frame."""
+    """The artist's changes to one source frame."""
 
     pins: Pins
     """Keypoints that were dragged, and where they belong"""
@@ -73,11 +73,11 @@ class Correction:
     """(16, 3) what its neighbours' corrections did here when it was made: the part of `rotation` that pins
     are not answerable for, and that stays when they change"""
     start_location: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) the same of `location`"""
+    """(3,) metres: the part of `location` that neighbours' corrections made, as in `start_rotation`"""
     pose: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 4)))
     """(16, 4) the key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) metres: the same of the wrist's location"""
+    """(3,) metres: the wrist's location in that key; zeros: unknown"""
     keyed: bool = False
     """Whether the frame was keyed anew, so that without this correction the field is zero there"""
     posed: bool = False
@@ -89,7 +89,7 @@ class Correction:
 
     @property
     def is_anchor(self) -> bool:
-        """Whether it is none of the artist's, and only ends those around it."""
+        """Whether it is no correction of the artist's, and only ends those around it."""
         return self.keyed and not self.pins and not self.touches and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
@@ -180,17 +180,17 @@ class CorrectionField:
         return correction.touches if correction is not None else {}
 
     def having(self, corrections: Mapping[float, Correction]) -> CorrectionField:
-        """The same with these corrections of source frames."""
+        """A copy with these corrections of source frames added or replaced."""
         return CorrectionField({**self.corrections, **{kept_frame(g): c for g, c in corrections.items()}})
 
     def without(self, frames: Iterable[float]) -> CorrectionField:
-        """The same without the corrections of these source frames."""
+        """A copy without the corrections of these source frames."""
         gone = {float(f) for f in frames}
         return CorrectionField({g: c for g, c in self.corrections.items() if g not in gone})
 
     def cleared(self, frames: Iterable[float]) -> CorrectionField:
-        """The same after these source frames' corrections were taken back. Where a frame had been keyed anew
-        an anchor stays, as long as it ends anything."""
+        """A copy with the corrections of these source frames taken back. Where a frame had been keyed anew,
+        an anchor stays as long as it ends another correction."""
         gone = {float(f) for f in frames}
         kept = {g: c for g, c in self.corrections.items() if g not in gone}
         kept |= {g: Correction({}, keyed=True) for g, c in self.corrections.items() if g in gone and c.keyed}
@@ -205,7 +205,7 @@ class CorrectionField:
         location: bool = True,
         keep_pins: bool = False,
     ) -> CorrectionField:
-        """The same where these source frames get keys with poses of their own: the field is zero on them.
+        """A copy for source frames that get keys with poses of their own: the field is zero on them.
 
         `whole` means everything from the first to the last of them, else corrections on other frames stay.
         `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
@@ -260,7 +260,7 @@ class CorrectionField:
         return CorrectionField({g: c for g, c in self.corrections.items() if g in needed})
 
     def to_json(self) -> str:
-        """As text for the .blend; empty where there is nothing to keep."""
+        """JSON for the .blend; empty where there are no corrections."""
         if not self.corrections:
             return ""
         kept = {
@@ -299,7 +299,7 @@ class CorrectionField:
 
 
 def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
-    """Stretches of source frames, apart from each other, outside of which the two fields are the same.
+    """Disjoint segments of source frames (first, last) outside of which the two fields are equal.
 
     A correction that comes, goes or changes matters up to the nearest unchanged ones; these reach
     further, or less far, towards it.
@@ -331,7 +331,7 @@ def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[f
 
 
 def _equal(one: Correction, other: Correction) -> bool:
-    """Whether they are the same to the keys; pins do not matter."""
+    """Whether both change keys alike; pins do not matter."""
     return (
         one.spread == other.spread
         and np.array_equal(one.rotation, other.rotation)

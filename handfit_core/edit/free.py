@@ -1,4 +1,4 @@
-"""Hands that nothing was detected of: what a few points tell that a person has put in place.
+"""Poses of added hands, of which nothing was detected, from a few pins.
 
 The pose that such a hand has is turned to 18 sides, each is laid over the pins, and from each the hand is
 fitted to the pins and to what hands usually do. The lowest cost decides, with a little more for showing the
@@ -29,29 +29,30 @@ _ROLLS: Final = np.radians([0.0, 50.0, -50.0, 180.0, 230.0, 130.0])
 _PITCHES: Final = np.radians([0.0, 45.0, -45.0])
 """radians about the palm's long axis, and about the one across it in the picture"""
 _MAX_RESIZE: Final = 2.0
-"""times larger or smaller than the hand was: where starts end"""
+"""Ratio of a start's size to the hand's at most, either way"""
 _PALM_SIGMA: Final = 0.5
-"""of the hand's size: how loosely palm points without a pin are held, in the picture and in depth"""
+"""Expected error of palm points without a pin, in the picture and in depth, in parts of the hand's size"""
 _DISTANCE_SIGMA: Final = 0.15
-"""of the wrist's distance: a palm that looks short is tilted, or farther away"""
+"""Relative deviation of the wrist's distance: a palm that looks short is tilted, or farther away"""
 _TURNED_OVER_COST: Final = 4.0
 """squared sigmas that the other side of the hand costs"""
 _NEIGHBOUR_BEND_SHARE: Final = 0.7
-"""How much a finger's bends go with those of the next one; with those of the second next, its square"""
+"""Share of a finger's bends that the next one takes over; the second next takes over its square"""
 _FIRST_PIN_SIGMA: Final = 0.02
-"""of the hand's size: how near hands come to their pins at first"""
+"""Expected error of pins in the first round, in parts of the hand's size"""
 _UNSEEN_SIGMA: Final = 1e9
-"""pixels: the expected error of what nobody sees"""
+"""pixels: expected error of points that are neither pinned nor kept"""
 _BENDS: Final = [2, 5, 8]
-"""of a finger's nine angles"""
+"""Indices of the bends among a finger's nine angles"""
 _BACK: Final = 1
 """The axis of the root that points out of the back of the hand"""
 _KNUCKLE: Final = 9
-"""of the middle finger"""
+"""The middle finger's knuckle among the keypoints"""
 
 
 def is_free(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) pixels -> (N,) bool: whether they tell how a hand lies, whatever pose it has."""
+    """(N, 21, 2) pins in pixels -> (N,) bool: whether they determine how a hand lies, whatever pose it
+    has."""
     palm = np.isfinite(pins[:, list(PALM_KEYPOINTS)]).all(axis=2)
     return np.asarray(palm.sum(axis=1) >= MIN_PALM_PINS)
 
@@ -64,8 +65,11 @@ def pose_from_pins(
     locked: np.ndarray,
     max_iterations: int,
 ) -> State:
-    """One hand's pose (B = 1) from pins (21, 2) in pixels, NaN where there is none, that say how it lies, and
-    the pose `own` that it has. Joints that are `locked` (16,) stay."""
+    """One hand's pose (B = 1) from pins (21, 2) in pixels, NaN where there is none, and its present pose
+    `own`.
+
+    `locked`: (16,) bool, joints that stay as they are.
+    """
     at = np.asarray(np.isfinite(pins).all(axis=1))
     start = _starts(fitter, intrinsics, pins, at, own)
     count, held = len(start), None
@@ -109,8 +113,8 @@ def pose_from_pins(
 def _starts(
     fitter: FastFitter, intrinsics: Intrinsics, pins: np.ndarray, at: np.ndarray, own: State
 ) -> State:
-    """(18,) the hand `own` (1), turned to all sides and laid over its pins by a turn in the picture, a place
-    and a distance."""
+    """(18,) states: the hand `own` (1), turned to all sides, and each laid over its pins by a turn in the
+    picture, a place and a distance."""
     points = fitter.chain.points(own)[0]
     along = points[_KNUCKLE] - points[0]
     across = np.cross(points[0], along)
@@ -147,8 +151,8 @@ def _starts(
 def _with_neighbours_bends(
     fitter: FastFitter, found: np.ndarray, own: np.ndarray, at: np.ndarray, locked: np.ndarray
 ) -> np.ndarray:
-    """Angles (1, 5, 9) in which fingers without a pin beyond their knuckle have those of their `own` pose.
-    Long ones bend as far from it as those with a pin make likely. Nothing else depends on them."""
+    """Angles (1, 5, 9) in which fingers without a pin beyond their knuckle have those of their `own` pose,
+    with long fingers bent as far from it as their neighbours with a pin make likely."""
     known = np.asarray(at[1:].reshape(5, 4)[:, 1:].any(axis=1))
     left = np.asarray(~(known | locked[JOINTS_BY_FINGER].any(axis=1)))
     alike = _NEIGHBOUR_BEND_SHARE ** np.abs(np.arange(5)[:, None] - np.arange(5))

@@ -144,7 +144,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
-    """What the `done` event of a `refit` request says: {"result": {...}, "seconds": s}.
+    """Answer a `refit` request with the fields of its `done` event: {"result": {...}, "seconds": s}.
 
     The request's `mode` is "each", "draft" (see `refit_each`) or "range", its `hand` what `to_message` made.
     The result's arrays are those of RefineResult, packed as float32. Raises HandfitError; Cancelled when
@@ -180,7 +180,7 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
 
 
 def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
-    """What the `done` event of a `refit` request for `count` frames carries. Raises ProtocolError."""
+    """The result in the `done` event of a `refit` request for `count` frames. Raises ProtocolError."""
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")

@@ -90,7 +90,7 @@ def seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
 
 
 def _result(hand: RefineHand, model: HandModel, pose: dict[str, np.ndarray]) -> RefineResult:
-    """What follows from the poses: the three arrays of START_ARRAYS, NaN rows where there is none."""
+    """The result of poses, given as the arrays of START_ARRAYS with NaN rows where there is none."""
     count = len(hand)
     present = np.isfinite(pose["transl"]).all(axis=1)
     rows = [pose[name][present] for name in START_ARRAYS]

@@ -30,7 +30,7 @@ LOCATION: Final = NUM_JOINTS
 _SMOOTHNESS = 0.03
 """s above: decides the slopes where no dense frame lies between two keys, and keeps jumps from swinging"""
 _BOUND_SHARE = 0.999
-"""of a bound: what is left for Blender, which keeps keys in 32 bits"""
+"""Share of a bound that is used, since Blender rounds keys to 32 bits"""
 _NEAREST = 1e-3
 """metres in front of the camera. What lies nearer is not judged in pixels"""
 _THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2
@@ -51,7 +51,8 @@ class Channels:
     group: int = 0
     """Channels of one group have their keys on common frames; groups count from 0"""
     arm: float = 1.0
-    """Of a location: the length that, turned by the bound in degrees, moves as far as it may"""
+    """For a location: the length of the lever whose end, turned by the bound in degrees, moves as far as it
+    may"""
     joint: int = -1
     """Which joint of a hand that is seen it turns, in MANO's order, or `LOCATION`"""
 
@@ -187,8 +188,8 @@ class _State:
 
 
 class _Fit:
-    """What is to be met. Channels are T tracks of 4 numbers, of which the last are zero where there are
-    fewer; all are fitted at once."""
+    """The channels and their bounds. They are T tracks of 4 numbers, padded with zeros, all fitted at
+    once."""
 
     def __init__(
         self,
@@ -218,7 +219,7 @@ class _Fit:
             self._levers = _levers(points, sight.intrinsics)[[track.joint for track in channels]]
 
     def refined(self, keys: np.ndarray) -> Generator[int, None, _State]:
-        """The keys (G, N), and those more that the bounds ask for."""
+        """Add keys to (G, N) bool until the splines keep to the bounds; yields the cost after each round."""
         keys = keys.copy()
         while True:
             state = self._fitted(keys)

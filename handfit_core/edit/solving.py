@@ -1,4 +1,4 @@
-"""The heavy half of re-fitting: what is fitted to, and the fast solver over it."""
+"""The half of re-fitting that needs the solver: observations from pins and touches, and their fits."""
 
 from __future__ import annotations
 
@@ -30,30 +30,32 @@ from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, P
 from handfit_core.solvers import ShouldStop
 
 STAND_IN_FACTOR: Final = 4.0
-"""times the expected errors of a pose's points, where they stand in for a detection among others"""
+"""Factor of the expected errors of a pose's landmarks where they stand in for a detection among others"""
 MAX_ITERATIONS: Final = 50
-"""More than captures take. Where they are too few, a drag's result does still not depend on the way there:
-from the frame's own pose the steps are the same every time."""
+"""More than captures take. Even where they are too few, a drag's result does not depend on its way: from the
+frame's own pose the steps are the same every time"""
 DRAFT_ITERATIONS: Final = 6
-"""While a point is dragged, each answer goes on where the one before ended"""
+"""Fewer while a point is dragged, as each answer continues from the one before"""
 FREE_DRAFT_ITERATIONS: Final = 10
-"""of hands that begin anew each time, from all sides"""
+"""For drafts of added hands, which start anew each time, from all sides"""
 RESTART_COST_RATIO: Final = 0.9
-"""of the cost from the first start: where another leads to less, its result counts"""
+"""Share of the first start's cost below which the result of another start is taken"""
 RESTART_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
-"""of what a finger's three joints can do: where a finger that cannot reach its pin begins again"""
+"""Other starts of a finger that does not reach its pin: bends of its three joints, in parts of their range"""
 
 
 def load() -> None:
-    """What is else imported with the first range."""
-    import scipy.linalg  # noqa: F401
+    """Import SciPy now, so that the first range does not wait for it."""
+    import scipy.linalg  # noqa: F401 (slow to load)
 
 
 def solve_each(
     hand: RefineHand, model: HandModel, guess: RefineResult | None, *, draft: bool = False
 ) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, each by itself. `draft`: a few steps from the guess, or from the frame's
-    own pose where there is none."""
+    """Poses (T rows) of all frames, each fitted by itself, as arrays named in START_ARRAYS.
+
+    `draft`: a few steps from `guess`, or from the frame's own pose where there is none.
+    """
     pose = {name: np.array(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
     for values in pose.values():
@@ -67,7 +69,7 @@ def solve_each(
         for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
             pose[name][row] = values[0]
     if free[hand.touching].any():
-        # Where their pins put them, they are hands like others.
+        # From the pose that the pins give them, added hands are fitted like others.
         hand = replace(hand, **pose)
         posed, points = _posed(hand, model)
     corrected = (hand.pinned.any(axis=1) & ~free) | hand.touching
@@ -104,15 +106,15 @@ class _Frames(Batch):
     posed: np.ndarray
     """(B,) bool: frames that have a pose, which is corrected"""
     locked: np.ndarray
-    """(B, 16) bool: joints of those that stay as they are"""
+    """(B, 16) bool: joints that stay as they are, in frames that have a pose"""
     seen: Landmarked
-    """That pose's landmarks, or the detected ones where there is none"""
+    """The landmarks of the frame's pose, or the detected ones where there is no pose"""
     detected: Landmarked
-    """NaN where nothing is detected"""
+    """The detected landmarks; NaN where nothing is detected"""
     own: State
-    """That pose, or a relaxed hand"""
+    """The frame's pose, or a relaxed hand where there is none"""
     near: State | None
-    """Where a draft begins; None: this is no draft"""
+    """The start of a draft; None: this is no draft"""
     touches: np.ndarray | None
     """(B, 21) as in `RefineHand`"""
 
@@ -153,8 +155,10 @@ class _Frames(Batch):
         return pinning.unpinned_fingers(self.pins) & ~self._touching
 
     def _solve_fingers(self) -> tuple[State, np.ndarray]:
-        """Fingers with pins beyond their knuckles go for these, and those that touch for each other; all else
-        is held."""
+        """Fit the fingers with pins beyond their knuckles, and those that touch; all else is held.
+
+        Returns their poses, and the joints (B, 16) bool that were held.
+        """
         pins = pinning.finger_pins(self.pins)
         displaced = pinning.displacement(pins, self.seen.pixels)
         seen = pinning.blend_to_detection(self.seen, self.detected, pinning.propagate(displaced))
@@ -196,7 +200,8 @@ class _Frames(Batch):
         return found, held
 
     def _restart_poses(self) -> list[State]:
-        """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
+        """The hands with their fingers bent as in `RESTART_BENDS`, for fingers that are stuck on their
+        way."""
         model = self.fitter.model
         upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
@@ -209,8 +214,11 @@ class _Frames(Batch):
         return states
 
     def _solve_palm(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
-        """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
-        (B, 21) pixels."""
+        """Fit palm and fingers from the pose `reached` by the fingers alone, whose landmarks are `seen`;
+        `left` are the pixels (B, 21) from there to the pins.
+
+        Returns their poses, and the joints (B, 16) bool that were held.
+        """
         size = pinning.hand_sizes(seen.pixels)
         uncertainty = pinning.propagate(
             _with_touches(self.fitter, self.intrinsics, reached, self.touches, left)
@@ -232,8 +240,8 @@ class _Frames(Batch):
         return self._solved(aim, reached, distance_sigma, uncertainty, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
-        """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
-        average."""
+        """Hands, whose landmarks are at pixels (B, 21, 2), moved across the picture by the mean displacement
+        of their pins."""
         at = np.asarray(np.isfinite(self.pins).all(axis=-1))
         off = (
             np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1)
@@ -265,8 +273,8 @@ class _Frames(Batch):
 
 
 def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, over time. Those with pins or touches are found twice: without, which
-    tells how far away the wrist is, and with them."""
+    """Poses (T rows) of all frames, fitted over time. Frames with pins or touches are fitted twice: without
+    these, which gives the wrist's distance, and with them."""
     pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
     posed, points = _posed(hand, model)
     edited = hand.pinned.any(axis=1) | hand.touching
@@ -275,7 +283,7 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
         return pose
     keep = pinning.landmarks_of_pose(points[rows], hand.intrinsics)
     seen = _detected(hand, rows).where(hand.detected[rows], _as_stand_in(keep))
-    # Before the pins, of which one may lie far away.
+    # Cuts are found before pins are applied, as one of these may lie far away.
     cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model)
@@ -319,7 +327,7 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
     if not hand.touching.any():
         return pose
     _check(should_stop)
-    # What smoothness leaves open between points that touch, their fingers close.
+    # Smoothing leaves gaps between points that touch; their fingers close them.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
     return solve_each(replace(hand, pins=pins, **pose), model, None)
 
@@ -327,8 +335,10 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
 def _corrected(
     fitter: FastFitter, hand: RefineHand, seen: Landmarked, rows: np.ndarray, plain: State
 ) -> tuple[Observation, np.ndarray]:
-    """What is seen of those frames with their pins and touches, and which of them that changes. Distances are
-    kept as they are without these, in `plain`."""
+    """The observation of the frames `rows` with their pins and touches, and the indices of those it changes.
+
+    Distances are kept at those of `plain`, the fit without pins and touches.
+    """
     pins, size, touches = hand.pins[rows], pinning.hand_sizes(seen.pixels), _touches(hand, rows)
     displaced = pinning.displacement(pins, seen.pixels)
     displaced = _with_touches(fitter, hand.intrinsics, plain, touches, displaced)
@@ -341,7 +351,7 @@ def _corrected(
 
 
 def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
-    """(N, 21) those frames' touches; None where there are none, as most often."""
+    """(N, 21) the touches of the frames `rows`; None where there are none."""
     return None if hand.touches is None or not hand.touching[rows].any() else np.asarray(hand.touches)[rows]
 
 
@@ -352,8 +362,10 @@ def _with_touches(
     touches: np.ndarray | None,
     displaced: np.ndarray,
 ) -> np.ndarray:
-    """(B, 21) pixels by which pins displace points, with those by which touches (B, 21) do: a finger goes by
-    as much as they are apart, or the other finger has to. The palm does not."""
+    """(B, 21) pixels by which pins displace points, increased by what touches (B, 21) do.
+
+    Either finger of a touch may have to close the whole gap; the palm does not move for it.
+    """
     if touches is None:
         return displaced
     row, point = np.nonzero(np.isfinite(touches))
@@ -371,7 +383,7 @@ def _with_touches(
 
 
 def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The solver's poses with the joints that are held, (T, 16) bool, as they came, to the last bit."""
+    """The solver's poses, with the joints `held` (T, 16) bool replaced by the given ones, to the last bit."""
     wrist, fingers = held[:, :1].repeat(3, axis=1), held[:, 1:].repeat(3, axis=1)
     parts = {"global_orient": wrist, "hand_pose": fingers, "transl": wrist}
     return {
@@ -406,8 +418,8 @@ def _check(should_stop: ShouldStop) -> None:
 
 
 def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) bool: frames whose pose can be seen, which is before the camera; and the landmarks (T, 21, 3) of
-    those poses, of others some that harm nothing."""
+    """(T,) bool: frames whose pose is in front of the camera; and the landmarks (T, 21, 3) of these poses in
+    metres, camera frame, with ones in all other frames."""
     posed = hand.posed
     points = np.ones((len(hand), NUM_KEYPOINTS, 3))
     points[posed] = landmark_points(model, hand.betas, *(getattr(hand, n)[posed] for n in START_ARRAYS))
@@ -417,7 +429,7 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
-    """Corrected landmarks of those frames; NaN where nothing is detected."""
+    """Corrected landmarks of the frames `rows`; NaN where nothing is detected."""
     detections = [d for row in rows if (d := hand.detections[row]) is not None]
     there = hand.detected[rows]
     count = len(rows)
@@ -431,7 +443,7 @@ def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
 
 
 _LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
-"""The landmarks of the last single detection: a drag asks for the same ones again and again"""
+"""The landmarks of the last single detection, as a drag asks for the same ones again and again"""
 
 
 def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
@@ -452,7 +464,7 @@ def _as_stand_in(seen: Landmarked) -> Landmarked:
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(frames, which of `rows` they are), as many as are solved at once."""
+    """Chunks of the frames `rows`, and their indices in it."""
     for first in range(0, len(rows), CHUNK):
         part = np.arange(first, min(first + CHUNK, len(rows)))
         yield rows[part], part
@@ -465,7 +477,7 @@ def _poses(
     known: np.ndarray,
     rows: np.ndarray,
 ) -> State:
-    """Those frames' poses as `source` has them; where they are not `known`, a flat hand at the camera."""
+    """The poses of the frames `rows` in `source`; where they are not `known`, a flat hand at the camera."""
     orient, fingers, place = (
         np.where(known[:, None], np.asarray(getattr(source, name), dtype=np.float64)[rows], 0.0)
         for name in START_ARRAYS
@@ -482,7 +494,8 @@ def _start(
     observed: Observation,
     rows: np.ndarray,
 ) -> State:
-    """Where the solver begins: those poses with the depth's zero, and a relaxed hand where none is known."""
+    """The solver's start: the poses of `_poses` with the depth's zero, and a relaxed hand where none is
+    known."""
     state = _poses(fitter, hand, source, known, rows)
     along = (fitter.chain.points(state) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
     state = replace(state, depth_zero=along)
@@ -500,8 +513,8 @@ def _cheapest(
     *,
     solid: bool = False,
 ) -> Solution:
-    """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
-    difference, from the first. `max_iterations`: None for those of captures."""
+    """Fit independent frames from each of several starts, and take the lowest cost, or the first start's
+    where it is not much higher. `max_iterations`: None for those of captures."""
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     held = held if held is None or len(starts) == 1 else held.select(index)
@@ -517,5 +530,5 @@ def _cheapest(
 
 
 def _held(joints: np.ndarray, state: State) -> Held | None:
-    """Joints (B, 16) of B hands that stay as they are in `state`."""
+    """The joints (B, 16) bool of B hands, held at `state`; None where there are none."""
     return Held(joints, state) if joints.any() else None

@@ -12,7 +12,7 @@ from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
 from handfit_core.fit.gaps import MAX_GAP_SECONDS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
+from handfit_core.hand_model.length import betas_of_length, flat_hand_length, warn_of_odd_shapes
 from handfit_core.skeleton import PARENTS, SIDES, Side
 from handfit_core.solvers import TrackFit
 from tests.core.fit.detections import (
@@ -286,7 +286,7 @@ def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCapt
         caplog.clear()
         found = fit_track(1.0, model, track, CAMERA, lambda: None, hand_length=length)
         assert not caplog.records  # it is not this hand's alone
-        tell_of_odd_shapes(model, length)
+        warn_of_odd_shapes(model, length)
         assert (said or "") in caplog.text
         assert bool(caplog.records) == (said is not None)
         assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)

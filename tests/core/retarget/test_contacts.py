@@ -20,11 +20,11 @@ from handfit_core.hand_model.surface import PAIRS as PARTS
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.retarget import contacts
 from handfit_core.retarget.contacts import (
-    BLEND,
+    BLEND_SECONDS,
     PAIRS,
-    TOUCHING,
+    TOUCH_GAP,
+    ContactResult,
     Fingertips,
-    Kept,
     finding_touches,
     keeping_contacts,
 )
@@ -56,7 +56,7 @@ def character(side: Side, seed: int, stretch: float = 0.25, bend: float = 0.3, *
     return target_hand(built.bones(), HandMap(side, there), source(side))
 
 
-def kept_on(target: TargetHand, turns: np.ndarray) -> Kept:
+def kept_on(target: TargetHand, turns: np.ndarray) -> ContactResult:
     side = target.hand_map.side
     times = np.arange(len(turns)) / FPS
     return run_to_completion(keeping_contacts(target, source(side), skins(side), turns, times))
@@ -125,10 +125,10 @@ def test_nothing_else_moves(side):
     assert not moved[:, others].any()
     own = [k for k in range(len(target.bones)) if k not in others]
     assert moved[HELD][:, own].all()
-    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCHING[1])
-    # Weights reach twice as far as BLEND, and their mean once more.
-    far = (np.arange(len(turns)) < near[0] - 3 * BLEND * FPS) | (
-        np.arange(len(turns)) > near[-1] + 3 * BLEND * FPS
+    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCH_GAP[1])
+    # Weights reach twice as far as BLEND_SECONDS, and their mean once more.
+    far = (np.arange(len(turns)) < near[0] - 3 * BLEND_SECONDS * FPS) | (
+        np.arange(len(turns)) > near[-1] + 3 * BLEND_SECONDS * FPS
     )
     assert far.sum() > 20
     assert not moved[far].any()
@@ -291,12 +291,12 @@ def test_weights_are_one_where_tips_touch_and_smooth_beside():
     pair = PAIRS.tolist().index([0, 1])
     weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
     np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
-    assert (found.now[:, pair] == (gap <= TOUCHING[0])).all()
+    assert (found.now[:, pair] == (gap <= TOUCH_GAP[0])).all()
     assert (weights[found.now[:, pair]] == 1.0).all()
     assert (found.weights[:, np.arange(len(PAIRS)) != pair] == 0.0).all()
     assert np.abs(np.diff(weights)).max() < 0.35
-    near = np.flatnonzero(gap < TOUCHING[1])
-    reach = int(2 * BLEND * FPS)
+    near = np.flatnonzero(gap < TOUCH_GAP[1])
+    reach = int(2 * BLEND_SECONDS * FPS)
     assert (weights[: near[0] - reach] == 0.0).all()
     assert (weights[near[-1] + reach + 1 :] == 0.0).all()
     # A pause of the touch that is shorter than the blend is none.
@@ -319,9 +319,9 @@ def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
         turns = turns_of(side, one[None])
         found.append(run_to_completion(finding_touches(source(side), skins(side), turns, np.zeros(1))))
     pair = PAIRS.tolist().index([1, 2])
-    assert found[0].gap[0, pair] < TOUCHING[0]
+    assert found[0].gap[0, pair] < TOUCH_GAP[0]
     assert found[0].weights[0, pair] == 0.0
-    assert found[1].gap[0, pair] < TOUCHING[0]
+    assert found[1].gap[0, pair] < TOUCH_GAP[0]
     assert found[1].weights[0, pair] > 0.9
 
 
