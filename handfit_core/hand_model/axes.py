@@ -36,7 +36,7 @@ _UP_OF_FINGERS: Final = np.array([0.0, 1.0, 0.0])
 _UP_OF_THUMB: Final = np.array([1.0, 1.0, 1.0])
 """Model frame of the right hand: out of the thumb's nail (manotorch's rest axes)"""
 _MIRROR: Final = np.array([-1.0, 1.0, 1.0])
-"""What turns a direction of the right hand's model frame into the left hand's"""
+"""Factors that turn a direction in the right hand's model frame into the left hand's"""
 
 ANATOMICAL_IN_BONE: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A finger joint's (twist, spread, bend) axes of `anatomy`, in columns, in its bone's frame: -Y, -Z and X"""
@@ -171,7 +171,7 @@ def _matrices_of_products() -> np.ndarray:
 
 _PRODUCT_MATRICES: Final = _matrices_of_products()
 _MIN_OFFSET: Final = 2e-4
-"""metres, where the product is 1, which most never come near"""
+"""metres at a product of 1 below which an offset is left out; most products stay far below 1"""
 
 
 def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:

@@ -24,11 +24,11 @@ OPEN_HAND = "open-hand"
 """Name of the bundled model; anything else given as a model is a path."""
 
 MAX_FILE_BYTES = 64_000_000
-"""of a model; MANO's have 4 MB, and larger meshes in its format 10 MB"""
+"""Largest model file; MANO's have 4 MB, and larger meshes in its format 10 MB"""
 
 _MAX_NAME_LENGTH = 200
 _MAX_MEMORY_BYTES = 200_000_000
-"""bytes that the arrays of a model may have: twelve times those of the open hand"""
+"""Largest size of a model's arrays: twelve times that of the open hand's"""
 
 FORMAT_NAME = "handfit-model"
 FORMAT_VERSION = 1
@@ -113,7 +113,7 @@ def _candidates(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Pat
 
 def _read(path: Path, side: Side) -> HandModel:
     if path.suffix.lower() == ".pkl":
-        # Imported late: the open hand needs nothing of it.
+        # Imported late, as the open hand does not need it.
         from handfit_core.hand_model.mano_pickle import load_mano_pickle
 
         model = load_mano_pickle(path)

@@ -15,8 +15,8 @@ _STEPS = 8
 
 ODD_SHAPE_SIGMAS: Final = 3.0
 MAX_SHAPE_SIGMAS: Final = 6.0
-"""Standard deviations from the mean: where a given hand length is remarked on, and where it ends. The open
-hand's mesh begins to fold at six and a half."""
+"""Standard deviations from the mean shape beyond which a given hand length is warned of, and beyond which it
+is clipped. The open hand's mesh begins to fold at six and a half."""
 
 log = logging.getLogger("handfit")
 

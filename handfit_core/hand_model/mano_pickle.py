@@ -177,7 +177,7 @@ def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
 
 
 class _Unfit(Exception):
-    """What is wrong with the content of a file that could be read."""
+    """The content of a file that could be read is no hand model; the message says why."""
 
 
 def _unpickled(path: Path) -> Any:

@@ -39,32 +39,32 @@ PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) fingers that can touch each other, those with the thumb first"""
 
 TOUCH_GAP: Final = (0.004, 0.012)
-"""metres between skins: what is nearer than the first touches; what is farther than the second does not"""
+"""metres between skins up to which they touch, and from which they do not"""
 _CROSSED_SHARE: Final = (0.5, 0.8)
-"""Fingers beside each other are no touch to keep. This much of the way between two fingers' skins, and more,
-lies across the palm where they are beside each other; up to the first, one lies over the other"""
+"""Share of the way between two fingers' skins that leads across the palm: up to the first, one finger lies
+over the other; from the second on they lie side by side, which is no touch to keep"""
 BLEND_SECONDS: Final = 0.1
-"""seconds: a touch is kept for as long before and after, and fades in and out for twice as long"""
+"""Time for which a touch is kept before and after; it fades in and out for twice as long"""
 
 _THUMB_TURN_COST: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
 """Diagonal of M of the thumb's three joints: twist, spread and bend"""
 _FINGER_TURN_COST: Final = ((np.inf, 4.0, 2.0), (np.inf, np.inf, 2.0), (np.inf, np.inf, 3.0))
-"""The same of the other fingers. Infinite: they do not turn so"""
+"""Diagonal of M of the other fingers' joints; infinite: fixed"""
 _OPEN_SHARE: Final = 0.02
 """e: the share of a gap that stays open where both touch"""
 _SLIDING_SHARE: Final = (0.9, 0.5)
-"""The share of what lies along the skins that is closed at most, at first and after the mean: touches of
+"""Largest share of a distance along the skins that is closed, in the first pass and in the second: touches of
 several fingers with one thumb cannot all be met in the very same places"""
 _MAX_TURN: Final = np.radians((30.0, 4.0))
-"""radians that an angle turns at most, beyond what was captured and beyond the mean: what needs more is no
-hand's grip, or a jump, and stays apart"""
+"""radians by which an angle turns at most, from the captured pose in the first pass and from the mean in the
+second: touches that need more are no grip, or would make a jump, and stay open"""
 _MAX_STEPS: Final = 20
 _STEP_TOLERANCE: Final = 1e-6
-"""radians: steps that are smaller end the search"""
+"""radians: the search ends at smaller steps"""
 _SOLVE_FRAMES: Final = 32
-"""frames that a slice solves"""
+"""Frames that are solved in one step of work"""
 _DETECT_FRAMES: Final = 256
-"""frames in which a slice looks for touches"""
+"""Frames in which touches are detected in one step of work"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +78,12 @@ class Fingertips:
 
     @classmethod
     def of(cls, model: HandModel, betas: np.ndarray) -> Fingertips:
-        """Those of a hand model of shape betas (10,)."""
+        """The fingertips of a hand model of shape betas (10,)."""
         flat = surface_of(model).of(betas[None], np.zeros((1, 45)))
         return cls(points_to_rest(flat.ends[0, 2:15:3]), flat.radii[0, 2:15:3])
 
     def mirrored(self) -> Fingertips:
-        """The other hand's."""
+        """The fingertips of the other hand."""
         return Fingertips(self.ends @ MIRROR_X, self.radii)
 
 
@@ -103,7 +103,7 @@ class Touches:
     """(T, 10, 3) metres from that place of the second to the first's, in rest space, the wrist at rest"""
 
     def subset(self, rows: np.ndarray, pairs: np.ndarray) -> Touches:
-        """Some frames and pairs alone."""
+        """The touches in the frames `rows`, of `pairs` alone."""
         return Touches(*(getattr(self, name)[rows][:, pairs] for name in self.__dataclass_fields__))
 
 
@@ -124,8 +124,10 @@ class ContactResult:
 def finding_touches(
     source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
 ) -> Generator[None, None, Touches]:
-    """What touches in captured hands, in steps: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at
-    times (T,) in seconds, rising."""
+    """Detect the touches of captured hands, in steps.
+
+    `turns`: (T, 16, 3, 3), see `TargetHand.local`; `times`: (T,) seconds, rising.
+    """
     last = JOINTS_BY_FINGER[:, 2]
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
     count = len(turns)
@@ -138,7 +140,7 @@ def finding_touches(
         beside[some] = whole @ across
         along[some], gap[some] = _nearest(ends[some], skins.radii, PAIRS)
         yield
-    # Of fingers that lie side by side, the nearest places run from end to end.
+    # Where fingers lie side by side, the nearest places jump from end to end between frames.
     along = _mean(along, times)
     places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
     ways = places[:, :, 0] - places[:, :, 1]
@@ -161,7 +163,7 @@ def keeping_contacts(
     times: np.ndarray,
     keyed: np.ndarray | None = None,
 ) -> Generator[float, None, ContactResult]:
-    """Have a character's fingertips touch where captured ones do, in steps that tell how much is done, 0..1.
+    """Have a character's fingertips touch where captured ones do, in steps that yield the share done, 0..1.
 
     `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
     seconds, rising. `keyed` (K,) bool: the bones that may turn more than captured; None: all.
@@ -208,13 +210,13 @@ def _units(vectors: np.ndarray) -> np.ndarray:
 
 
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
-    """1 up to the first, 0 from the second on, smooth between."""
+    """1 up to the first bound, 0 from the second on, smooth between."""
     share = np.clip((range_[1] - value) / (range_[1] - range_[0]), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Of (T, ...) those within `BLEND` of each frame, nearer ones counting more."""
+    """(T, ...) means of values (T, ...) over the frames within `BLEND_SECONDS`, nearer ones counting more."""
     total, count = values.copy(), np.ones(len(times))
     for first, second, share in _neighbours(times):
         shares = share.reshape(-1, *[1] * (values.ndim - 1))
@@ -226,8 +228,8 @@ def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray], None, None]:
-    """Frames and those that are so many after them, for as many as lie within `BLEND` of each other anywhere,
-    and how near each is: 1 at the same time, 0 from `BLEND` on."""
+    """Pairs of frames within `BLEND_SECONDS` of each other, as slices that are one, two, ... frames apart,
+    and their weights: 1 at the same time, 0 from `BLEND_SECONDS` on."""
     for step in range(1, len(times)):
         share = np.maximum(1.0 - (times[step:] - times[:-step]) / BLEND_SECONDS, 0.0)
         if not share.any():
@@ -319,7 +321,7 @@ class _Chains:
         )
 
     def problem(self, standing: np.ndarray, found: Touches, rows: np.ndarray) -> _Problem:
-        """What touches in some rows (N,) of all frames, where the bones stand as captured: (N, K, 3, 3)."""
+        """The problem of the frames `rows` (N,), whose bones stand as captured: (N, K, 3, 3)."""
         whole = self.whole(standing)
         local = whole.copy()
         for k, parent in enumerate(self.target.parents):
@@ -432,7 +434,7 @@ class _Problem:
         return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
 
     def subset(self, rows: np.ndarray) -> _Problem:
-        """Some frames alone."""
+        """The problem of the frames `rows` alone."""
         every = np.arange(len(self.pairs))
         return _Problem(self.chains, self.pairs, self.angles[rows], self.touching.subset(rows, every))
 
@@ -441,7 +443,7 @@ class _Problem:
         or `again` (1), from the mean."""
         chains, turn_cost = self.chains, self.chains.turn_cost
         captured = self.angles[:, chains.bones, chains.which]
-        # What is beyond its range already may stay so.
+        # Angles that are beyond their range already may stay there.
         low = np.clip(chains.lower - captured, -_MAX_TURN[0], 0.0)
         high = np.clip(chains.upper - captured, 0.0, _MAX_TURN[0])
         rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1], _SLIDING_SHARE[again])

@@ -19,9 +19,8 @@ PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
 
 USUAL_THUMB_ROLL: Final = 30.0
-"""degrees of `HandMap.thumb_roll` for rigs that nobody has looked at: what Rigify's metarig, VRM's T-pose and
-Mixamo's thumbs need within 6 degrees, since they rest with the nail turned farther away from the hand's back
-than ours"""
+"""degrees: default of `HandMap.thumb_roll`. Rigify's metarig, VRM's T-pose and Mixamo's thumbs need this
+within 6 degrees, since they rest with the nail turned farther away from the hand's back than ours"""
 
 _MAX_NAME_LENGTH: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
@@ -43,7 +42,7 @@ class HandMap:
     control: str = ""
     """The bone that moves the whole hand; empty: the hand's own"""
     rig: str = ""
-    """What the rig was taken for, as an artist reads it"""
+    """The kind of rig that was recognised, as an artist reads it"""
     thumb_roll: float = 0.0
     """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on
     either hand"""

@@ -23,7 +23,7 @@ LABEL = "By its structure"
 _TIP = re.compile(r"(tip|end|nub|leaf|先)[._\s]?(l|r|left|right)?$", re.IGNORECASE)
 _NO_HAND = re.compile(r"toe|foot|hair|skirt|wing|tail|cloth|feather|足|髪|スカート", re.IGNORECASE)
 _HAND = re.compile(r"hand|wrist|palm|thumb|finger|mitt|手|指", re.IGNORECASE)
-"""What a name must have for two chains to be a mitten: ears, legs and straps come in pairs, too"""
+"""Words of which a name needs one for two chains to be a mitten: ears, legs and straps come in pairs, too"""
 _MAX_FINGER_BONES = 5
 """bones in a finger: metacarpal, three, and one at its tip"""
 _FINGERS_FOLLOWED = {
@@ -32,10 +32,11 @@ _FINGERS_FOLLOWED = {
     2: (("index",), ("middle", "ring", "little")),
     1: (("index", "middle", "ring", "little"),),
 }
-"""Which of ours a hand's fingers follow, from the thumb on"""
+"""Captured fingers that the fingers of a hand follow, by their number without the thumb, from the index on"""
 _MIN_LEANING = 0.02
+"""Bend of the fingers, see `leaning`, below which it does not tell the side"""
 _MIN_CONFIDENCE = 0.2
-"""How sure to be at least: feet, jaws and hair stay below"""
+"""Least confidence of a hand: feet, jaws and hair stay below"""
 
 
 def structured_hands(bones: Bones, side: Side) -> list[Found]:
@@ -58,7 +59,8 @@ def structured_hands(bones: Bones, side: Side) -> list[Found]:
 
 
 def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int], list[int]]]:
-    """What hangs from a bone like fingers: each the bones that it shares with others, and its own."""
+    """The chains that hang from a bone like fingers: for each, the bones it shares with others, and its
+    own."""
     found: list[tuple[list[int], list[int]]] = []
     open_ends = [([], [child]) for child in bones.children[hand] if depth[child] > 1]
     while open_ends:
@@ -78,7 +80,7 @@ def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int],
 
 
 def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
-    """What a bone is as a hand, if it is one."""
+    """The hand that begins at a bone; None where it is none."""
     chains = _chains(bones, hand, depth)
     if not 2 <= len(chains) <= 5 or len({(stem or own)[0] for stem, own in chains}) < 2:
         return None

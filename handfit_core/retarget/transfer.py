@@ -32,9 +32,11 @@ from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side, other_side
 
 _FOLD_SHARES = {"ring": 0.15, "little": 0.25}
-"""How much of the first joint's bend a metacarpal has at most: a fist cups the palm by 10 to 20 degrees"""
+"""Largest share of the first joint's bend that a metacarpal takes over: a fist cups the palm by 10 to 20
+degrees"""
 _TAIL_TOLERANCE = 0.1
-"""Tails that lie nearer than this share of a bone's length to the next bone are where bones end"""
+"""Distance from a tail to the next bone, in parts of the bone's length, up to which tails are where bones
+end"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +213,7 @@ class TargetHand:
 
 
 def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHand:
-    """What is needed to have a character's hand follow a captured one of the same side. Raises HandModelError
+    """The target for a captured hand of the same side. Raises HandModelError
     where bones are missing, where the hand itself or what carries it stands for a finger, or where bones lie
     so that there is no telling where the palm faces."""
     hand_map.check(bones.index)
