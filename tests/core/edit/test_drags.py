@@ -164,7 +164,7 @@ def shortfall(hand: Hand, keypoint: int, pin: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("keypoint", [k for k in range(21) if k not in PALM])
-def test_other_fingers_stay_unless_the_palm_must_follow(keypoint: int) -> None:
+def test_other_fingers_stay(keypoint: int) -> None:
     """And where it must, they move by about as much as the finger falls short, riding on it unbent. How far a
     finger gets that is pressed on another one is not known by another way; they are few."""
     stayed, on_others = 0, 0
@@ -231,7 +231,7 @@ def test_drafts_hold_other_fingers_too(keypoint: int) -> None:
 
 
 @pytest.mark.parametrize("onto", [2, 3, 4])
-def test_a_fingertip_that_is_dragged_over_the_thumb_stays_out_of_it(onto: int) -> None:
+def test_drag_over_thumb(onto: int) -> None:
     for hand in hands():
         surface = surface_of(model_of(hand.side))
         way = hand.before[onto] - hand.before[8]

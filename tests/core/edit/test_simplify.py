@@ -56,7 +56,7 @@ def degrees_off(track: Channels, spline: Spline, frames: np.ndarray) -> float:
 
 @pytest.mark.parametrize("noise", [0.0, 0.004, 0.05])
 @pytest.mark.parametrize("bound", [0.5, 2.0, 10.0])
-def test_no_bone_is_farther_off_than_the_bound_in_any_frame(noise, bound):
+def test_rotation_bound(noise, bound):
     frames = 7.0 + 0.8 * np.arange(260)
     tracks = [Channels(turning(260, noise, seed), "QUATERNION", group=seed // 2) for seed in range(4)]
     found = run_to_completion(simplifying(frames, tracks, bound))
@@ -75,7 +75,7 @@ def keys_of(found: Simplified) -> int:
     return sum(len(spline.rows) for spline in found.splines)
 
 
-def test_looser_bounds_and_frames_of_their_own_take_fewer_keys():
+def test_looser_bounds_fewer_keys():
     frames = np.arange(300.0)
     motions = [turning(300, 0.004, seed) for seed in range(6)]
     together = [Channels(motion, "QUATERNION") for motion in motions]
@@ -86,7 +86,7 @@ def test_looser_bounds_and_frames_of_their_own_take_fewer_keys():
 
 
 @pytest.mark.parametrize("mode", ["XYZ", "ZXY", "AXIS_ANGLE"])
-def test_bones_in_other_rotation_modes_keep_to_the_bound(mode):
+def test_rotation_modes(mode):
     frames = np.arange(200.0)
     t = frames[:, None] / 30.0
     values = 0.9 * np.sin(t * [1.0, 1.7, 2.3] + [0.0, 1.0, 2.0])
@@ -128,7 +128,7 @@ def test_rows_that_are_to_stay_stay():
     assert {17, 18, 64} <= set(found.splines[0].rows.tolist())
 
 
-def test_smooth_motion_of_unit_quaternions_stays_near_length_one_between_frames():
+def test_quaternions_stay_near_unit():
     frames = np.arange(300.0)
     track = Channels(turning(300, 0.0, seed=3), "QUATERNION")
     spline = run_to_completion(simplifying(frames, [track], 2.0)).splines[0]
@@ -151,7 +151,7 @@ def seen_hand(count: int) -> tuple[list[Channels], Sight]:
     return [*tracks, Channels(places, "LOCATION", LOCATION, arm=0.1, joint=LOCATION)], sight
 
 
-def test_the_sight_is_the_models_own_projection():
+def test_sight_projects_model():
     sight = seen_hand(5)[1]
     model = load_model("open-hand", "right")
     pose = sight.rest.from_bones(model.shaped(), sight.quats, sight.locations)
@@ -164,7 +164,7 @@ def test_the_sight_is_the_models_own_projection():
 
 
 @pytest.mark.parametrize("pixels", [1.0, 3.0])
-def test_no_keypoint_is_farther_off_than_the_bound_in_pixels(pixels):
+def test_pixel_bound(pixels):
     tracks, sight = seen_hand(120)
     frames = np.arange(120.0)
     found = run_to_completion(simplifying(frames, tracks, 4.0, pixels, sight=sight))
@@ -183,7 +183,7 @@ def test_no_keypoint_is_farther_off_than_the_bound_in_pixels(pixels):
     assert keys_of(free) < keys_of(found)
 
 
-def test_a_part_of_a_hand_that_is_seen_keeps_to_the_bound_in_pixels():
+def test_pixel_bound_of_some_joints():
     tracks, sight = seen_hand(100)
     frames = np.arange(100.0)
     chosen = [13, 14, 15, LOCATION]

@@ -135,7 +135,7 @@ def test_it_is_a_minimum(monkeypatch: pytest.MonkeyPatch, motion_scale: np.ndarr
         assert abs(costs[0] - costs[1]) < 0.2 * curve
 
 
-def test_motion_without_acceleration_is_kept() -> None:
+def test_constant_velocity_is_kept() -> None:
     """Even turning, straight movement and exact looks: where there is nothing to smooth, nothing changes."""
     count = 12
     still = motion_of(np.zeros(count))
@@ -219,7 +219,7 @@ def test_time_has_no_direction() -> None:
     np.testing.assert_allclose(points_of(behind)[::-1], points_of(ahead), atol=1e-7)
 
 
-def test_frames_without_a_detection_follow_their_neighbours() -> None:
+def test_undetected_frames() -> None:
     """Whatever stands in `seen` there is not looked at."""
     truth, seen, start = clip()
     known = np.ones(COUNT, dtype=bool)
@@ -256,9 +256,7 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
 
 
 @pytest.mark.parametrize(("window", "windows"), [(600, 1), (12, 2)])
-def test_asks_before_every_window_and_iteration(
-    monkeypatch: pytest.MonkeyPatch, window: int, windows: int
-) -> None:
+def test_before_each_is_called(monkeypatch: pytest.MonkeyPatch, window: int, windows: int) -> None:
     monkeypatch.setattr(clips, "WINDOW_FRAMES", window)
     monkeypatch.setattr(clips, "TOLERANCE", 0.0)
     _, seen, start = clip()
@@ -284,7 +282,7 @@ def test_asks_before_every_window_and_iteration(
     assert len(done) == whole + 1
 
 
-def test_one_or_two_frames_stay_as_they_are() -> None:
+def test_one_or_two_frames() -> None:
     _, seen, start = clip()
     for count in (1, 2):
         part = np.arange(count)
@@ -300,9 +298,7 @@ def test_shape_is_not_touched() -> None:
 
 
 @pytest.mark.parametrize("window", [600, 12])
-def test_held_variables_stay_and_the_others_find_their_minimum(
-    monkeypatch: pytest.MonkeyPatch, window: int
-) -> None:
+def test_held_variables(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     monkeypatch.setattr(clips, "WINDOW_FRAMES", window)
     _, seen, start = clip()
     joints = np.zeros((COUNT, 16), dtype=bool)

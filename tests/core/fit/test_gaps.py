@@ -26,7 +26,7 @@ def test_gaps_up_to_the_limit_are_bridged(fps: float) -> None:
     np.testing.assert_array_equal(second, [6 + most, 7 + most])
 
 
-def test_few_frames_per_second_bridge_nothing() -> None:
+def test_low_fps_has_no_gaps() -> None:
     assert [list(s) for s in segments(np.array([0, 1, 3]), 1.0)] == [[0, 1], [3]]
 
 
@@ -70,20 +70,20 @@ def test_nothing_missing_changes_nothing() -> None:
     assert interpolate_gaps(state, np.ones(4, dtype=bool)) is state
 
 
-def test_a_jump_or_a_sudden_growth_is_a_cut() -> None:
+def test_detect_cuts() -> None:
     hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
     seen = np.stack([hand, hand + 30.0, hand + 300.0, 2.0 * hand + 300.0, 2.0 * hand + 310.0])
     np.testing.assert_array_equal(detect_cuts(seen), [False, True, True, False])
 
 
-def test_a_fist_that_opens_at_once_is_no_cut() -> None:
+def test_opening_fist_is_no_cut() -> None:
     hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
     opened = hand.copy()
     opened[NOT_PALM] *= 2.5
     np.testing.assert_array_equal(detect_cuts(np.stack([hand, opened])), [False])
 
 
-def test_stretches_end_at_cuts_and_missing_pictures() -> None:
+def test_segments_end_at_cuts() -> None:
     found = np.array([0, 1, 2, 5, 6])
     cuts = np.array([False, True, False, False])
     assert [s.tolist() for s in segments(found, 25.0, cuts)] == [[0, 1], [2, 3, 4, 5, 6]]

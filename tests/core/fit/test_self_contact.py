@@ -104,7 +104,7 @@ def cost_of_moved(problem: Problem, bare: Problem, state: State, shifts: np.ndar
     return problem.select(rows).blocks(moved).cost - bare.select(rows).blocks(moved).cost
 
 
-def test_batch_equals_loop_and_matrices_are_symmetric() -> None:
+def test_batch_equals_loop() -> None:
     own = fitter()
     state = fists(batch=4)
     problem = own.problem(replace(seen_of(state), self_contact=anything(4)), solid=True)
@@ -118,7 +118,7 @@ def test_batch_equals_loop_and_matrices_are_symmetric() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_fist_that_stands_in_itself_is_made_solid(side: Side) -> None:
+def test_fist_becomes_solid(side: Side) -> None:
     own, state = fitter(side), fists(side)
     assert depths(state, side).min() > 0.004
     seen = seen_of(state, side)
@@ -146,7 +146,7 @@ def facing(state: State, towards: float) -> State:
 
 
 @pytest.mark.parametrize("towards", [1.0, -1.0])
-def test_what_crosses_is_seen_with_its_order(towards: float) -> None:
+def test_depth_order_of_crossings(towards: float) -> None:
     """Of a fist's thumb that lies over the fingers: in front as the palm shows, behind from the back."""
     own, state = fitter(), facing(fists(batch=1), towards)
     found = find_self_contact(own.surface, seen_of(state), state)
@@ -167,7 +167,7 @@ def at(frames: np.ndarray, cuts: tuple[int, ...] = ()) -> Times:
     return Times.between(frames, np.isin(np.arange(len(frames) - 1), cuts), 25.0)
 
 
-def test_neighbours_in_time_overrule_one_frame() -> None:
+def test_neighbours_vote_on_order() -> None:
     own, state = fitter(), facing(fists(batch=1), 1.0)
     seen = seen_of(repeated(state, 9))
     spoilt = replace(seen, depth=seen.depth.copy())
@@ -208,7 +208,7 @@ def pinches(batch: int) -> State:
     return posed_as(OPPOSED, PINCH, *np.zeros((3, 9)), batch=batch)
 
 
-def test_tips_that_are_seen_to_touch_are_closed() -> None:
+def test_pinches_are_closed() -> None:
     own, state = fitter(), facing(pinches(6), 1.0)
     separation = gaps(state, PINCH_BONES[0])
     assert 0.0 < separation.max() < 0.02
@@ -222,7 +222,7 @@ def test_tips_that_are_seen_to_touch_are_closed() -> None:
     assert np.abs(gaps(solid.state, PINCH_BONES[0])).max() < 0.002
 
 
-def test_clips_stay_solid_while_they_are_smoothed() -> None:
+def test_smoothed_clips_stay_solid() -> None:
     """A hand that opens and closes, with noise."""
     own, count = fitter(), 40
     closed = (1.0 - np.cos(np.arange(count) / 3.0)) / 2.0

@@ -118,7 +118,7 @@ def test_cost_falls_with_every_iteration() -> None:
     assert (costs[-1] < costs[0]).all()
 
 
-def test_cost_is_that_of_the_state_and_a_minimum() -> None:
+def test_cost_is_minimum() -> None:
     problem, start = noisy()
     solution = exactly(problem, start)
     blocks = problem.blocks(solution.state)
@@ -140,7 +140,7 @@ def test_each_problem_has_its_own_end() -> None:
 
 @pytest.mark.parametrize("what", ["pixels", "depth"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_problem_without_numbers_harms_no_other(what: str, value: float) -> None:
+def test_not_finite_problem_is_isolated(what: str, value: float) -> None:
     problem, start = noisy(4)
     expected = exactly(problem, start)
     spoiled = getattr(problem.seen, what).copy()
@@ -192,7 +192,7 @@ def test_a_shared_shape_is_one_shape() -> None:
     assert solution.cost.sum() >= exactly(problem, start).cost.sum() - 1e-6
 
 
-def test_steps_lead_no_farther_than_joints_reach() -> None:
+def test_steps_stay_in_angle_bounds() -> None:
     """Where they began beyond, they go no farther; the cost falls all the same."""
     problem, start = noisy(6)
     least, most = Limits("right").angle_bounds

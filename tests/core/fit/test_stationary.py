@@ -79,7 +79,7 @@ def test_a_resting_hand_holds_still() -> None:
     assert over_time < 0.001
 
 
-def test_a_wrist_at_rest_does_not_move_with_its_fingers() -> None:
+def test_resting_wrist_with_moving_fingers() -> None:
     """Though the hand seems 8 % smaller when it is closed; the fingers keep their motion."""
     tracks = [detected(seed, RESTING, CLOSING, 0.05) for seed in DRAWS]
     results = [(found(track, 0.0), found(track)) for track in tracks]
@@ -92,7 +92,7 @@ def test_a_wrist_at_rest_does_not_move_with_its_fingers() -> None:
 
 
 @pytest.mark.parametrize(("hertz", "size"), [(0.5, 0.05), (1.0, 0.03), (1.0, 0.05), (2.0, 0.05)])
-def test_motion_towards_the_camera_keeps_its_size_and_its_time(hertz: float, size: float) -> None:
+def test_motion_in_depth(hertz: float, size: float) -> None:
     depth = size * np.sin(2 * np.pi * hertz * TIME)
     gains = []
     for seed in DRAWS:
@@ -135,14 +135,14 @@ def test_what_was_not_seen_does_not_count() -> None:
     np.testing.assert_allclose(distances(wild, known)[known], distances(state, known)[known], rtol=0.01)
 
 
-def test_single_frames_that_are_far_off_do_not_count() -> None:
+def test_outlier_frames() -> None:
     state, _ = reach(0)
     wild = state.wrist.copy()
     wild[[30, 70]] *= 1.5
     np.testing.assert_allclose(distances(replace(state, wrist=wild)), distances(state), rtol=0.02)
 
 
-def test_a_wrist_that_is_held_is_where_it_is() -> None:
+def test_held_wrist() -> None:
     state, _ = reach(0)
     certain = np.zeros(COUNT, dtype=bool)
     certain[20:30] = True
@@ -175,7 +175,7 @@ def test_palms_that_hold_still() -> None:
 
 
 @pytest.mark.parametrize("fps", [25.0, 1e5])
-def test_numbers_that_are_no_hands_are_left_where_they_are(fps: float) -> None:
+def test_not_finite_distances(fps: float) -> None:
     """Too near to be seen, or none at all, in all frames or in one, however many a second."""
     state = repeated(make_state(1, chain_of()), 12)
     everywhere, nowhere = np.ones(12, dtype=bool), np.zeros(12, dtype=bool)

@@ -14,7 +14,7 @@ def model(request: pytest.FixtureRequest) -> HandModel:
     return load_model(None, "right") if request.param == "open-hand" else imitation_model("right")
 
 
-def test_it_is_measured_from_wrist_to_middle_tip(model: HandModel) -> None:
+def test_flat_hand_length(model: HandModel) -> None:
     betas = np.linspace(-1, 1, 10)
     for shape in (None, betas):
         keypoints = model.posed(shape, np.zeros(3), np.zeros(45), np.zeros(3)).keypoints

@@ -98,7 +98,7 @@ def chain_angles(turns: np.ndarray, side: Side) -> np.ndarray:
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", PINCHES)
-def test_gaps_are_as_captured_on_other_proportions(side, finger):
+def test_gaps_on_other_proportions(side, finger):
     turns = pinching(side, finger)
     wanted = captured_gaps(side, turns, finger)[HELD]
     assert np.abs(wanted).max() < 0.001
@@ -137,7 +137,7 @@ def test_nothing_else_moves(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_hands_that_touch_nothing_keep_every_bit(side):
+def test_no_touch_changes_nothing(side):
     rng = np.random.default_rng(3)
     angles = np.zeros((40, NUM_JOINTS - 1, 3))
     angles[..., 2] = rng.uniform(-0.1, 0.3, (40, NUM_JOINTS - 1))
@@ -150,7 +150,7 @@ def test_hands_that_touch_nothing_keep_every_bit(side):
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", PINCHES)
-def test_a_hand_of_the_same_proportions_stays(side, finger):
+def test_same_proportions(side, finger):
     turns, target = pinching(side, finger), character(side, 0, stretch=0.0)
     kept = kept_on(target, turns)
     np.testing.assert_allclose(kept.standing, target.standing(turns), atol=1e-12)
@@ -203,7 +203,7 @@ def test_slices_do_not_show(monkeypatch):
     assert steps[-1] == 1.0
 
 
-def test_a_mirrored_hand_does_the_mirrored_thing():
+def test_mirrored_hand():
     built, names = Built(), tuple(f"b{joint}" for joint in range(NUM_JOINTS))
     add_hand(
         *(built, "right", dict(enumerate(names)), np.random.default_rng(6)), bend=0.3, stretch=0.25, tips=True
@@ -233,7 +233,7 @@ def test_fewer_bones_and_fingers_touch_too(side):
         assert after < min(0.002, before)
 
 
-def test_a_bone_of_two_fingers_meets_the_thumb():
+def test_two_finger_bone_meets_thumb():
     built, side = Built(), "right"
     names = {joint: f"b{joint}" for joint in range(NUM_JOINTS)}
     add_hand(built, side, names, np.random.default_rng(8), stretch=0.2, tips=True, without=(7, 8, 9))
@@ -267,7 +267,7 @@ def test_bones_that_are_left_alone_stay():
     assert (kept.standing == plain).all()
 
 
-def test_what_cannot_be_reached_is_told():
+def test_unreachable_touch_is_reported():
     built, side, finger = Built(), "right", "ring"
     names = tuple(f"b{joint}" for joint in range(NUM_JOINTS))
     add_hand(built, side, dict(enumerate(names)), np.random.default_rng(0), tips=True)
@@ -284,7 +284,7 @@ def test_what_cannot_be_reached_is_told():
     assert off.max() < np.abs(gaps(target, target.standing(turns), finger) - wanted)[HELD].max()
 
 
-def test_weights_are_one_where_tips_touch_and_smooth_beside():
+def test_touch_weights():
     turns = pinching("right", "index")
     times = np.arange(len(turns)) / FPS
     found = run_to_completion(finding_touches(source("right"), skins("right"), turns, times))
@@ -307,7 +307,7 @@ def test_weights_are_one_where_tips_touch_and_smooth_beside():
     assert again.weights[35:37, pair].min() > 0.7
 
 
-def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
+def test_side_by_side_is_no_touch():
     side = "right"
     angles = np.zeros((2, NUM_JOINTS - 1, 3))
     angles[0, [0, 3], 1] = np.radians([-6.0, 6.0])
