@@ -30,7 +30,7 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
 
     Raises HandModelError.
     """
-    from handfit_core.edit import solving
+    from handfit_core.edit import solving  # slow to load
 
     model = kept_model(hand.model, hand.side)
     return _result(hand, model, solving.solve_each(hand, model, guess, draft=draft))
@@ -46,7 +46,7 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResu
 
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
-    from handfit_core.edit import solving
+    from handfit_core.edit import solving  # slow to load
 
     model = kept_model(hand.model, hand.side)
     return _result(hand, model, solving.solve_range(hand, model, should_stop))
@@ -57,7 +57,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
 
     Raises HandModelError if there is no hand of either side in `model`.
     """
-    from handfit_core.edit import solving
+    from handfit_core.edit import solving  # slow to load
 
     solving.load()
     errors: list[HandModelError] = []

@@ -209,7 +209,7 @@ def _fix(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
 
 def _solve(band: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """(T, 51) increments. Overwrites both arguments."""
-    from scipy.linalg import solveh_banded
+    from scipy.linalg import solveh_banded  # slow to load
 
     right = gradient.reshape(-1)
     found = solveh_banded(band, right, overwrite_ab=True, overwrite_b=True, lower=True, check_finite=False)

@@ -101,7 +101,7 @@ def wrist_distance_factors(
     `state`: the frames, each fitted by itself. `known` (T,) bool: frames with a detection. `certain` (T,)
     bool: frames whose wrist is in its true place. `smoothing`: the strength.
     """
-    from scipy.linalg import solveh_banded
+    from scipy.linalg import solveh_banded  # slow to load
 
     fps = min(fps, MAX_FPS)
     known = known & ~certain & (state.wrist[:, 2] > NEAREST)
@@ -163,7 +163,7 @@ def wrist_distance_factors(
 def _changes(state: State, bends: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
     """(T - 1,) and (T - 1,) relative to the distance, from frame to frame: the expected change of b, and how
     far the wrist moves across the picture. `bends` (T, 5) radians."""
-    from scipy.ndimage import maximum_filter1d
+    from scipy.ndimage import maximum_filter1d  # slow to load
 
     def beyond(change: np.ndarray, still: float) -> np.ndarray:
         return change**2 / (change + still / fps)
@@ -185,6 +185,6 @@ def _changes(state: State, bends: np.ndarray, fps: float) -> tuple[np.ndarray, n
 
 
 def _smooth(values: np.ndarray, frames: float) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter1d
+    from scipy.ndimage import gaussian_filter1d  # slow to load
 
     return gaussian_filter1d(values, frames, axis=0, mode="nearest")

@@ -149,7 +149,7 @@ def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
     smplx and manotorch load the result. No chumpy is needed to read it. One key goes beyond MANO's:
     `tip_vertices` (5,), which other tools ignore. Needs SciPy. Raises OutputError.
     """
-    from scipy.sparse import csc_matrix
+    from scipy.sparse import csc_matrix  # slow to load
 
     path = Path(path)
     parents = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)], dtype=np.uint32)

@@ -72,7 +72,7 @@ def acceleration_of(
     rotations: np.ndarray, places: np.ndarray, motion_scale: np.ndarray | None
 ) -> tuple[float, float]:
     """Sums of squares, by SciPy's rotations; the palm's in parts of what `motion_scale` expects."""
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import Rotation  # slow to load
 
     turns = np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:]
     vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(turns.shape[:-1])

@@ -1,5 +1,7 @@
 """The length of a hand, and the shape that has it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,8 +49,6 @@ def test_an_average_hand_is_the_mean(side: Side) -> None:
 
 
 def test_a_model_without_shapes() -> None:
-    from dataclasses import replace
-
     model = load_model(None, "right")
     rigid = replace(model, shapedirs=np.zeros_like(model.shapedirs))
     np.testing.assert_array_equal(betas_of_length(rigid, 0.1), np.zeros(10))

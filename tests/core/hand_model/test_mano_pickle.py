@@ -350,7 +350,7 @@ def test_the_written_file_is_manos(tmp_path: Path) -> None:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> None:
     smplx = pytest.importorskip("smplx", reason="smplx is not installed (its licence is non-commercial)")
-    import torch
+    import torch  # slow to load
 
     from handfit_core.layer import HandLayer
 
