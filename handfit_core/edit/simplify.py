@@ -129,7 +129,7 @@ def simplifying(
     are so far, counted once per channel.
 
     `frames` (N,), increasing; `kept`: rows that keep their keys in any case, as the first and the last one
-    do. `pixels` is asked for with a `sight` only. Locations have to keep to `degrees`, too, by their `arm`.
+    do. `pixels` counts with a `sight` only. Locations have to keep to `degrees`, too, by their `arm`.
     """
     fit = _Fit(
         np.asarray(frames, dtype=np.float64),
@@ -355,7 +355,8 @@ def _solved(diagonal: np.ndarray, beside: np.ndarray, wanted: np.ndarray) -> np.
     """(K, 4) the solution of a symmetric tridiagonal system: its diagonal (K, 1), what stands beside it
     (K - 1, 1), and the right side (K, 4).
 
-    By cyclic reduction, all rows at once: rows are told by those 1, 2, 4, ... rows away, until none is.
+    By cyclic reduction, all rows at once: each row is eliminated from those 1, 2, 4, ... rows away, until
+    none is coupled.
     """
     step = 1
     while len(beside) and np.any(beside):

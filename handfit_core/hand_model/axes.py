@@ -155,7 +155,8 @@ def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.
 
 
 QUATERNION_PRODUCTS: Final = ("w*x", "w*y", "w*z", "x*x", "y*y", "z*z", "y*z", "x*z", "x*y")
-"""R of a unit quaternion (w, x, y, z) is I plus the sum of these, each times its matrix of `_OF_PRODUCTS`"""
+"""R of a unit quaternion (w, x, y, z) is I plus the sum of these, each times its matrix of
+`_PRODUCT_MATRICES`"""
 
 
 def _matrices_of_products() -> np.ndarray:
@@ -182,7 +183,7 @@ def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
     quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint
     j + 1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
 
-    Products that move hardly anything (`_LEAST_OFFSET`) in the mean hand are zero in all others: betas turn
+    Products that move hardly anything (`_MIN_OFFSET`) in the mean hand are zero in all others: betas turn
     bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
     mean = _by_product(model, bone_frames(model.shaped(), model.side))

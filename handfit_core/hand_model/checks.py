@@ -59,8 +59,8 @@ def checked_model(
     found = {}
     for key, sizes in _FLOATS.items():
         shape = tuple(count if n == _PER_VERTEX else n for n in sizes)
-        told = "J_regressor" if key == "joint_regressor" else key
-        found[key] = _floats(where, told, arrays[key], shape)
+        shown_key = "J_regressor" if key == "joint_regressor" else key
+        found[key] = _floats(where, shown_key, arrays[key], shape)
     shapedirs, weights = found.pop("shapedirs"), found.pop("weights")
     if shapedirs.shape[2] < NUM_BETAS:
         raise HandModelError(

@@ -1,8 +1,8 @@
 """Which bones are a hand, whatever they are called: by how they branch and where they lie.
 
 A hand is a bone from which chains of bones fan out. The thumb is the one that begins nearest the wrist and
-points elsewhere; the others stand in a row away from it. Metacarpals and bones at the tips are told from the
-three bones of a finger by where they begin and by how many there are.
+points elsewhere; the others stand in a row away from it. Metacarpals and bones at the tips are distinguished
+from the three bones of a finger by where they begin and by how many there are.
 """
 
 from __future__ import annotations

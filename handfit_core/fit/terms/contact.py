@@ -23,9 +23,9 @@ _PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) fo
 
 
 class Contact:
-    """One row for each pair of `seen.self_contact.touching`: the gap g between their skins, with Geman and
-    McClure's kernel, s / (1 + s (SIGMA / FAR)^2) of s = (g / SIGMA)^2. One for each of `seen.touches`:
-    g / USER_SIGMA."""
+    """One row for each pair of `seen.self_contact.pinch`: the gap g between their skins, with Geman and
+    McClure's kernel, s / (1 + s (SIGMA / ROBUST_SCALE)^2) of s = (g / SIGMA)^2. One row for each of
+    `seen.touches`: g / USER_SIGMA."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
