@@ -21,7 +21,7 @@ import numpy as np
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
 from handfit_core.media.source import Source
 from handfit_core.options import CROWD, CaptureOptions
-from handfit_core.slices import retold, slice_clock
+from handfit_core.slices import map_yields, slice_clock
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
@@ -353,7 +353,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         data = job._take_path.read_bytes()
     except OSError as error:
         raise InputError(f"{job._take_path}: the captured take is gone ({error.strerror})") from error
-    take = yield from retold(Take.reading(data), lambda: 0.0)
+    take = yield from map_yields(Take.reading(data), lambda: 0.0)
     plan, warnings = job.building, []
     if plan.target != "NEW":
         assert plan.hand is not None

@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import result_of, retold, slice_clock
+from handfit_core.slices import map_yields, run_to_completion, slice_clock
 
 from . import screen
 from .remembered import Remembered
@@ -142,7 +142,7 @@ def _show(armature: bpy.types.Object) -> None:
         turns = rest.frames @ basis @ np.swapaxes(rest.frames, -1, -2)
         motion = Motion.of(hand, np.zeros(1), turns[None], np.zeros((1, 3)))
         onto = Onto(contacts=armature.manient.character.contacts)
-        for one in result_of(computing(armature, [(hand_map, motion)], onto)).keys:
+        for one in run_to_completion(computing(armature, [(hand_map, motion)], onto)).keys:
             quats = one.keys.quats[0]
             quats[~one.keyed] = np.nan
             set_pose(one.rig, quats)
@@ -161,7 +161,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     keys: list[BoneKeys] = []
     for number, (hand_map, hand) in enumerate(hands):
         before, share = _COMPUTED * number / len(hands), _COMPUTED / len(hands)
-        motion = yield from retold(reading_motion(hand), lambda before=before: before)
+        motion = yield from map_yields(reading_motion(hand), lambda before=before: before)
         yield before
         computed = yield from _part(computing(armature, [(hand_map, motion)], onto), before, share)
         keys += computed.keys

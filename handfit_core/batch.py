@@ -8,10 +8,10 @@ from typing import Any, Final, Self
 import numpy as np
 
 SLICE: Final = 512
-"""Rows of long batches that are computed at once, where each is computed for itself: bounds the memory"""
+"""Rows of long batches that are computed at once, where rows are independent: bounds the memory"""
 
 Index = np.ndarray | slice
-"""Which rows: numbers, booleans or a slice"""
+"""Rows of a batch: their numbers, booleans or a slice"""
 
 
 class Batch:
@@ -23,17 +23,17 @@ class Batch:
         return len(next(value for _, value in self._rows()))
 
     def _rows(self) -> list[tuple[str, Any]]:
-        """The fields that have a row each."""
+        """Name and value of the fields that have a row for each hand or frame."""
         values = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
         return [(name, value) for name, value in values if isinstance(value, np.ndarray | Batch)]
 
     def _with(self, **rows: Any) -> Self:
-        # Not by dataclasses.replace, which takes as long as a small batch's sums.
+        # dataclasses.replace takes as long as the arithmetic of a small batch.
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return type(self)(**fields | rows)
 
     def select(self, index: Index) -> Self:
-        """The rows of that index."""
+        """The rows at `index`."""
         return self._with(
             **{
                 name: value.select(index) if isinstance(value, Batch) else value[index]
@@ -42,7 +42,7 @@ class Batch:
         )
 
     def where(self, chosen: np.ndarray, other: Self) -> Self:
-        """These rows where `chosen` (B,) says so, else the other's, which has the same fields."""
+        """These rows where `chosen` (B,) bool is true, else those of `other`, which has the same fields."""
 
         def pick(mine: Any, theirs: Any) -> Any:
             if isinstance(mine, Batch):
@@ -52,7 +52,7 @@ class Batch:
         return self._with(**{name: pick(value, getattr(other, name)) for name, value in self._rows()})
 
     def replaced(self, index: np.ndarray, rows: Self) -> Self:
-        """The same with other rows at that index, which numbers them."""
+        """A copy with the rows numbered by `index` replaced by `rows`."""
 
         def put(mine: Any, theirs: Any) -> Any:
             if isinstance(mine, Batch):
@@ -64,9 +64,11 @@ class Batch:
         return self._with(**{name: put(value, getattr(rows, name)) for name, value in self._rows()})
 
     @classmethod
-    def filled(cls, count: int, parts: Iterable[Self]) -> Self:
-        """`joined` of parts that have `count` rows together, or fewer where they end before: each is let go
-        of once its rows are copied, so that a long batch is there once."""
+    def collect(cls, count: int, parts: Iterable[Self]) -> Self:
+        """Concatenate an iterable of parts that have `count` rows together, or fewer where it ends early.
+
+        Each part is released once its rows are copied, so that a long batch is in memory only once.
+        """
         whole, first = None, 0
         for part in parts:
             if whole is None:
@@ -76,7 +78,7 @@ class Batch:
         return whole if first == count else whole.select(slice(first))
 
     def _empty(self, count: int) -> Self:
-        """The same with `count` rows that hold anything."""
+        """A copy with `count` uninitialised rows."""
         return self._with(
             **{
                 name: value._empty(count)
@@ -87,7 +89,7 @@ class Batch:
         )
 
     def _put(self, first: int, part: Self) -> int:
-        """Overwrite the rows from `first` on with those of a part; returns how many."""
+        """Overwrite the rows from `first` on with those of `part`; returns how many they are."""
         for name, value in self._rows():
             rows = getattr(part, name)
             if isinstance(value, Batch):
@@ -97,23 +99,23 @@ class Batch:
         return len(part)
 
     @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """The rows of all parts, one after the other; what belongs to all rows is the first part's."""
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """The rows of all parts, one after the other; fields that belong to all rows are the first part's."""
 
         def join(name: str, first: Any) -> Any:
             rows = [getattr(part, name) for part in parts]
-            return first.joined(rows) if isinstance(first, Batch) else np.concatenate(rows)
+            return first.concatenate(rows) if isinstance(first, Batch) else np.concatenate(rows)
 
         return parts[0]._with(**{name: join(name, value) for name, value in parts[0]._rows()})
 
 
 def slices(count: int, most: int = SLICE) -> Iterator[slice]:
-    """All of `count` rows, `most` at a time; an empty slice where there are none."""
+    """Slices of `most` rows each that cover `count` rows; one empty slice where there are none."""
     return (slice(first, first + most) for first in range(0, max(count, 1), most))
 
 
-def spread(rows: Any, at: Any, count: int, nothing: Any = np.nan) -> np.ndarray:
-    """(count, ...) with `rows` in the places `at`, and `nothing` in the others."""
+def scatter(rows: Any, at: Any, count: int, nothing: Any = np.nan) -> np.ndarray:
+    """(count, ...) with `rows` at the indices `at`, and `nothing` elsewhere."""
     whole = np.full((count, *np.shape(rows)[1:]), nothing)
     whole[at] = rows
     return whole

@@ -14,7 +14,7 @@ from handfit_core.batch import slices
 from handfit_core.detect.keypoints import DetectedTrack, SideBySide
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.hand_model.length import tell_of_odd_shapes
+from handfit_core.hand_model.length import warn_of_odd_shapes
 from handfit_core.interchange.taking import seen_of
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS
@@ -62,7 +62,7 @@ def fit_hands(
         return tuple(hand_track(models[t.side], t, fit, found.intrinsics) for t, fit in pairs), digests
     if options.hand_length is not None and solver.takes_hand_length:
         # Both hands' models have one length.
-        tell_of_odd_shapes(next(iter(models.values())), options.hand_length)
+        warn_of_odd_shapes(next(iter(models.values())), options.hand_length)
     fitted: list[HandTrack] = []
     while waiting and not (fitted and should_stop()):
         track = waiting.popleft()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Final, TypeVar
 
 _T = TypeVar("_T")
-_Said = TypeVar("_Said")
+_Value = TypeVar("_Value")
 
 SLICE: Final = 0.008
 """seconds after which a slice of work ends, when its last step is over"""
@@ -19,8 +19,8 @@ def slice_clock(seconds: float = SLICE) -> Callable[[], bool]:
     return lambda: time.perf_counter() > until
 
 
-def result_of(steps: Generator[Any, None, _T]) -> _T:
-    """Take all steps at once; returns what they return, and raises what they raise."""
+def run_to_completion(steps: Generator[Any, None, _T]) -> _T:
+    """Exhaust a generator of steps; returns its result."""
     while True:
         try:
             next(steps)
@@ -28,11 +28,11 @@ def result_of(steps: Generator[Any, None, _T]) -> _T:
             return stop.value
 
 
-def retold(steps: Generator[Any, None, _T], tell: Callable[[], _Said]) -> Generator[_Said, None, _T]:
-    """The same steps, but after each of them `tell()` is yielded instead; returns what they return."""
+def map_yields(steps: Generator[Any, None, _T], value: Callable[[], _Value]) -> Generator[_Value, None, _T]:
+    """Yield `value()` after each of the steps instead of what they yield; returns their result."""
     while True:
         try:
             next(steps)
         except StopIteration as stop:
             return stop.value
-        yield tell()
+        yield value()

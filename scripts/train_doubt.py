@@ -55,8 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         with written_whole(path) as beside, open(beside, "wb") as stream:
             np.savez(stream, **found)
         print(path, *(f"\n{name}: {np.round(values, 3)}" for name, values in found.items()))
-        told, errors = fitted(samples_of_stills(args.folder, args.check))
-        expected = 1e3 * np.exp(told @ found["weights"] + found["constants"]).mean(axis=1)
+        features, errors = fitted(samples_of_stills(args.folder, args.check))
+        expected = 1e3 * np.exp(features @ found["weights"] + found["constants"]).mean(axis=1)
         true = 1e3 * errors.mean(axis=1)
         print(f"{len(true)} hands: {expected.mean():.1f} mm expected, {true.mean():.1f} mm true")
         print(doubt_figures(expected, true))
@@ -78,27 +78,29 @@ def fitted(samples: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             )
         ]
     )
-    told, errors = [], []
+    features, errors = [], []
     for side in SIDES:
         rows = [row for row, detection in enumerate(detections) if detection.likely_side == side]
         chosen, model = [detections[row] for row in rows], model_of(side)
         size = int(samples["size"][0])
         camera = Intrinsics.assumed(size, size)
         fits = fit_frames(model, chosen, camera)
-        told.append(fits.evidence)
+        features.append(fits.evidence)
         for i, row in enumerate(rows):
             pose = (values[i : i + 1] for values in (fits.global_orient, fits.hand_pose, fits.transl))
             joints, true = model.keypoints(fits.betas[i], *pose)[0], samples["joints_3d"][row]
             off = np.linalg.norm(align(joints, true, with_scale=True).apply(joints) - true, axis=1)
             errors.append(off[1:].reshape(5, 4).mean(axis=1))
-    return np.concatenate(told), np.array(errors)
+    return np.concatenate(features), np.array(errors)
 
 
-def calibrated(told: np.ndarray, errors: np.ndarray) -> dict[str, Any]:
+def calibrated(features: np.ndarray, errors: np.ndarray) -> dict[str, Any]:
     """The weights (6,) and each finger's constant (5,) with which errors (N, 5) are likeliest, were they
     exponentially distributed: the expected ones are then right in the mean. Newton's method."""
-    count, _, size = told.shape
-    whole = np.concatenate([told, np.broadcast_to(np.eye(5), (count, 5, 5))], axis=2).reshape(-1, size + 5)
+    count, _, size = features.shape
+    whole = np.concatenate([features, np.broadcast_to(np.eye(5), (count, 5, 5))], axis=2).reshape(
+        -1, size + 5
+    )
     found = np.concatenate([np.zeros(size), np.full(5, np.log(errors.mean()))])
     for _ in range(ITERATIONS):
         share = errors.reshape(-1) * np.exp(-whole @ found)

@@ -15,7 +15,7 @@ from handfit_core.errors import HandfitError, HandModelError, InputError, Option
 from handfit_core.files import is_file, shown
 from handfit_core.retarget.hand_map import HandMap, read_preset
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import versions
@@ -184,7 +184,7 @@ class Character:
         scene = bpy.context.scene
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
-        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
+        applied = run_to_completion(applying(armature, hands, replace(self.onto, reference=reference)))
         for entry, one in zip(told, applied, strict=True):
             entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
         warnings += shortcomings(applied)

@@ -7,7 +7,7 @@ from collections.abc import Generator
 import bpy
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import result_of, slice_clock
+from handfit_core.slices import run_to_completion, slice_clock
 
 from ..remembered import Remembered
 from ..scene.build import Watch
@@ -62,7 +62,7 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     @errors_reported
     def execute(self, context):
         """Do it at once: for scripts, and without a window."""
-        return self._finished(context, result_of(self._work(context)))
+        return self._finished(context, run_to_completion(self._work(context)))
 
     @errors_reported
     def invoke(self, context, _event):

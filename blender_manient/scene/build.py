@@ -23,7 +23,7 @@ from handfit_core.errors import BuildInterrupted, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.slices import result_of, retold, slice_clock
+from handfit_core.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.take import HandTrack, Take
 
 from ..rigs.captured_hand import build_rig
@@ -115,7 +115,7 @@ def build_take(take: Take, **options: Any) -> BuiltTake:
     is not the metre their armatures are scaled. Building twice makes a second set and leaves the first alone.
     Raises HandModelError and OptionError.
     """
-    return result_of(building(take, BuildOptions(**options)))
+    return run_to_completion(building(take, BuildOptions(**options)))
 
 
 def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float, None, BuiltTake]:
@@ -313,7 +313,9 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     work = _Work(replace(take, hands=(track,)), {track.side: model}, True)
     units = 1.0 / bpy.context.scene.unit_settings.scale_length
     try:
-        hand = result_of(_hand(made, work, track, model.shaped(track.betas), name, units, timing, camera))
+        hand = run_to_completion(
+            _hand(made, work, track, model.shaped(track.betas), name, units, timing, camera)
+        )
     except BaseException:
         _remove(made)
         raise
@@ -360,7 +362,7 @@ class _Work:
 
     def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
         """Go through steps that are not counted, as numbers are fast; returns what they return."""
-        return retold(steps, lambda: self.done(0))
+        return map_yields(steps, lambda: self.done(0))
 
     def done(self, more: float) -> float:
         """Count a step; returns how much is done, 0..1."""

@@ -25,7 +25,7 @@ from handfit_core.edit.corrections import (
     Pins,
     Touches,
     changed_quats,
-    changed_stretches,
+    changed_segments,
     correction_between,
     kept_frame,
 )
@@ -260,7 +260,7 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
     rig = rig_of(armature)
     old = corrections_of(armature)
     timing = timing_of(armature)
-    for stretch in changed_stretches(old, new):
+    for stretch in changed_segments(old, new):
         first, last = sorted(timing.scene_frames(np.array(stretch)).tolist())
         keys = read_pose_keys(rig, first, last)
         places = _snapped(timing.source_frames(keys.frames), np.concatenate([old.frames, new.frames]))

@@ -30,7 +30,7 @@ from handfit_core.retarget.transfer import (
     target_hand,
 )
 from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
-from handfit_core.slices import result_of, retold
+from handfit_core.slices import map_yields, run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import action_slot, channels, new_slot
@@ -200,7 +200,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     shaped = hand.shaped(track.betas)
     wrist = points_to_rest(shaped.joints[0])
     rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
-    keys = result_of(computing_keys(take, track, shaped, rest, Timing()))
+    keys = run_to_completion(computing_keys(take, track, shaped, rest, Timing()))
     frames = frames_between(keys.frames)
     curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
@@ -239,7 +239,7 @@ def putting(
     or all that they do. Raises HandModelError and OptionError, before anything is changed."""
     motions = []
     for number, (hand_map, hand) in enumerate(hands):
-        motion = yield from retold(reading_motion(hand, frames), lambda n=number: 0.5 * n / len(hands))
+        motion = yield from map_yields(reading_motion(hand, frames), lambda n=number: 0.5 * n / len(hands))
         motions.append((hand_map, motion))
     return (yield from applying(armature, motions, onto))
 
@@ -311,7 +311,7 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
         first, last = float(one.keys.frames[0]), float(one.keys.frames[-1])
         located = bool(one.keys.location_keyed.any())
         remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
-    result_of(writing(keys))
+    run_to_completion(writing(keys))
     noting(armature, keys)
 
 
@@ -474,7 +474,7 @@ def adjusting(
             continue
         if not found.action.is_editable:
             raise OptionError(f"the action {found.action.name!r} is linked from another file")
-        motion = (yield from retold(reading_motion(hand), lambda: 0.0)).on(hand_map.side)
+        motion = (yield from map_yields(reading_motion(hand), lambda: 0.0)).on(hand_map.side)
         target, _, _ = prepared(armature, hand_map, motion.source, fingers_only=False)
         one = yield from _moving(armature, target, motion, onto)
         there = nearest(found.table[:, 0], one.keys.frames)[1]
@@ -492,7 +492,7 @@ def adjusting(
             )
         computed.append((found, own))
     for found, one in computed:
-        result_of(writing([one], channels(found.action, found.slot)))
+        run_to_completion(writing([one], channels(found.action, found.slot)))
         note(armature, found.action, found.slot, one)
     return kept
 

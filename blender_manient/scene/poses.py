@@ -25,7 +25,7 @@ from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.hand_map import HandMap, empty_map
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES, other_side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 from ..blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
@@ -254,7 +254,7 @@ class _OfCharacter(PosableHand):
         turns = pose.turns(self._source.side)[None]
         motion = Motion(self._source, np.zeros(1), turns, np.zeros((1, 3)), skins)
         onto = Onto("ACTION", contacts=self._armature.manient.character.contacts)
-        (found,) = result_of(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
+        (found,) = run_to_completion(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _rest(self) -> np.ndarray:

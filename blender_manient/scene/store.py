@@ -24,7 +24,7 @@ from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.media.opening import MAX_FRAME_NUMBER
 from handfit_core.skeleton import Side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..rigs import rig_of
@@ -130,7 +130,7 @@ def keeping_take(
 
 def keep_take(collection: bpy.types.Collection, take: Take) -> None:
     """`keeping_take` at once."""
-    result_of(keeping_take(collection, take))
+    run_to_completion(keeping_take(collection, take))
 
 
 def kept_take(collection: bpy.types.Collection) -> Take:

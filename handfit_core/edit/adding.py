@@ -20,9 +20,9 @@ Seen = Literal["back", "palm"]
 WRIST, KNUCKLE = 0, 9
 """The two keypoints that say where a hand lies: the second is the middle finger's knuckle"""
 USUAL_PALM = 0.12
-"""of the picture's shorter side: how long the palm is where nobody says"""
+"""Default length of the palm, in parts of the picture's shorter side"""
 _BENT = 0.5
-"""of a relaxed hand's bends: its fingertips lie apart from its knuckles, where one can take hold of them"""
+"""Share of a relaxed hand's bends: so the fingertips lie apart from the knuckles, and can be dragged"""
 _SHORTEST_PALM = 1.0
 """pixels"""
 
@@ -61,8 +61,8 @@ def _axes(along: np.ndarray, back: np.ndarray) -> np.ndarray:
 def with_added(
     take: Take, model: HandModel, row: int, wrist: np.ndarray, knuckle: np.ndarray, seen: Seen = "back"
 ) -> Take:
-    """The take with one more hand, of the model's side, `laid` into its frame `row`. In the others it is not
-    there: whoever builds it lets it hold. Raises OptionError."""
+    """The take with one more hand, of the model's side, `laid` into its frame `row` and absent in all others.
+    Raises OptionError."""
     orient, pose, transl = laid(model, take.intrinsics, wrist, knuckle, seen)
     count = len(take.frame_numbers)
     here = np.arange(count) == row

@@ -35,10 +35,10 @@ from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
-"""of a correction: what is written into the .blend is what was applied, to the last digit"""
+"""Decimals to which corrections are rounded, so that the .blend holds exactly what was applied"""
 
-_TELLING: Final = 0.01
-"""radians; a tenth of it for metres. What is turned less does not tell whether a key is the corrected one"""
+_MIN_CHANGE: Final = 0.01
+"""radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
 
 _ARRAYS: Final[dict[str, tuple[int, ...]]] = {
     "rotation": (NUM_JOINTS, 3),
@@ -57,7 +57,7 @@ Touches = Mapping[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the artist changed in one source frame."""
+    """The artist's changes to one source frame."""
 
     pins: Pins
     """Keypoints that were dragged, and where they belong"""
@@ -73,11 +73,11 @@ class Correction:
     """(16, 3) what its neighbours' corrections did here when it was made: the part of `rotation` that pins
     are not answerable for, and that stays when they change"""
     start_location: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) the same of `location`"""
+    """(3,) metres: the part of `location` that neighbours' corrections made, as in `start_rotation`"""
     pose: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 4)))
     """(16, 4) the key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) metres: the same of the wrist's location"""
+    """(3,) metres: the wrist's location in that key; zeros: unknown"""
     keyed: bool = False
     """Whether the frame was keyed anew, so that without this correction the field is zero there"""
     posed: bool = False
@@ -89,7 +89,7 @@ class Correction:
 
     @property
     def is_anchor(self) -> bool:
-        """Whether it is none of the artist's, and only ends those around it."""
+        """Whether it is no correction of the artist's, and only ends those around it."""
         return self.keyed and not self.pins and not self.touches and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
@@ -97,11 +97,11 @@ class Correction:
         where it was put. Else keys were moved in time, or another pose was keyed."""
         if not np.any(self.pose):
             return True
-        turned = np.linalg.norm(self.rotation, axis=-1) > _TELLING
-        same = np.linalg.norm(correction_between(self.pose, pose), axis=-1) < _TELLING
+        turned = np.linalg.norm(self.rotation, axis=-1) > _MIN_CHANGE
+        same = np.linalg.norm(correction_between(self.pose, pose), axis=-1) < _MIN_CHANGE
         found = same[turned].tolist()
-        if np.linalg.norm(self.location) > _TELLING / 10 and np.any(self.place):
-            found.append(bool(np.linalg.norm(place - self.place) < _TELLING / 10))
+        if np.linalg.norm(self.location) > _MIN_CHANGE / 10 and np.any(self.place):
+            found.append(bool(np.linalg.norm(place - self.place) < _MIN_CHANGE / 10))
         return not found or 2 * sum(found) >= len(found)
 
     @property
@@ -180,17 +180,17 @@ class CorrectionField:
         return correction.touches if correction is not None else {}
 
     def having(self, corrections: Mapping[float, Correction]) -> CorrectionField:
-        """The same with these corrections of source frames."""
+        """A copy with these corrections of source frames added or replaced."""
         return CorrectionField({**self.corrections, **{kept_frame(g): c for g, c in corrections.items()}})
 
     def without(self, frames: Iterable[float]) -> CorrectionField:
-        """The same without the corrections of these source frames."""
+        """A copy without the corrections of these source frames."""
         gone = {float(f) for f in frames}
         return CorrectionField({g: c for g, c in self.corrections.items() if g not in gone})
 
     def cleared(self, frames: Iterable[float]) -> CorrectionField:
-        """The same after these source frames' corrections were taken back. Where a frame had been keyed anew
-        an anchor stays, as long as it ends anything."""
+        """A copy with the corrections of these source frames taken back. Where a frame had been keyed anew,
+        an anchor stays as long as it ends another correction."""
         gone = {float(f) for f in frames}
         kept = {g: c for g, c in self.corrections.items() if g not in gone}
         kept |= {g: Correction({}, keyed=True) for g, c in self.corrections.items() if g in gone and c.keyed}
@@ -205,7 +205,7 @@ class CorrectionField:
         location: bool = True,
         keep_pins: bool = False,
     ) -> CorrectionField:
-        """The same where these source frames get keys with poses of their own: the field is zero on them.
+        """A copy for source frames that get keys with poses of their own: the field is zero on them.
 
         `whole` means everything from the first to the last of them, else corrections on other frames stay.
         `joints` and `location` say what is keyed; of the others, corrections stay. `keep_pins` leaves the
@@ -260,7 +260,7 @@ class CorrectionField:
         return CorrectionField({g: c for g, c in self.corrections.items() if g in needed})
 
     def to_json(self) -> str:
-        """As text for the .blend; empty where there is nothing to keep."""
+        """JSON for the .blend; empty where there are no corrections."""
         if not self.corrections:
             return ""
         kept = {
@@ -298,8 +298,8 @@ class CorrectionField:
         )
 
 
-def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
-    """Stretches of source frames, apart from each other, outside of which the two fields are the same.
+def changed_segments(old: CorrectionField, new: CorrectionField) -> list[tuple[float, float]]:
+    """Disjoint segments of source frames (first, last) outside of which the two fields are equal.
 
     A correction that comes, goes or changes matters up to the nearest unchanged ones; these reach
     further, or less far, towards it.
@@ -307,7 +307,7 @@ def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[
     same = sorted(
         g for g, c in old.corrections.items() if g in new.corrections and _equal(c, new.corrections[g])
     )
-    stretches = []
+    segments = []
     for g in sorted((set(old.corrections) | set(new.corrections)) - set(same)):
         spread = max(one.corrections[g].spread for one in (old, new) if g in one.corrections)
         first, last = float(g - spread), float(g + spread)
@@ -321,9 +321,9 @@ def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[
             reach = right - old.corrections[right].spread
             first, last = (min(first, reach), right) if reach < g else (first, min(last, right))
             first = first if at == 0 else max(first, same[at - 1])
-        stretches.append((float(first), float(last)))
+        segments.append((float(first), float(last)))
     merged: list[tuple[float, float]] = []
-    for first, last in sorted(stretches):
+    for first, last in sorted(segments):
         if merged and first <= merged[-1][1]:
             first, last = merged[-1][0], max(last, merged.pop()[1])
         merged.append((first, last))
@@ -331,7 +331,7 @@ def changed_stretches(old: CorrectionField, new: CorrectionField) -> list[tuple[
 
 
 def _equal(one: Correction, other: Correction) -> bool:
-    """Whether they are the same to the keys; pins do not matter."""
+    """Whether both change keys alike; pins do not matter."""
     return (
         one.spread == other.spread
         and np.array_equal(one.rotation, other.rotation)

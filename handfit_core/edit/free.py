@@ -1,4 +1,4 @@
-"""Hands that nothing was detected of: what a few points tell that a person has put in place.
+"""Poses of added hands, of which nothing was detected, from a few pins.
 
 The pose that such a hand has is turned to 18 sides, each is laid over the pins, and from each the hand is
 fitted to the pins and to what hands usually do. The lowest cost decides, with a little more for showing the
@@ -23,40 +23,41 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_KEYPOINTS, PALM_KEYPOINTS
 
-LEAST_PALM_PINS: Final = 2
+MIN_PALM_PINS: Final = 2
 """Fewer do not tell how a hand lies: then its pose is corrected like a captured one's"""
 _ROLLS: Final = np.radians([0.0, 50.0, -50.0, 180.0, 230.0, 130.0])
 _PITCHES: Final = np.radians([0.0, 45.0, -45.0])
 """radians about the palm's long axis, and about the one across it in the picture"""
-_LARGEST_RESIZE: Final = 2.0
-"""times larger or smaller than the hand was: where starts end"""
+_MAX_RESIZE: Final = 2.0
+"""Ratio of a start's size to the hand's at most, either way"""
 _PALM_SIGMA: Final = 0.5
-"""of the hand's size: how loosely palm points without a pin are held, in the picture and in depth"""
+"""Expected error of palm points without a pin, in the picture and in depth, in parts of the hand's size"""
 _DISTANCE_SIGMA: Final = 0.15
-"""of the wrist's distance: a palm that looks short is tilted, or farther away"""
-_TURNED_OVER: Final = 4.0
+"""Relative deviation of the wrist's distance: a palm that looks short is tilted, or farther away"""
+_TURNED_OVER_COST: Final = 4.0
 """squared sigmas that the other side of the hand costs"""
-_FOLLOW: Final = 0.7
-"""How much a finger's bends go with those of the next one; with those of the second next, its square"""
-_ROUGHLY: Final = 0.02
-"""of the hand's size: how near hands come to their pins at first"""
-_NOWHERE: Final = 1e9
-"""pixels: the expected error of what nobody sees"""
+_NEIGHBOUR_BEND_SHARE: Final = 0.7
+"""Share of a finger's bends that the next one takes over; the second next takes over its square"""
+_FIRST_PIN_SIGMA: Final = 0.02
+"""Expected error of pins in the first round, in parts of the hand's size"""
+_UNSEEN_SIGMA: Final = 1e9
+"""pixels: expected error of points that are neither pinned nor kept"""
 _BENDS: Final = [2, 5, 8]
-"""of a finger's nine angles"""
+"""Indices of the bends among a finger's nine angles"""
 _BACK: Final = 1
 """The axis of the root that points out of the back of the hand"""
 _KNUCKLE: Final = 9
-"""of the middle finger"""
+"""The middle finger's knuckle among the keypoints"""
 
 
 def is_free(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) pixels -> (N,) bool: whether they tell how a hand lies, whatever pose it has."""
+    """(N, 21, 2) pins in pixels -> (N,) bool: whether they determine how a hand lies, whatever pose it
+    has."""
     palm = np.isfinite(pins[:, list(PALM_KEYPOINTS)]).all(axis=2)
-    return np.asarray(palm.sum(axis=1) >= LEAST_PALM_PINS)
+    return np.asarray(palm.sum(axis=1) >= MIN_PALM_PINS)
 
 
-def freely_posed(
+def pose_from_pins(
     fitter: FastFitter,
     intrinsics: Intrinsics,
     pins: np.ndarray,
@@ -64,8 +65,11 @@ def freely_posed(
     locked: np.ndarray,
     max_iterations: int,
 ) -> State:
-    """One hand's pose (B = 1) from pins (21, 2) in pixels, NaN where there is none, that say how it lies, and
-    the pose `own` that it has. Joints that are `locked` (16,) stay."""
+    """One hand's pose (B = 1) from pins (21, 2) in pixels, NaN where there is none, and its present pose
+    `own`.
+
+    `locked`: (16,) bool, joints that stay as they are.
+    """
     at = np.asarray(np.isfinite(pins).all(axis=1))
     start = _starts(fitter, intrinsics, pins, at, own)
     count, held = len(start), None
@@ -73,9 +77,9 @@ def freely_posed(
         held = Held(np.tile(locked, (count, 1)), own.select(np.zeros(count, dtype=int)))
         start = held.put(start)
     points = fitter.chain.points(start)
-    loose = pinning.kept(points, intrinsics)
-    loosely = np.where(np.isin(np.arange(NUM_KEYPOINTS), PALM_KEYPOINTS), _PALM_SIGMA, _NOWHERE)
-    sigma = loosely * pinning.sizes(loose.pixels)[:, None]
+    loose = pinning.landmarks_of_pose(points, intrinsics)
+    loosely = np.where(np.isin(np.arange(NUM_KEYPOINTS), PALM_KEYPOINTS), _PALM_SIGMA, _UNSEEN_SIGMA)
+    sigma = loosely * pinning.hand_sizes(loose.pixels)[:, None]
     seen = Landmarked(
         np.where(at[:, None], pins, loose.pixels),
         np.where(at[:, None], pinning.PIN_SIGMA, sigma[..., None].repeat(2, axis=2)),
@@ -93,24 +97,24 @@ def freely_posed(
     )
     seen = replace(observation_of(seen, intrinsics), kept=kept)
     # Pins that are all but exact are hard to follow from far away, so the best hands come nearer in steps.
-    for nearness, left in ((_ROUGHLY, 4), (0.2 * _ROUGHLY, 2), (0.0, 1)):
-        least = nearness * pinning.sizes(seen.pixels)[:, None, None]
+    for nearness, left in ((_FIRST_PIN_SIGMA, 4), (0.2 * _FIRST_PIN_SIGMA, 2), (0.0, 1)):
+        least = nearness * pinning.hand_sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
-        problem = replace(fitter.problem(about, held=held), reach=fitter.reach)
+        problem = replace(fitter.problem(about, held=held), angle_bounds=fitter.angle_bounds)
         solution = fitter.solve_each(problem, start, max_iterations)
         same_side = solution.state.root[..., _BACK] @ own.root[0, :, _BACK]
         cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf)
-        best = (cost + _TURNED_OVER * (1.0 - same_side) / 2.0).argsort(kind="stable")[:left]
+        best = (cost + _TURNED_OVER_COST * (1.0 - same_side) / 2.0).argsort(kind="stable")[:left]
         start, seen = solution.state.select(best), seen.select(best)
         held = None if held is None else held.select(best)
-    return replace(start, angles=_following(fitter, start.angles, own.angles, at, locked))
+    return replace(start, angles=_with_neighbours_bends(fitter, start.angles, own.angles, at, locked))
 
 
 def _starts(
     fitter: FastFitter, intrinsics: Intrinsics, pins: np.ndarray, at: np.ndarray, own: State
 ) -> State:
-    """(18,) the hand `own` (1), turned to all sides and laid over its pins by a turn in the picture, a place
-    and a distance."""
+    """(18,) states: the hand `own` (1), turned to all sides, and each laid over its pins by a turn in the
+    picture, a place and a distance."""
     points = fitter.chain.points(own)[0]
     along = points[_KNUCKLE] - points[0]
     across = np.cross(points[0], along)
@@ -129,7 +133,7 @@ def _starts(
     shown = shapes[:, at, :2] @ [1.0, 1.0j]
     mean = shown.mean(axis=1, keepdims=True)
     over = ((shown - mean).conj() @ (aim - aim.mean())) / np.square(np.abs(shown - mean)).sum(axis=1)
-    nearness = np.clip(np.abs(over) * points[0, 2], 1.0 / _LARGEST_RESIZE, _LARGEST_RESIZE)
+    nearness = np.clip(np.abs(over) * points[0, 2], 1.0 / _MAX_RESIZE, _MAX_RESIZE)
     distance = points[0, 2] / nearness
     upright = rotvec_to_rotmat(np.angle(over)[:, None] * np.array([0.0, 0.0, 1.0]))
     turns = upright @ turns
@@ -144,19 +148,19 @@ def _starts(
     return replace(start, depth_zero=np.linalg.norm(ray, axis=1))
 
 
-def _following(
+def _with_neighbours_bends(
     fitter: FastFitter, found: np.ndarray, own: np.ndarray, at: np.ndarray, locked: np.ndarray
 ) -> np.ndarray:
-    """Angles (1, 5, 9) in which fingers without a pin beyond their knuckle have those of their `own` pose.
-    Long ones bend as far from it as those with a pin make likely. Nothing else depends on them."""
+    """Angles (1, 5, 9) in which fingers without a pin beyond their knuckle have those of their `own` pose,
+    with long fingers bent as far from it as their neighbours with a pin make likely."""
     known = np.asarray(at[1:].reshape(5, 4)[:, 1:].any(axis=1))
     left = np.asarray(~(known | locked[JOINTS_BY_FINGER].any(axis=1)))
-    alike = _FOLLOW ** np.abs(np.arange(5)[:, None] - np.arange(5))
+    alike = _NEIGHBOUR_BEND_SHARE ** np.abs(np.arange(5)[:, None] - np.arange(5))
     alike[0], alike[:, 0], alike[0, 0] = 0.0, 0.0, 1.0  # the thumb goes its own way
     share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
     followed = own[0, left]
     followed[:, _BENDS] += share @ (found - own)[0][known][:, _BENDS]
-    least, most = (end[left] for end in fitter.reach)
+    least, most = (end[left] for end in fitter.angle_bounds)
     angles = found.copy()
     angles[0, left] = np.clip(followed, np.minimum(least, own[0, left]), np.maximum(most, own[0, left]))
     return angles

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -17,8 +17,7 @@ from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, S
 from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
 
 START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_pose": (45,), "transl": (3,)}
-"""The pose to start from, and its shapes behind T"""
-
+"""The arrays of a pose, and their shapes behind T"""
 
 RESULT_SHAPES: Final[dict[str, tuple[int, ...]]] = {
     **START_ARRAYS,
@@ -32,7 +31,7 @@ RESULT_SHAPES: Final[dict[str, tuple[int, ...]]] = {
 
 @dataclass(frozen=True, eq=False)
 class RefineHand:
-    """T consecutive frames of one hand, and what the artist says about them.
+    """T consecutive frames of one hand with the artist's pins, touches and locks.
 
     Pixels are of the upright picture; poses are MANO's (axis-angle in radians relative to the flat hand),
     camera frame, metres. Raises OptionError, naming the field, where something has the wrong shape or range.
@@ -60,7 +59,7 @@ class RefineHand:
     model: str = OPEN_HAND
     """`open-hand`, or the path of the user's model file or folder"""
     fps: float = 25.0
-    """Of these frames"""
+    """Frames per second"""
     smoothing: float = CaptureOptions.smoothing
     """For re-fitting a range"""
     holes: tuple[int, ...] = ()
@@ -152,7 +151,7 @@ class RefineHand:
         points = np.reshape(
             [d.keypoints_2d for d in self.detections if d is not None], (-1, NUM_KEYPOINTS, 2)
         )
-        seen = spread(points, self.detected, len(self))
+        seen = scatter(points, self.detected, len(self))
         return np.where(self.pinned[..., None], self.pins, seen)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.values import Unfit, number, path, shortly, whole
 from handfit_core.edit.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
@@ -55,15 +55,15 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         **{name: pack(np.asarray(getattr(hand, name), dtype=np.float64)) for name in START_ARRAYS},
         "pins": pack(np.asarray(hand.pins, dtype=np.float64)),
         "locked": pack(np.asarray(hand.locked, dtype=bool)),
-        **{name: pack(spread(rows, there, count).astype(np.float32)) for name, rows in points.items()},
-        "score": pack(spread([d.score for d in found], there, count).astype(np.float32)),
-        "agrees": pack(spread([d.side == hand.side for d in found], there, count, True)),
+        **{name: pack(scatter(rows, there, count).astype(np.float32)) for name, rows in points.items()},
+        "score": pack(scatter([d.score for d in found], there, count).astype(np.float32)),
+        "agrees": pack(scatter([d.side == hand.side for d in found], there, count, True)),
         **(
-            {"keypoints_2020": pack(spread(second, there, count).astype(np.float32))}
+            {"keypoints_2020": pack(scatter(second, there, count).astype(np.float32))}
             if np.isfinite(second).any()
             else {}
         ),
-        **({"overlapped": pack(spread(overlapped, there, count, False))} if np.any(overlapped) else {}),
+        **({"overlapped": pack(scatter(overlapped, there, count, False))} if np.any(overlapped) else {}),
         **({"touches": pack(np.asarray(hand.touches, dtype=np.float64))} if hand.touches is not None else {}),
     }
 
@@ -144,7 +144,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
-    """What the `done` event of a `refit` request says: {"result": {...}, "seconds": s}.
+    """Answer a `refit` request with the fields of its `done` event: {"result": {...}, "seconds": s}.
 
     The request's `mode` is "each", "draft" (see `refit_each`) or "range", its `hand` what `to_message` made.
     The result's arrays are those of RefineResult, packed as float32. Raises HandfitError; Cancelled when
@@ -180,7 +180,7 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
 
 
 def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
-    """What the `done` event of a `refit` request for `count` frames carries. Raises ProtocolError."""
+    """The result in the `done` event of a `refit` request for `count` frames. Raises ProtocolError."""
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")

@@ -1,15 +1,15 @@
-"""How pins act on what a hand is fitted to. NumPy.
+"""How pins change the landmarks that a hand is fitted to. NumPy.
 
-A pinned point's pixels are taken as true. The other points of its finger count the less, the farther the
-pin lies from where the point was: so a dragged fingertip takes its finger along, as inverse kinematics
-does, while the other fingers stay. A knuckle turns the palm about the wrist and takes all fingers along,
-the wrist takes the palm along. A pin that lies where the point is already changes nothing.
+A pinned point's pixels are taken as true. The other points of its finger become the more uncertain, the
+farther the pin lies from where the point was: so a dragged fingertip takes its finger along, as inverse
+kinematics does, while the other fingers stay. A knuckle turns the palm about the wrist and takes all fingers
+along, the wrist takes the palm along. A pin that lies where the point is already changes nothing.
 
 A pose is corrected in two steps. First the fingers with pins beyond their knuckles go alone, bent no
 farther than joints can be when they are pressed (10 degrees beyond what a person can do with them), or than
-they were; palm and other fingers do not move at all. Where that brings
-every point to within `REACHED` of its pin, that is the answer. Else the palm must follow: from that pose, it
-and the fingers go for what is left, and the other fingers ride along. So the palm moves by about as much as
+they were; palm and other fingers do not move at all. Where that brings every point to within `REACHED_PIXELS`
+of its pin, that is the answer. Else the palm must follow: from that pose, it and the fingers go for what is
+left, and the other fingers ride along. So the palm moves by about as much as
 the fingers fall short, and nothing jumps where they begin to. Pins of the wrist and of knuckles move the
 palm by their nature: no finger can bring them nearer.
 
@@ -31,54 +31,58 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 PIN_SIGMA: Final = 0.2
-"""pixels"""
-REACHED: Final = 0.5
-"""pixels from its pin: there a point has reached it"""
+"""pixels: expected error of a pin"""
+REACHED_PIXELS: Final = 0.5
+"""Distance from its pin up to which a point has reached it"""
 LIMITS_SIGMA: Final = float(np.radians(0.3))
-"""radians beyond what pressed joints can do, as `Kept.limits_sigma` has it: pins are surer than landmarks,
-and would bend fingers far beyond it where a capture's landmarks do not"""
-KEPT_SIGMA: Final = 0.005
-"""of the hand's size in the picture: how firmly points of a pose that is corrected stay where they are"""
-KEPT_DEPTH_SIGMA: Final = 0.02
-LEAST_SIGMA: Final = 0.5
-"""pixels, of points that are kept"""
-FOLLOW: Final = 0.5
-"""of a pin's displacement: what it adds to the expected errors of its finger's points"""
-FOLLOW_DEPTH: Final = 1.0
+"""radians beyond the passive range, see `Kept.limits_sigma`: pins are surer than a capture's landmarks, and
+would bend fingers far beyond it"""
+POSE_SIGMA: Final = 0.005
+"""Expected error in the picture of the landmarks of a pose that is corrected, in parts of the hand's size"""
+POSE_DEPTH_SIGMA: Final = 0.02
+"""Expected error in depth of these landmarks, in parts of the hand's size"""
+MIN_POSE_SIGMA: Final = 0.5
+"""pixels: least expected error of these landmarks"""
+SIGMA_PER_PIXEL: Final = 0.5
+"""Expected error in the picture that a pixel of uncertainty adds"""
+DEPTH_SIGMA_PER_PIXEL: Final = 1.0
+"""Expected error in depth that a pixel of uncertainty adds"""
 WRIST_SHARE: Final = 0.5
-"""of the wrist's displacement: how much all other points doubt theirs"""
-FORGET: Final = 0.05
-"""of the hand's size: displaced by so much, a finger's points are half the pose's and half the detector's"""
+"""Share of the wrist's displacement that is the uncertainty of all other points"""
+HALF_BLEND: Final = 0.05
+"""Uncertainty, in parts of the hand's size, at which a point is half the pose's and half the detector's"""
 DISTANCE_SIGMA: Final = 0.002
-"""of the wrist's distance: how firmly it is kept"""
-PALM_DISTANCE: Final = 0.5
-"""of a palm pin's displacement, in parts of the hand's size: what it adds to that"""
+"""Relative deviation of the wrist's distance from the one that is kept"""
+PALM_DISTANCE_SIGMA: Final = 0.5
+"""What a palm pin's displacement adds to that, per hand's size"""
 ANGLE_SIGMA: Final = 8.0
-"""radians: how firmly angles of a finger in doubt are kept, per hand's size of its doubt"""
-RIDES: Final = 0.25
-"""of that, for fingers without pins: they ride on a palm that is moved"""
-LEAST_ANGLE_SIGMA: Final = 0.002
-REACH: Final = 0.25
-"""seconds: frames up to so far from a pin doubt their own landmarks too, the farther the less"""
+"""radians: deviation of an uncertain finger's angles from those that are kept, per hand's size of
+uncertainty"""
+IDLE_SHARE: Final = 0.25
+"""Share of that for fingers without pins, which ride on a palm that is moved"""
+MIN_ANGLE_SIGMA: Final = 0.002
+"""radians: least deviation of these angles"""
+NEIGHBOUR_SECONDS: Final = 0.25
+"""Time from a pin's frame to those whose landmarks become uncertain, too; the less, the farther they are"""
 
 _FINGERS: Final = np.arange(1, NUM_KEYPOINTS).reshape(5, 4)
 _PALM: Final = [0, *_FINGERS[:, 0]]
 
 
-def kept(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
+def landmarks_of_pose(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
     """A pose's landmarks (N, 21, 3), metres, camera frame, as if a detector had seen them."""
     pixels = intrinsics.project(points)
-    size = sizes(pixels)[:, None]
+    size = hand_sizes(pixels)[:, None]
     ray = points.mean(axis=1)
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
     along = np.einsum("nkc,nc->nk", points, ray / distance)
     depth = (along - distance) * (0.5 * (intrinsics.fx + intrinsics.fy) / distance)
-    sigma = np.maximum(KEPT_SIGMA * size, LEAST_SIGMA)
+    sigma = np.maximum(POSE_SIGMA * size, MIN_POSE_SIGMA)
     return Landmarked(
         pixels,
         np.broadcast_to(sigma[..., None], pixels.shape).copy(),
         depth,
-        np.broadcast_to(np.maximum(KEPT_DEPTH_SIGMA * size, LEAST_SIGMA), depth.shape).copy(),
+        np.broadcast_to(np.maximum(POSE_DEPTH_SIGMA * size, MIN_POSE_SIGMA), depth.shape).copy(),
     )
 
 
@@ -87,85 +91,87 @@ def displacement(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.linalg.norm(pins - pixels, axis=-1), nan=0.0)
 
 
-def followed(displaced: np.ndarray) -> np.ndarray:
-    """(N, 21) displacements of pinned points -> how much each of a hand's points is to doubt its place."""
-    doubt = displaced.copy()
-    doubt[:, _FINGERS] = displaced[:, _FINGERS].max(axis=2, keepdims=True)
+def propagate(displaced: np.ndarray) -> np.ndarray:
+    """(N, 21) pixels of displacement of pinned points -> (N, 21) pixels of uncertainty of all points."""
+    uncertainty = displaced.copy()
+    uncertainty[:, _FINGERS] = displaced[:, _FINGERS].max(axis=2, keepdims=True)
     # The palm turns about the wrist, and all fingers ride on it.
     knuckles = displaced[:, _FINGERS[:, 0]].max(axis=1, keepdims=True)
-    doubt[:, 1:] = np.maximum(doubt[:, 1:], knuckles)
-    return np.maximum(doubt, WRIST_SHARE * displaced[:, :1])
+    uncertainty[:, 1:] = np.maximum(uncertainty[:, 1:], knuckles)
+    return np.maximum(uncertainty, WRIST_SHARE * displaced[:, :1])
 
 
-def of_fingers(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) only the pins that a finger can move to by itself, which are those beyond its knuckle."""
+def finger_pins(pins: np.ndarray) -> np.ndarray:
+    """(N, 21, 2) pins, without those of the palm: a finger reaches by itself only those beyond its
+    knuckle."""
     own = pins.copy()
     own[:, _PALM] = np.nan
     return own
 
 
-def of_palm(displaced: np.ndarray) -> np.ndarray:
-    """(N, 21) only the displacements of wrist and knuckles, else 0."""
+def palm_displacement(displaced: np.ndarray) -> np.ndarray:
+    """(N, 21) displacements of wrist and knuckles, and 0 for the other points."""
     return np.where(np.isin(np.arange(NUM_KEYPOINTS), _PALM), displaced, 0.0)
 
 
-def unpinned(pins: np.ndarray) -> np.ndarray:
+def unpinned_fingers(pins: np.ndarray) -> np.ndarray:
     """(N, 21, 2) -> (N, 5) bool: fingers without a pin beyond their knuckle."""
-    return np.asarray(np.isnan(of_fingers(pins)[:, _FINGERS, 0]).all(axis=2))
+    return np.asarray(np.isnan(finger_pins(pins)[:, _FINGERS, 0]).all(axis=2))
 
 
-def sizes(pixels: np.ndarray) -> np.ndarray:
+def hand_sizes(pixels: np.ndarray) -> np.ndarray:
     """(N, 21, 2) -> (N,) a hand's size in the picture, pixels."""
     return np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)
 
 
 def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(N, 21) displacements of pinned points, (N,) pixels -> (N,) how firmly the wrist's distance is
-    kept, as a part of it."""
-    return np.hypot(DISTANCE_SIGMA, PALM_DISTANCE * displaced[:, _PALM].max(axis=1) / size)
+    """(N,) sigmas of the wrist's distance, relative to it, from (N, 21) displacements of pinned points and
+    (N,) sizes of hands in pixels."""
+    return np.hypot(DISTANCE_SIGMA, PALM_DISTANCE_SIGMA * displaced[:, _PALM].max(axis=1) / size)
 
 
-def angle_sigma(doubt: np.ndarray, size: np.ndarray, idle: np.ndarray) -> np.ndarray:
-    """(N, 21) `followed`, (N,) pixels -> (N, 5) radians, how firmly the fingers' angles are kept. `idle` (N,
-    5) bool: those that nothing moves by themselves."""
-    of_finger = doubt[:, _FINGERS].max(axis=2) * np.where(idle, RIDES, 1.0)
-    return np.maximum(ANGLE_SIGMA * of_finger / size[:, None], LEAST_ANGLE_SIGMA)
+def angle_sigma(uncertainty: np.ndarray, size: np.ndarray, idle: np.ndarray) -> np.ndarray:
+    """(N, 5) radians, sigmas of the fingers' angles, from (N, 21) pixels of uncertainty and (N,) sizes of
+    hands in pixels. `idle`: (N, 5) bool, fingers that neither pins nor touches move by themselves."""
+    of_finger = uncertainty[:, _FINGERS].max(axis=2) * np.where(idle, IDLE_SHARE, 1.0)
+    return np.maximum(ANGLE_SIGMA * of_finger / size[:, None], MIN_ANGLE_SIGMA)
 
 
-def untouched(doubt: np.ndarray) -> np.ndarray:
-    """(N, 21) `followed` -> (N, 5) bool: fingers that no pin moves."""
-    return np.asarray(doubt[:, _FINGERS].max(axis=2) == 0.0)
+def unmoved_fingers(uncertainty: np.ndarray) -> np.ndarray:
+    """(N, 21) pixels of uncertainty -> (N, 5) bool: fingers without any."""
+    return np.asarray(uncertainty[:, _FINGERS].max(axis=2) == 0.0)
 
 
-def over_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
-    """(N, 21) the same, with a part of what pins in neighbouring frames were displaced by: where the detector
-    errs in one frame it errs in the next. `frames` (N,) rising."""
+def propagate_in_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> np.ndarray:
+    """(N, 21) displacements of pinned points, or a share of those in neighbouring frames where that is
+    larger: where the detector errs in one frame it errs in the next. `frames`: (N,) rising."""
     spread = displaced.copy()
-    reach = REACH * fps
+    reach = NEIGHBOUR_SECONDS * fps
     for row in np.flatnonzero(displaced.any(axis=1)):
         share = np.clip(1.0 - np.abs(frames - frames[row]) / (reach + 1.0), 0.0, 1.0)
         np.maximum(spread, share[:, None] * displaced[row], out=spread)
     return spread
 
 
-def pinned(seen: Landmarked, pins: np.ndarray, doubt: np.ndarray) -> Landmarked:
-    """`seen` with pins (N, 21, 2) in their place and (N, 21) `doubt` added to the expected errors."""
+def apply_pins(seen: Landmarked, pins: np.ndarray, uncertainty: np.ndarray) -> Landmarked:
+    """`seen` with pins (N, 21, 2) in their place, and with `uncertainty` (N, 21) in pixels added to the
+    expected errors."""
     at = np.asarray(np.isfinite(pins).all(axis=-1))
-    sigma = np.hypot(seen.pixel_sigma, FOLLOW * doubt[..., None])
+    sigma = np.hypot(seen.pixel_sigma, SIGMA_PER_PIXEL * uncertainty[..., None])
     return replace(
         seen,
         pixels=np.where(at[..., None], pins, seen.pixels),
         pixel_sigma=np.where(at[..., None], PIN_SIGMA, sigma),
-        depth_sigma=np.hypot(seen.depth_sigma, FOLLOW_DEPTH * doubt),
+        depth_sigma=np.hypot(seen.depth_sigma, DEPTH_SIGMA_PER_PIXEL * uncertainty),
         pinned=at,
     )
 
 
-def forgetting(seen: Landmarked, detected: Landmarked, doubt: np.ndarray) -> Landmarked:
-    """`seen` of a pose, whose points go back to what `detected` has the more they are in doubt (N, 21),
-    where that has numbers."""
-    size = sizes(seen.pixels)[:, None]
-    share = np.square(doubt) / (np.square(doubt) + np.square(FORGET * size))
+def blend_to_detection(seen: Landmarked, detected: Landmarked, uncertainty: np.ndarray) -> Landmarked:
+    """The landmarks `seen` of a pose, moved towards the `detected` ones the more, the larger their
+    `uncertainty` (N, 21) in pixels. Where nothing is detected (NaN) they stay."""
+    size = hand_sizes(seen.pixels)[:, None]
+    share = np.square(uncertainty) / (np.square(uncertainty) + np.square(HALF_BLEND * size))
 
     def between(name: str) -> np.ndarray:
         mine, theirs = getattr(seen, name), getattr(detected, name)

@@ -1,4 +1,4 @@
-"""What was answered last: the next answer of the same drag is near."""
+"""Cache of the last result, from which the next one of the same drag is reached in a few steps."""
 
 from __future__ import annotations
 

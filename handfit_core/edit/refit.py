@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
@@ -30,10 +30,10 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
 
     Raises HandModelError.
     """
-    from handfit_core.edit import solving
+    from handfit_core.edit import solving  # slow to load
 
     model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.each(hand, model, guess, draft=draft))
+    return _result(hand, model, solving.solve_each(hand, model, guess, draft=draft))
 
 
 def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResult:
@@ -46,10 +46,10 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResu
 
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
-    from handfit_core.edit import solving
+    from handfit_core.edit import solving  # slow to load
 
     model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.over_range(hand, model, should_stop))
+    return _result(hand, model, solving.solve_range(hand, model, should_stop))
 
 
 def warm_up(model: str = OPEN_HAND) -> None:
@@ -57,7 +57,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
 
     Raises HandModelError if there is no hand of either side in `model`.
     """
-    from handfit_core.edit import solving
+    from handfit_core.edit import solving  # slow to load
 
     solving.load()
     errors: list[HandModelError] = []
@@ -90,20 +90,20 @@ def seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
 
 
 def _result(hand: RefineHand, model: HandModel, pose: dict[str, np.ndarray]) -> RefineResult:
-    """What follows from the poses: the three arrays of START_ARRAYS, NaN rows where there is none."""
+    """The result of poses, given as the arrays of START_ARRAYS with NaN rows where there is none."""
     count = len(hand)
     present = np.isfinite(pose["transl"]).all(axis=1)
     rows = [pose[name][present] for name in START_ARRAYS]
     joints = model.keypoints(hand.betas, *rows)
-    projected = spread(hand.intrinsics.project(joints), present, count)
+    projected = scatter(hand.intrinsics.project(joints), present, count)
     distance = np.linalg.norm(projected - hand.keypoints_2d, axis=-1)
     known = np.isfinite(distance)
     error = np.where(known, distance, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     return RefineResult(
         **pose,
-        joints_3d=spread(joints, present, count),
+        joints_3d=scatter(joints, present, count),
         projected=projected,
-        landmarks_2d=spread(
+        landmarks_2d=scatter(
             hand.intrinsics.project(landmark_points(model, hand.betas, *rows)), present, count
         ),
         reprojection_error=np.where(known.any(axis=1), error, np.nan),

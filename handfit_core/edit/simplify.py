@@ -27,15 +27,15 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_
 
 LOCATION: Final = NUM_JOINTS
 """`Channels.joint` of the wrist's location"""
-_SMOOTH = 0.03
+_SMOOTHNESS = 0.03
 """s above: decides the slopes where no dense frame lies between two keys, and keeps jumps from swinging"""
-_MET = 0.999
-"""of a bound: what is left for Blender, which keeps keys in 32 bits"""
+_BOUND_SHARE = 0.999
+"""Share of a bound that is used, since Blender rounds keys to 32 bits"""
 _NEAREST = 1e-3
 """metres in front of the camera. What lies nearer is not judged in pixels"""
 _THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2
 """Every n-th key, from which one on, is taken away in turn"""
-_STRETCH = 20
+_SEGMENT_FRAMES = 20
 """Dense frames of which the keys are kept as they were before a thinning, if that left no fewer"""
 
 
@@ -51,7 +51,8 @@ class Channels:
     group: int = 0
     """Channels of one group have their keys on common frames; groups count from 0"""
     arm: float = 1.0
-    """Of a location: the length that, turned by the bound in degrees, moves as far as it may"""
+    """For a location: the length of the lever whose end, turned by the bound in degrees, moves as far as it
+    may"""
     joint: int = -1
     """Which joint of a hand that is seen it turns, in MANO's order, or `LOCATION`"""
 
@@ -128,10 +129,14 @@ def simplifying(
     are so far, counted once per channel.
 
     `frames` (N,), increasing; `kept`: rows that keep their keys in any case, as the first and the last one
-    do. `pixels` is asked for with a `sight` only. Locations have to keep to `degrees`, too, by their `arm`.
+    do. `pixels` counts with a `sight` only. Locations have to keep to `degrees`, too, by their `arm`.
     """
     fit = _Fit(
-        np.asarray(frames, dtype=np.float64), channels, _MET * np.radians(degrees), _MET * pixels, sight
+        np.asarray(frames, dtype=np.float64),
+        channels,
+        _BOUND_SHARE * np.radians(degrees),
+        _BOUND_SHARE * pixels,
+        sight,
     )
     needed = np.zeros(len(frames), dtype=bool)
     needed[[0, -1, *kept]] = True
@@ -142,7 +147,7 @@ def simplifying(
             spare = np.flatnonzero(keys & ~needed)
             keys[spare[first::every]] = False
         found = yield from fit.refined(thinned)
-        merged = yield from fit.refined(_fewer(best.keys, found.keys, turn * _STRETCH // 3) | needed)
+        merged = yield from fit.refined(_fewer(best.keys, found.keys, turn * _SEGMENT_FRAMES // 3) | needed)
         best = min(best, found, merged, key=lambda state: state.cost)
     return best.simplified()
 
@@ -183,8 +188,8 @@ class _State:
 
 
 class _Fit:
-    """What is to be met. Channels are T tracks of 4 numbers, of which the last are zero where there are
-    fewer; all are fitted at once."""
+    """The channels and their bounds. They are T tracks of 4 numbers, padded with zeros, all fitted at
+    once."""
 
     def __init__(
         self,
@@ -214,7 +219,7 @@ class _Fit:
             self._levers = _levers(points, sight.intrinsics)[[track.joint for track in channels]]
 
     def refined(self, keys: np.ndarray) -> Generator[int, None, _State]:
-        """The keys (G, N), and those more that the bounds ask for."""
+        """Add keys to (G, N) bool until the splines keep to the bounds; yields the cost after each round."""
         keys = keys.copy()
         while True:
             state = self._fitted(keys)
@@ -301,12 +306,12 @@ def _worst(keys: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def _fewer(keys: np.ndarray, others: np.ndarray, first: int) -> np.ndarray:
-    """(G, N) bool: stretch by stretch those of two choices of keys that are fewer; `first`: which frame of a
-    stretch the clip begins with."""
-    stretch = (np.arange(keys.shape[1]) + first) // _STRETCH
-    starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+    """(G, N) bool: segment by segment those of two choices of keys that are fewer; `first`: which frame of a
+    segment the clip begins with."""
+    segment = (np.arange(keys.shape[1]) + first) // _SEGMENT_FRAMES
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
     counts = [np.add.reduceat(choice, starts, axis=1, dtype=int) for choice in (keys, others)]
-    return np.where((counts[1] < counts[0])[:, stretch - stretch[0]], others, keys)
+    return np.where((counts[1] < counts[0])[:, segment - segment[0]], others, keys)
 
 
 def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -333,7 +338,7 @@ def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[n
     rest = dense.reshape(-1, 4) - base
 
     total = lambda rows: np.add.reduceat(rows, at[left], axis=0)  # noqa: E731
-    weight = _SMOOTH / h
+    weight = _SMOOTHNESS / h
     pull = 6.0 * weight * (value[right] - value[left]) / h
     diagonal, beside, wanted = np.zeros((len(at), 1)), np.zeros((len(at), 1)), np.zeros((len(at), 4))
     diagonal[left] += total(rise * rise) + 4.0 * weight
@@ -350,7 +355,8 @@ def _solved(diagonal: np.ndarray, beside: np.ndarray, wanted: np.ndarray) -> np.
     """(K, 4) the solution of a symmetric tridiagonal system: its diagonal (K, 1), what stands beside it
     (K - 1, 1), and the right side (K, 4).
 
-    By cyclic reduction, all rows at once: rows are told by those 1, 2, 4, ... rows away, until none is.
+    By cyclic reduction, all rows at once: each row is eliminated from those 1, 2, 4, ... rows away, until
+    none is coupled.
     """
     step = 1
     while len(beside) and np.any(beside):

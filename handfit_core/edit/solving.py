@@ -1,4 +1,4 @@
-"""The heavy half of re-fitting: what is fitted to, and the fast solver over it."""
+"""The half of re-fitting that needs the solver: observations from pins and touches, and their fits."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from handfit_core.batch import Batch
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.edit import pins as pinning
-from handfit_core.edit.free import freely_posed, is_free
+from handfit_core.edit.free import is_free, pose_from_pins
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
-from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, over_time
-from handfit_core.fit.gaps import Times, jumps, missing_between
+from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, smooth_track
+from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.fit.solution import Solution
@@ -29,31 +29,33 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
 from handfit_core.solvers import ShouldStop
 
-LOOSE: Final = 4.0
-"""times the expected errors of a pose's points, where they stand in for a detection among others"""
+STAND_IN_FACTOR: Final = 4.0
+"""Factor of the expected errors of a pose's landmarks where they stand in for a detection among others"""
 MAX_ITERATIONS: Final = 50
-"""More than captures take. Where they are too few, a drag's result does still not depend on the way there:
-from the frame's own pose the steps are the same every time."""
+"""More than captures take. Even where they are too few, a drag's result does not depend on its way: from the
+frame's own pose the steps are the same every time"""
 DRAFT_ITERATIONS: Final = 6
-"""While a point is dragged, each answer goes on where the one before ended"""
+"""Fewer while a point is dragged, as each answer continues from the one before"""
 FREE_DRAFT_ITERATIONS: Final = 10
-"""of hands that begin anew each time, from all sides"""
-CHEAPER: Final = 0.9
-"""of the cost from the first start: where another leads to less, its result counts"""
-OTHER_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
-"""of what a finger's three joints can do: where a finger that cannot reach its pin begins again"""
+"""For drafts of added hands, which start anew each time, from all sides"""
+RESTART_COST_RATIO: Final = 0.9
+"""Share of the first start's cost below which the result of another start is taken"""
+RESTART_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
+"""Other starts of a finger that does not reach its pin: bends of its three joints, in parts of their range"""
 
 
 def load() -> None:
-    """What is else imported with the first range."""
-    import scipy.linalg  # noqa: F401
+    """Import SciPy now, so that the first range does not wait for it."""
+    import scipy.linalg  # noqa: F401 (slow to load)
 
 
-def each(
+def solve_each(
     hand: RefineHand, model: HandModel, guess: RefineResult | None, *, draft: bool = False
 ) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, each by itself. `draft`: a few steps from the guess, or from the frame's
-    own pose where there is none."""
+    """Poses (T rows) of all frames, each fitted by itself, as arrays named in START_ARRAYS.
+
+    `draft`: a few steps from `guess`, or from the frame's own pose where there is none.
+    """
     pose = {name: np.array(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
     for values in pose.values():
@@ -63,11 +65,11 @@ def each(
     for row in np.flatnonzero(free):
         own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
         most = FREE_DRAFT_ITERATIONS if draft else MAX_ITERATIONS
-        state = freely_posed(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
+        state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
         for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
             pose[name][row] = values[0]
     if free[hand.touching].any():
-        # Where their pins put them, they are hands like others.
+        # From the pose that the pins give them, added hands are fitted like others.
         hand = replace(hand, **pose)
         posed, points = _posed(hand, model)
     corrected = (hand.pinned.any(axis=1) & ~free) | hand.touching
@@ -75,7 +77,7 @@ def each(
     if not len(rows):
         return _with_held(hand, held, pose)
     detected = _detected(hand, rows)
-    seen = pinning.kept(points[rows], hand.intrinsics).where(posed[rows], detected)
+    seen = pinning.landmarks_of_pose(points[rows], hand.intrinsics).where(posed[rows], detected)
     for at, part in _chunks(rows):
         observed = observation_of(seen.select(part), hand.intrinsics)
         own = _start(fitter, hand, hand, posed[at], observed, at)
@@ -104,15 +106,15 @@ class _Frames(Batch):
     posed: np.ndarray
     """(B,) bool: frames that have a pose, which is corrected"""
     locked: np.ndarray
-    """(B, 16) bool: joints of those that stay as they are"""
+    """(B, 16) bool: joints that stay as they are, in frames that have a pose"""
     seen: Landmarked
-    """That pose's landmarks, or the detected ones where there is none"""
+    """The landmarks of the frame's pose, or the detected ones where there is no pose"""
     detected: Landmarked
-    """NaN where nothing is detected"""
+    """The detected landmarks; NaN where nothing is detected"""
     own: State
-    """That pose, or a relaxed hand"""
+    """The frame's pose, or a relaxed hand where there is none"""
     near: State | None
-    """Where a draft begins; None: this is no draft"""
+    """The start of a draft; None: this is no draft"""
     touches: np.ndarray | None
     """(B, 21) as in `RefineHand`"""
 
@@ -122,15 +124,17 @@ class _Frames(Batch):
         alone = np.flatnonzero(self.posed & ~self._idle.all(axis=1))
         if len(alone):
             some = self.select(alone)
-            found, held[alone] = some._fingers_alone()
+            found, held[alone] = some._solve_fingers()
             state = _put(state, alone, found)
-        seen = pinning.kept(_points(self.fitter, state), self.intrinsics).where(self.posed, self.seen)
+        seen = pinning.landmarks_of_pose(_points(self.fitter, state), self.intrinsics).where(
+            self.posed, self.seen
+        )
         left = pinning.displacement(self.pins, seen.pixels)
-        fall_short = (left.max(axis=1) > pinning.REACHED) & ~self.locked[:, 0]
+        fall_short = (left.max(axis=1) > pinning.REACHED_PIXELS) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self.select(palm)
-            found, held[palm] = some._palm_follows(state.select(palm), seen.select(palm), left[palm])
+            found, held[palm] = some._solve_palm(state.select(palm), seen.select(palm), left[palm])
             state = _put(state, palm, found)
         return state, held
 
@@ -148,24 +152,26 @@ class _Frames(Batch):
     @property
     def _idle(self) -> np.ndarray:
         """(B, 5) bool: fingers that neither pins nor touches move by themselves."""
-        return pinning.unpinned(self.pins) & ~self._touching
+        return pinning.unpinned_fingers(self.pins) & ~self._touching
 
-    def _fingers_alone(self) -> tuple[State, np.ndarray]:
-        """Fingers with pins beyond their knuckles go for these, and those that touch for each other; all else
-        is held."""
-        pins = pinning.of_fingers(self.pins)
+    def _solve_fingers(self) -> tuple[State, np.ndarray]:
+        """Fit the fingers with pins beyond their knuckles, and those that touch; all else is held.
+
+        Returns their poses, and the joints (B, 16) bool that were held.
+        """
+        pins = pinning.finger_pins(self.pins)
         displaced = pinning.displacement(pins, self.seen.pixels)
-        seen = pinning.forgetting(self.seen, self.detected, pinning.followed(displaced))
-        doubt = pinning.followed(
-            _drawn_together(self.fitter, self.intrinsics, self.own, self.touches, displaced)
+        seen = pinning.blend_to_detection(self.seen, self.detected, pinning.propagate(displaced))
+        uncertainty = pinning.propagate(
+            _with_touches(self.fitter, self.intrinsics, self.own, self.touches, displaced)
         )
-        seen = pinning.pinned(seen, pins, doubt)
+        seen = pinning.apply_pins(seen, pins, uncertainty)
         held = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
-        anywhere = np.full(len(pins), np.inf)
+        free_distance = np.full(len(pins), np.inf)
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
         seen = replace(seen, pinned=None)
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
-        found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+        found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
         if self.near is None:
             if self.touches is not None:
                 # Frames in which the same points touch do so in the same way.
@@ -176,22 +182,30 @@ class _Frames(Batch):
                     if same.any():
                         bends[same] = np.median((found.angles - self.own.angles)[same], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
-                found = self._solved(seen, self.own, anywhere, doubt, held, [start])
+                found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
-            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED)
+            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED_PIXELS)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
-                starts = [found.select(short), *some._other_bends()]
-                others = seen.select(short), kept, anywhere[short], doubt[short], held[short], starts
+                starts = [found.select(short), *some._restart_poses()]
+                others = (
+                    seen.select(short),
+                    kept,
+                    free_distance[short],
+                    uncertainty[short],
+                    held[short],
+                    starts,
+                )
                 found = _put(found, short, some._solved(*others))
         return found, held
 
-    def _other_bends(self) -> list[State]:
-        """The same hands with fingers bent anew: one may find no way from its pose to what it can reach."""
+    def _restart_poses(self) -> list[State]:
+        """The hands with their fingers bent as in `RESTART_BENDS`, for fingers that are stuck on their
+        way."""
         model = self.fitter.model
         upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
-        for bends in OTHER_BENDS:
+        for bends in RESTART_BENDS:
             angles = np.zeros((1, 5, 3, 3))
             angles[0, ..., 2] = np.array(bends) * upper[..., 2]
             states.append(
@@ -199,28 +213,35 @@ class _Frames(Batch):
             )
         return states
 
-    def _palm_follows(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
-        """From where fingers alone lead, and what is seen of that: palm and fingers go for what is `left`
-        (B, 21) pixels."""
-        size = pinning.sizes(seen.pixels)
-        doubt = pinning.followed(_drawn_together(self.fitter, self.intrinsics, reached, self.touches, left))
-        forget = pinning.followed(pinning.of_palm(left))
-        far = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
-        aim = pinning.pinned(pinning.forgetting(seen, self.detected, forget), self.pins, doubt)
-        still = pinning.untouched(doubt) & self._idle
-        held = self.locked | _joints(np.zeros(len(doubt), dtype=bool), self.posed[:, None] & still)
+    def _solve_palm(self, reached: State, seen: Landmarked, left: np.ndarray) -> tuple[State, np.ndarray]:
+        """Fit palm and fingers from the pose `reached` by the fingers alone, whose landmarks are `seen`;
+        `left` are the pixels (B, 21) from there to the pins.
+
+        Returns their poses, and the joints (B, 16) bool that were held.
+        """
+        size = pinning.hand_sizes(seen.pixels)
+        uncertainty = pinning.propagate(
+            _with_touches(self.fitter, self.intrinsics, reached, self.touches, left)
+        )
+        forget = pinning.propagate(pinning.palm_displacement(left))
+        distance_sigma = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
+        aim = pinning.apply_pins(
+            pinning.blend_to_detection(seen, self.detected, forget), self.pins, uncertainty
+        )
+        still = pinning.unmoved_fingers(uncertainty) & self._idle
+        held = self.locked | _joints(np.zeros(len(uncertainty), dtype=bool), self.posed[:, None] & still)
         # A finger draws the hand along as it is; wrist and knuckles rather turn it.
         starts = [self._shifted(reached, seen.pixels)]
-        turns = pinning.of_palm(left).any(axis=1)
+        turns = pinning.palm_displacement(left).any(axis=1)
         if self.near is not None:
             starts.insert(0, replace(self.near, angles=reached.angles))
         elif turns.any():
             starts.insert(0, reached.where(np.asarray(turns), starts[0]))
-        return self._solved(aim, reached, far, doubt, held, starts), held
+        return self._solved(aim, reached, distance_sigma, uncertainty, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
-        """Hands, seen at pixels (B, 21, 2), moved along the picture by what points are off their pins on
-        average."""
+        """Hands, whose landmarks are at pixels (B, 21, 2), moved across the picture by the mean displacement
+        of their pins."""
         at = np.asarray(np.isfinite(self.pins).all(axis=-1))
         off = (
             np.where(at[..., None], self.pins - pixels, 0.0).sum(axis=1)
@@ -235,41 +256,41 @@ class _Frames(Batch):
         self,
         seen: Landmarked,
         kept: State,
-        far: np.ndarray,
-        doubt: np.ndarray,
+        distance_sigma: np.ndarray,
+        uncertainty: np.ndarray,
         held: np.ndarray,
         starts: list[State],
     ) -> State:
         observed = observation_of(seen, self.intrinsics)
         # A frame without a pose has nothing to keep.
-        turned = pinning.angle_sigma(doubt, pinning.sizes(seen.pixels), self._idle)
+        turned = pinning.angle_sigma(uncertainty, pinning.hand_sizes(seen.pixels), self._idle)
         turned = np.where(self.posed[:, None], turned, np.inf)
         limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
-        near = Kept(kept.wrist, far, kept.angles, turned, limits)
+        near = Kept(kept.wrist, distance_sigma, kept.angles, turned, limits)
         most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
         observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
 
-def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, over time. Those with pins or touches are found twice: without, which
-    tells how far away the wrist is, and with them."""
+def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
+    """Poses (T rows) of all frames, fitted over time. Frames with pins or touches are fitted twice: without
+    these, which gives the wrist's distance, and with them."""
     pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
     posed, points = _posed(hand, model)
-    told = hand.pinned.any(axis=1) | hand.touching
-    rows = np.flatnonzero(hand.detected | (posed & told))
+    edited = hand.pinned.any(axis=1) | hand.touching
+    rows = np.flatnonzero(hand.detected | (posed & edited))
     if not len(rows):
         return pose
-    keep = pinning.kept(points[rows], hand.intrinsics)
-    seen = _detected(hand, rows).where(hand.detected[rows], _loosely(keep))
-    # Before the pins, of which one may lie far away.
-    cuts = jumps(seen.pixels) | missing_between(rows, hand.holes)
+    keep = pinning.landmarks_of_pose(points[rows], hand.intrinsics)
+    seen = _detected(hand, rows).where(hand.detected[rows], _as_stand_in(keep))
+    # Cuts are found before pins are applied, as one of these may lie far away.
+    cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
     fitter = fitter_of(model)
     everywhere = _held(locked, _poses(fitter, hand, hand, posed, np.arange(len(hand))))
 
     def smoothly(observed: Observation, state: State) -> tuple[np.ndarray, State]:
-        return over_time(
+        return smooth_track(
             fitter, observed, state, rows, cuts, hand.smoothing, hand.fps, everywhere,
             lambda: _check(should_stop),
         )  # fmt: skip
@@ -283,13 +304,13 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
         parts.append(_cheapest(fitter, here, [own], _held(locked[at], own)))
     held = None if everywhere is None else everywhere.select(rows)
     times = Times.between(rows, cuts, hand.fps)
-    observed, solution = fitter.solve_solid(observed, Solution.joined(parts), times, held)
+    observed, solution = fitter.solve_solid(observed, Solution.concatenate(parts), times, held)
     alone = solution.state
     frames, state = smoothly(observed, alone)
-    if told[rows].any():
+    if edited[rows].any():
         plain = state.select(np.searchsorted(frames, rows))
         pinned, touched = _corrected(fitter, hand, seen, rows, plain)
-        observed = replace(pinned, meeting=observed.meeting)
+        observed = replace(pinned, self_contact=observed.self_contact)
         corrected = [alone]
         for at, _ in _chunks(touched):
             _check(should_stop)
@@ -299,48 +320,52 @@ def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> d
             corrected.append(found.state)
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
-        frames, state = smoothly(observed, State.joined(corrected).select(latest))
+        frames, state = smoothly(observed, State.concatenate(corrected).select(latest))
     for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
         pose[name][frames] = values
     pose = _with_held(hand, locked, pose)
     if not hand.touching.any():
         return pose
     _check(should_stop)
-    # What smoothness leaves open between points that touch, their fingers close.
+    # Smoothing leaves gaps between points that touch; their fingers close them.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
-    return each(replace(hand, pins=pins, **pose), model, None)
+    return solve_each(replace(hand, pins=pins, **pose), model, None)
 
 
 def _corrected(
     fitter: FastFitter, hand: RefineHand, seen: Landmarked, rows: np.ndarray, plain: State
 ) -> tuple[Observation, np.ndarray]:
-    """What is seen of those frames with their pins and touches, and which of them that changes. Distances are
-    kept as they are without these, in `plain`."""
-    pins, size, touches = hand.pins[rows], pinning.sizes(seen.pixels), _touches(hand, rows)
+    """The observation of the frames `rows` with their pins and touches, and the indices of those it changes.
+
+    Distances are kept at those of `plain`, the fit without pins and touches.
+    """
+    pins, size, touches = hand.pins[rows], pinning.hand_sizes(seen.pixels), _touches(hand, rows)
     displaced = pinning.displacement(pins, seen.pixels)
-    displaced = _drawn_together(fitter, hand.intrinsics, plain, touches, displaced)
-    displaced = pinning.over_time(displaced, rows, hand.fps)
-    doubt = pinning.followed(displaced)
-    touched = doubt.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
+    displaced = _with_touches(fitter, hand.intrinsics, plain, touches, displaced)
+    displaced = pinning.propagate_in_time(displaced, rows, hand.fps)
+    uncertainty = pinning.propagate(displaced)
+    touched = uncertainty.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
     kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
-    observed = observation_of(pinning.pinned(seen, pins, doubt), hand.intrinsics)
+    observed = observation_of(pinning.apply_pins(seen, pins, uncertainty), hand.intrinsics)
     return replace(observed, kept=kept, touches=touches), np.flatnonzero(touched)
 
 
 def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
-    """(N, 21) those frames' touches; None where there are none, as most often."""
+    """(N, 21) the touches of the frames `rows`; None where there are none."""
     return None if hand.touches is None or not hand.touching[rows].any() else np.asarray(hand.touches)[rows]
 
 
-def _drawn_together(
+def _with_touches(
     fitter: FastFitter,
     intrinsics: Intrinsics,
     state: State,
     touches: np.ndarray | None,
     displaced: np.ndarray,
 ) -> np.ndarray:
-    """(B, 21) pixels by which pins displace points, with those by which touches (B, 21) do: a finger goes by
-    as much as they are apart, or the other finger has to. The palm does not."""
+    """(B, 21) pixels by which pins displace points, increased by what touches (B, 21) do.
+
+    Either finger of a touch may have to close the whole gap; the palm does not move for it.
+    """
     if touches is None:
         return displaced
     row, point = np.nonzero(np.isfinite(touches))
@@ -348,7 +373,7 @@ def _drawn_together(
     capsules = fitter.surface.capsules(fitter.chain.pose(state))
     gap = np.abs(fitter.surface.gaps_at(capsules, row, np.stack([point, other], axis=1)).gap)
     gap *= 0.5 * (intrinsics.fx + intrinsics.fy) / state.wrist[row, 2]
-    most = pinning.followed(displaced)
+    most = pinning.propagate(displaced)
     most = gap + np.maximum(most[row, point], np.where(other > 0, most[row, other], 0.0))
     drawn = displaced.copy()
     for points in (point, other):
@@ -358,7 +383,7 @@ def _drawn_together(
 
 
 def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The solver's poses with the joints that are held, (T, 16) bool, as they came, to the last bit."""
+    """The solver's poses, with the joints `held` (T, 16) bool replaced by the given ones, to the last bit."""
     wrist, fingers = held[:, :1].repeat(3, axis=1), held[:, 1:].repeat(3, axis=1)
     parts = {"global_orient": wrist, "hand_pose": fingers, "transl": wrist}
     return {
@@ -384,7 +409,7 @@ def _put(state: State, rows: np.ndarray, found: State) -> State:
     """`state` with other poses in those rows."""
     order = np.arange(len(state))
     order[rows] = len(state) + np.arange(len(rows))
-    return State.joined([state, found]).select(order)
+    return State.concatenate([state, found]).select(order)
 
 
 def _check(should_stop: ShouldStop) -> None:
@@ -393,8 +418,8 @@ def _check(should_stop: ShouldStop) -> None:
 
 
 def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) bool: frames whose pose can be seen, which is before the camera; and the landmarks (T, 21, 3) of
-    those poses, of others some that harm nothing."""
+    """(T,) bool: frames whose pose is in front of the camera; and the landmarks (T, 21, 3) of these poses in
+    metres, camera frame, with ones in all other frames."""
     posed = hand.posed
     points = np.ones((len(hand), NUM_KEYPOINTS, 3))
     points[posed] = landmark_points(model, hand.betas, *(getattr(hand, n)[posed] for n in START_ARRAYS))
@@ -404,7 +429,7 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
-    """Corrected landmarks of those frames; NaN where nothing is detected."""
+    """Corrected landmarks of the frames `rows`; NaN where nothing is detected."""
     detections = [d for row in rows if (d := hand.detections[row]) is not None]
     there = hand.detected[rows]
     count = len(rows)
@@ -418,7 +443,7 @@ def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
 
 
 _LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
-"""The landmarks of the last single detection: a drag asks for the same ones again and again"""
+"""The landmarks of the last single detection, as a drag asks for the same ones again and again"""
 
 
 def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
@@ -432,12 +457,14 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
     return _LAST["one"][1]
 
 
-def _loosely(seen: Landmarked) -> Landmarked:
-    return Landmarked(seen.pixels, LOOSE * seen.pixel_sigma, seen.depth, LOOSE * seen.depth_sigma)
+def _as_stand_in(seen: Landmarked) -> Landmarked:
+    return Landmarked(
+        seen.pixels, STAND_IN_FACTOR * seen.pixel_sigma, seen.depth, STAND_IN_FACTOR * seen.depth_sigma
+    )
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(frames, which of `rows` they are), as many as are solved at once."""
+    """Chunks of the frames `rows`, and their indices in it."""
     for first in range(0, len(rows), CHUNK):
         part = np.arange(first, min(first + CHUNK, len(rows)))
         yield rows[part], part
@@ -450,7 +477,7 @@ def _poses(
     known: np.ndarray,
     rows: np.ndarray,
 ) -> State:
-    """Those frames' poses as `source` has them; where they are not `known`, a flat hand at the camera."""
+    """The poses of the frames `rows` in `source`; where they are not `known`, a flat hand at the camera."""
     orient, fingers, place = (
         np.where(known[:, None], np.asarray(getattr(source, name), dtype=np.float64)[rows], 0.0)
         for name in START_ARRAYS
@@ -467,7 +494,8 @@ def _start(
     observed: Observation,
     rows: np.ndarray,
 ) -> State:
-    """Where the solver begins: those poses with the depth's zero, and a relaxed hand where none is known."""
+    """The solver's start: the poses of `_poses` with the depth's zero, and a relaxed hand where none is
+    known."""
     state = _poses(fitter, hand, source, known, rows)
     along = (fitter.chain.points(state) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
     state = replace(state, depth_zero=along)
@@ -485,22 +513,22 @@ def _cheapest(
     *,
     solid: bool = False,
 ) -> Solution:
-    """Those frames, each by itself and from the start that leads to the lowest cost; where it makes little
-    difference, from the first. `max_iterations`: None for those of captures."""
+    """Fit independent frames from each of several starts, and take the lowest cost, or the first start's
+    where it is not much higher. `max_iterations`: None for those of captures."""
     count = len(observed)
     index = np.tile(np.arange(count), len(starts))
     held = held if held is None or len(starts) == 1 else held.select(index)
-    start = State.joined(starts)
+    start = State.concatenate(starts)
     observed = observed if len(starts) == 1 else observed.select(index)
     problem = fitter.problem(observed, held=held, solid=solid)
     solution = fitter.solve_each(problem, start if held is None else held.put(start), max_iterations)
     if len(starts) == 1:
         return solution
     cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
-    cost[0] *= CHEAPER
+    cost[0] *= RESTART_COST_RATIO
     return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 
 def _held(joints: np.ndarray, state: State) -> Held | None:
-    """Joints (B, 16) of B hands that stay as they are in `state`."""
+    """The joints (B, 16) bool of B hands, held at `state`; None where there are none."""
     return Held(joints, state) if joints.any() else None

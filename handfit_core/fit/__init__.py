@@ -1,6 +1,6 @@
-"""Fitting hands to what is seen of them: a `Problem` in, a `Solution` out. NumPy; SciPy for clips.
+"""Fitting hands to observed landmarks: a `Problem` in, a `Solution` out. NumPy; SciPy for clips.
 
-Made of it are two solvers, which load with the first fit.
+The two solvers that are made of it load with the first fit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from handfit_core.solvers import Solver, TrackSolver
 
 
 def _fast(smoothing: float, hand_length: float | None) -> TrackSolver:
-    from handfit_core.fit.fast import fit_track
+    from handfit_core.fit.fast import fit_track  # slow to load
 
     return partial(fit_track, smoothing, hand_length=hand_length)
 

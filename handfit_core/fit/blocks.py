@@ -1,10 +1,10 @@
-"""Normal equations of a hand, solved by its structure.
+"""Normal equations of a hand, solved by their arrow structure.
 
 A finger's nine angles move its own four points only, so that the matrix of a hand is an arrow: a corner of
 the hand's own variables (root, shape, place, depth's zero), five blocks of 9, and what couples each with the
 corner. The blocks are eliminated first (Schur complement), or, in hands whose fingers touch, all five as one.
-In a clip with one shape, each frame's own
-variables are eliminated next, and the shape is solved over all frames.
+In a clip with one shape, each frame's own variables are eliminated next, and the shape is solved over all
+frames.
 """
 
 from __future__ import annotations
@@ -19,27 +19,29 @@ from handfit_core.hand_model.chain import BETAS
 
 @dataclass(frozen=True, eq=False)
 class Blocks(Batch):
-    """Gauss-Newton matrices of B problems, H x = -g, with the gradients (J^T r: half the costs') as their
-    last column."""
+    """Gauss-Newton systems of B problems, H x = -g, with g = J^T r as their last column; n variables of the
+    hand itself, 17 or, with a given shape, 7."""
 
     hand: np.ndarray
     """(B, n, n + 1)"""
     finger: np.ndarray
-    """(B, 5, 9, 9 + n + 1): the block, what couples it with the hand, and the gradient"""
+    """(B, 5, 9, 9 + n + 1): the finger's block, its coupling with the hand, and the gradient"""
     cost: np.ndarray
-    """(B,)"""
+    """(B,) squared sigmas"""
     between: np.ndarray | None = None
-    """(B, 45, 45) what couples fingers with each other, where some of a batch's do; its blocks of a finger
-    with itself are zero. None: none do"""
+    """(B, 45, 45) coupling of fingers with each other, with zeros in each finger's own block; None: no hand
+    of the batch has any"""
 
     def put(self, index: Index, other: Blocks) -> None:
-        """The other's problems, which are of the same terms, in place of these, where the index says so."""
+        """Overwrite the rows at `index` with those of `other`, which has the same terms."""
         for name, values in self._rows():
             values[index] = getattr(other, name)[index]
 
-    def holding(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
-        """The same problems with some variables held: their increments come out as exactly zero, and the
-        others' as if they were no variables. `of_hand` (B, n) and `of_fingers` (B, 5, 9) bool."""
+    def with_fixed(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
+        """The problems with some variables fixed: the increments of these come out as exactly zero.
+
+        `of_hand` (B, n) and `of_fingers` (B, 5, 9) bool: the fixed variables.
+        """
         batch, n, _ = self.hand.shape
         free = 1.0 - np.concatenate([of_hand, np.zeros((batch, 1))], axis=1)
         finger_free = 1.0 - of_fingers
@@ -57,10 +59,10 @@ class Blocks(Batch):
     def step(self, damping: np.ndarray, *, shared_shape: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Increments (B, n) and (B, 5, 9) under Levenberg-Marquardt damping (B,), relative to the diagonals.
 
-        With `shared_shape` the betas are the same in all B problems.
+        With `shared_shape` the increments of the betas are the same in all B problems.
         """
         batch, n, _ = self.hand.shape
-        # Faster than to solve for the few right sides, and as good for a step.
+        # Faster than solving for the few right sides, and accurate enough for a step.
         own = _damped(self.finger[..., :9], damping[:, None])
         solved = np.linalg.inv(own) @ self.finger[..., 9:]
         if self.between is not None:
@@ -72,7 +74,7 @@ class Blocks(Batch):
         mixed = self.finger.reshape(batch, 45, 10 + n)[..., 9:-1]
         reduced = self.hand - mixed.swapaxes(1, 2) @ solved.reshape(batch, 45, n + 1)
         diagonal = np.einsum("bii->bi", reduced[..., :n])
-        diagonal += damping[:, None] * np.einsum("bii->bi", self.hand[..., :n]) + FLOOR
+        diagonal += damping[:, None] * np.einsum("bii->bi", self.hand[..., :n]) + DIAGONAL_FLOOR
         if shared_shape:
             of_hand = -_with_one_shape(reduced)
         else:
@@ -81,21 +83,21 @@ class Blocks(Batch):
         of_fingers = -(solved[..., :-1] @ of_hand[:, None, :, None])[..., 0] - solved[..., -1]
         return of_hand, of_fingers
 
-    def promised(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> np.ndarray:
-        """(B,) by how much a step lowers the cost, at the least, if the residuals are linear: -g^T x."""
+    def predicted_decrease(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> np.ndarray:
+        """(B,) by how much a step decreases the cost at least, if the residuals are linear: -g^T x."""
         of_all = (self.finger[..., -1] * of_fingers).sum(axis=(1, 2))
         return -of_all - (self.hand[..., -1] * of_hand).sum(axis=1)
 
 
-FLOOR = 1e-6
-"""Added to every diagonal beside the relative damping"""
+DIAGONAL_FLOOR = 1e-6
+"""Added to every diagonal element in addition to the relative damping"""
 
 
 def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
     damped = matrix.copy()
     diagonal = np.einsum("...ii->...i", damped)
     diagonal *= 1.0 + damping[..., None]
-    diagonal += FLOOR
+    diagonal += DIAGONAL_FLOOR
     return damped
 
 

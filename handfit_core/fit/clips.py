@@ -1,4 +1,4 @@
-"""A clip solved as a whole: all frames at once, with small accelerations preferred.
+"""A clip solved as a whole: all frames at once, under a motion prior on accelerations.
 
 Each frame's residuals are taken at second order (Gauss-Newton: a 51 x 51 matrix of the root's turn, 45 angles
 and the wrist's place), acceleration couples a frame with the two before and the two after, so that the matrix
@@ -15,48 +15,48 @@ import numpy as np
 
 from handfit_core.batch import slices
 from handfit_core.fit.blocks import Blocks
-from handfit_core.fit.problem import Motion, Problem
+from handfit_core.fit.problem import MotionPrior, Problem
 from handfit_core.fit.terms.motion import place_acceleration, rotation_acceleration
 from handfit_core.geometry.rotations import euler_to_rotmat
 from handfit_core.hand_model.chain import State, turns_by_angles
 
-SIZE = 51
-"""Variables of a frame: root (3), 15 joints (45), place (3)"""
-_BAND = 2 * SIZE + 2
-"""Subdiagonals: a rotation's three components two frames on"""
+FRAME_VARIABLES = 51
+"""Root (3), 15 joints (45), place (3)"""
+_BAND = 2 * FRAME_VARIABLES + 2
+"""Subdiagonals, down to a rotation's third component two frames on"""
 _HAND = np.r_[0:3, 48:51]
-"""Where the hand's own variables are; the last of its seven is where depth is zero"""
+"""Indices of the hand's own variables, without the last of its seven, where depth is zero"""
 ITERATIONS = 8
 TOLERANCE = 3e-3
 """Relative decrease of the total cost at which to stop"""
-WINDOW = 600
-"""Frames that each window adds"""
-_AT_ONCE = 128
-"""Frames whose own matrices are made together: what it takes to make them is larger than they are"""
+WINDOW_FRAMES = 600
+"""Frames that each window of a long clip adds"""
+_BATCH_FRAMES = 128
+"""Frames whose own matrices are made together; bounds the memory for intermediate arrays"""
 
 
-def smoothed(problem: Problem, start: State, before_each: Callable[[], None] = lambda: None) -> State:
-    """The T frames of a clip, whose `motion` is given, window by window.
+def smooth_clip(problem: Problem, start: State, before_each: Callable[[], None] = lambda: None) -> State:
+    """Solve the T frames of a clip, whose `problem.motion` is given, window by window.
 
-    In frames that are not looked at, `start` holds a guess. `before_each` window, and each of its iterations,
-    may raise to stop.
+    In frames that are not observed, `start` holds a guess. `before_each` is called before each window and
+    each of its iterations, and may raise to stop.
     """
     assert problem.motion is not None
     count, overlap = len(start), problem.motion.overlap
-    if count <= WINDOW + overlap:
+    if count <= WINDOW_FRAMES + overlap:
         return _window(problem, start, before_each)
     state, first = State(*(getattr(start, name).copy() for name in State.__dataclass_fields__)), 0
     while True:
-        last = min(first + WINDOW + overlap, count)
-        part = slice(first, last)
-        found = _window(problem.select(part), start.select(part), before_each)
-        # In the shared part the first half is the earlier window's, the second the later's.
+        last = min(first + WINDOW_FRAMES + overlap, count)
+        window = slice(first, last)
+        found = _window(problem.select(window), start.select(window), before_each)
+        # Of the frames that two windows share, the first half is the earlier one's.
         keep = 0 if first == 0 else overlap // 2
         for name in State.__dataclass_fields__:
             getattr(state, name)[first + keep : last] = getattr(found, name)[keep:]
         if last == count:
             return state
-        first += WINDOW
+        first += WINDOW_FRAMES
 
 
 @np.errstate(all="ignore")
@@ -85,13 +85,13 @@ def _window(problem: Problem, start: State, before_each: Callable[[], None]) -> 
 
 
 def _data(problem: Problem, state: State) -> Blocks:
-    """The frames' own matrices; zero where there is nothing to look at."""
+    """The frames' own systems; zero in frames that are not observed."""
     free = replace(problem, held=None)
-    parts = slices(len(state), _AT_ONCE)
-    blocks = Blocks.filled(len(state), (free.select(part).blocks(state.select(part)) for part in parts))
-    if problem.looked_at is None:
+    batches = slices(len(state), _BATCH_FRAMES)
+    blocks = Blocks.collect(len(state), (free.select(rows).blocks(state.select(rows)) for rows in batches))
+    if problem.observed is None:
         return blocks
-    nothing = ~problem.looked_at
+    nothing = ~problem.observed
     for name in Blocks.__dataclass_fields__:
         if (values := getattr(blocks, name)) is not None:
             values[nothing] = 0.0
@@ -99,12 +99,13 @@ def _data(problem: Problem, state: State) -> Blocks:
 
 
 def _step(problem: Problem, state: State, blocks: Blocks, damping: float) -> tuple[np.ndarray, np.ndarray]:
-    """Increments (T, 7) and (T, 5, 9). Where depth is zero is eliminated before, and follows the others."""
+    """Increments (T, 7) and (T, 5, 9). Where depth is zero is eliminated first, and follows from the
+    others."""
     along = np.concatenate([blocks.hand[:, 6], blocks.finger[..., 15].reshape(-1, 45)], axis=1)
-    # (T, 51): what couples it with the others; its own square; its gradient
-    mixed, square, slope = np.empty((len(state), SIZE)), along[:, 6] + 1e-9, along[:, 7]
+    # (T, 51) coupling of depth's zero with the others, (T,) its own square, (T,) its gradient
+    mixed, square, slope = np.empty((len(state), FRAME_VARIABLES)), along[:, 6] + 1e-9, along[:, 7]
     mixed[:, _HAND], mixed[:, 3:48] = along[:, :6], along[:, 8:]
-    # Nothing pulls at it in frames that are not looked at.
+    # Frames that are not observed have no residual of it.
     square = np.where(square < 1e-6, 1.0, square)
     gradient = np.empty_like(mixed)
     gradient[:, _HAND], gradient[:, 3:48] = blocks.hand[:, :6, -1], blocks.finger[..., -1].reshape(-1, 45)
@@ -112,7 +113,7 @@ def _step(problem: Problem, state: State, blocks: Blocks, damping: float) -> tup
     band = _banded(blocks, mixed, square)
     _add_motion(problem, band, gradient, state)
     if problem.held is not None:
-        _hold(band, gradient, problem.held.variables)
+        _fix(band, gradient, problem.held.variables)
     band[0] += damping * band[0] + 1e-6
     step = _solve(band, gradient)
     of_depth = -(slope + (mixed * step).sum(axis=1)) / square
@@ -120,24 +121,24 @@ def _step(problem: Problem, state: State, blocks: Blocks, damping: float) -> tup
 
 
 def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """LAPACK's lower band form (_BAND + 1, 51 T) of the frames' own matrices, in Fortran's order, so that it
-    is solved in place."""
+    """(_BAND + 1, 51 T) the frames' own matrices in LAPACK's lower band form, in Fortran's order, so that
+    they are solved in place."""
     count = len(mixed)
-    band = np.zeros((count, SIZE, _BAND + 1))
-    for rows in slices(count, _AT_ONCE):
+    band = np.zeros((count, FRAME_VARIABLES, _BAND + 1))
+    for rows in slices(count, _BATCH_FRAMES):
         own, beside = blocks.select(rows), mixed[rows]
         dense = beside[:, :, None] * (beside / -square[rows, None])[:, None]  # (T, 51, 51)
         dense[:, _HAND[:, None], _HAND] += own.hand[:, :6, :6]
         for f in range(5):
-            part = slice(3 + 9 * f, 12 + 9 * f)
-            dense[:, part, part] += own.finger[:, f, :, :9]
-            dense[:, part, :3] += own.finger[:, f, :, 9:12]
-            dense[:, 48:, part] += own.finger[:, f, :, 12:15].swapaxes(1, 2)
+            finger = slice(3 + 9 * f, 12 + 9 * f)
+            dense[:, finger, finger] += own.finger[:, f, :, :9]
+            dense[:, finger, :3] += own.finger[:, f, :, 9:12]
+            dense[:, 48:, finger] += own.finger[:, f, :, 12:15].swapaxes(1, 2)
         if own.between is not None:
             dense[:, 3:48, 3:48] += own.between
-        for column in range(SIZE):
-            band[rows, column, : SIZE - column] = dense[:, column:, column]
-    return band.reshape(count * SIZE, _BAND + 1).T
+        for column in range(FRAME_VARIABLES):
+            band[rows, column, : FRAME_VARIABLES - column] = dense[:, column:, column]
+    return band.reshape(count * FRAME_VARIABLES, _BAND + 1).T
 
 
 def _rotations(state: State) -> np.ndarray:
@@ -145,11 +146,11 @@ def _rotations(state: State) -> np.ndarray:
     return np.concatenate([state.root[:, None], euler_to_rotmat(state.angles.reshape(-1, 15, 3))], axis=1)
 
 
-def _rotation_sigma(problem: Problem, motion: Motion) -> np.ndarray:
-    """(T - 2, 16, 1) expected accelerations."""
+def _rotation_sigma(problem: Problem, motion: MotionPrior) -> np.ndarray:
+    """(T - 2, 16, 1) expected accelerations, radians per frame squared."""
     sigma = np.full((len(problem.seen), 16, 1), motion.rotation)
-    if problem.calm is not None:
-        sigma[:, 0, 0] *= problem.calm
+    if problem.motion_scale is not None:
+        sigma[:, 0, 0] *= problem.motion_scale
     return sigma[1:-1]
 
 
@@ -165,7 +166,7 @@ def _add_motion(problem: Problem, band: np.ndarray, gradient: np.ndarray, state:
     """Add the acceleration terms' matrices and gradients in place."""
     assert problem.motion is not None
     count = len(gradient)
-    view = band.T.reshape(count, SIZE, _BAND + 1).transpose(2, 0, 1)
+    view = band.T.reshape(count, FRAME_VARIABLES, _BAND + 1).transpose(2, 0, 1)
     rotations = _rotations(state)
     turning, jacobian = rotation_acceleration(rotations)
     sigma = _rotation_sigma(problem, problem.motion)
@@ -183,7 +184,7 @@ def _add_motion(problem: Problem, band: np.ndarray, gradient: np.ndarray, state:
             block = transposed @ jacobian[:, b]  # (T-2, 16, 3, 3): row a, column b
             for i in range(3):
                 for j in range(3):
-                    below = (a - b) * SIZE + i - j
+                    below = (a - b) * FRAME_VARIABLES + i - j
                     if below >= 0:
                         view[below, b : count - 2 + b, firsts + j] += block[:, :, i, j].T
     per_place = 1.0 / problem.motion.place**2
@@ -192,10 +193,10 @@ def _add_motion(problem: Problem, band: np.ndarray, gradient: np.ndarray, state:
     for a, ca in enumerate(coefficients):
         gradient[a : count - 2 + a, 48:] += ca * moving
         for b, cb in enumerate(coefficients[: a + 1]):
-            view[(a - b) * SIZE, b : count - 2 + b, 48:] += ca * cb * per_place
+            view[(a - b) * FRAME_VARIABLES, b : count - 2 + b, 48:] += ca * cb * per_place
 
 
-def _hold(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
+def _fix(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
     """Take held variables (T, 51) out of the matrix and the gradient in place: their increments are zero."""
     at = np.flatnonzero(held)
     gradient[held] = 0.0
@@ -207,9 +208,9 @@ def _hold(band: np.ndarray, gradient: np.ndarray, held: np.ndarray) -> None:
 
 
 def _solve(band: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """(T, 51) increments; what both held is lost."""
-    from scipy.linalg import solveh_banded
+    """(T, 51) increments. Overwrites both arguments."""
+    from scipy.linalg import solveh_banded  # slow to load
 
     right = gradient.reshape(-1)
     found = solveh_banded(band, right, overwrite_ab=True, overwrite_b=True, lower=True, check_finite=False)
-    return -found.reshape(-1, SIZE)
+    return -found.reshape(-1, FRAME_VARIABLES)

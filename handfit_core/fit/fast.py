@@ -9,35 +9,35 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import slices, spread
+from handfit_core.batch import scatter, slices
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection, SideBySide
-from handfit_core.fit.clips import smoothed
+from handfit_core.fit.clips import smooth_clip
 from handfit_core.fit.doubt import (
-    among_neighbours,
-    doubted,
-    doubted_thumb,
+    crop_spread_factor,
     doubtful,
     evidence,
     expected_error,
+    lifted_thumb_factor,
     side_logits,
+    temporal_mean,
 )
-from handfit_core.fit.gaps import Times, bridged, jumps, missing_between, spans
+from handfit_core.fit.gaps import Times, detect_cuts, interpolate_gaps, missing_between, segments
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.meeting import meeting
 from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
-from handfit_core.fit.problem import Held, Motion, Problem, SharedShape
-from handfit_core.fit.rest import palm_motion, wrist_distances
+from handfit_core.fit.problem import Held, MotionPrior, Problem, SharedShape
+from handfit_core.fit.self_contact import find_self_contact
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
+from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
 from handfit_core.fit.terms import (
-    Apart,
-    InFront,
+    Contact,
+    Interpenetration,
     Limits,
+    OrdinalDepth,
     PosePrior,
     Shape,
     Term,
-    Touch,
     coupling,
     depth,
     distance,
@@ -58,28 +58,29 @@ MAX_ITERATIONS: Final = 20
 TOLERANCE: Final = 5e-3
 """Relative decrease of the cost at which to stop"""
 PINNED_TOLERANCE: Final = 2e-3
-"""Relative decrease of the cost at which to stop where a person has put points in place or made them touch"""
+"""Relative decrease of the cost at which to stop where an artist has pinned points or made them touch"""
 
 SHAPE_FRAMES: Final = 48
-"""So many frames, evenly spread over a clip, decide the hand's one shape"""
+"""Frames, evenly spread over a clip, that the hand's one shape is fitted to"""
 CHUNK: Final = 512
-"""Frames fitted until somebody may stop; bounds the memory"""
-SLICE: Final = 256
-"""Frames solved at once; bounds the memory, and what is computed of so many stays near the processor"""
+"""Frames fitted between two chances to stop; bounds the memory"""
+SOLVE_BATCH: Final = 256
+"""Frames solved at once; bounds the memory, and arrays of so many fit into the processor's cache"""
 SHAPE_EVIDENCE: Final = 3.0
-"""So many of a clip's frames count as independent evidence of the shape: what is off is off in all"""
+"""Frames of a clip that count as independent evidence of the shape: a landmark's error is much the same in
+all"""
 
 SMOOTH_ROTATION: Final = 12.5
 """radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
 SMOOTH_PLACE: Final = 1.05
-"""metres per second squared, of the wrist"""
+"""metres per second squared: the acceleration that the wrist is expected to have at strength 1"""
 OVERLAP_SECONDS: Final = 2.4
-"""Shared by two windows of a long clip at strength 1"""
-JITTER: Final = 1.5
-"""times the expected errors of depth, where motion is smoothed: from frame to frame the depth of the landmark
-network of December 2020 trembles three to four times as much as the present one's"""
+"""seconds that two windows of a long clip share at strength 1"""
+SMOOTHED_DEPTH_FACTOR: Final = 1.5
+"""Factor of the expected errors of depth where motion is smoothed: from frame to frame the depth of the
+landmark network of December 2020 trembles three to four times as much as the present one's"""
 DISTANCE_SIGMA: Final = 0.002
-"""of the wrist's distance, from what the whole clip says of it"""
+"""Relative deviation of the wrist's distance from the one that `stationary` finds for the whole clip"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,27 +97,26 @@ class FrameFits:
     """(B, 3) metres"""
     solution: Solution
     evidence: np.ndarray
-    """(B, 5, 6) what tells of their errors, see `doubt.evidence`"""
-    doubted: np.ndarray
-    """(B,) times the error that this expects, see `doubt.doubted`"""
+    """(B, 5, 6) features of their errors, see `doubt.evidence`"""
+    error_factor: np.ndarray
+    """(B,) factors of the expected error, see `doubt.expected_error`"""
 
     @property
     def expected_error(self) -> np.ndarray:
         """(B, 5) metres that each finger is likely to be off."""
-        return expected_error(self.evidence, self.doubted)
+        return expected_error(self.evidence, self.error_factor)
 
     @property
     def doubtful(self) -> np.ndarray:
-        """(B,) bool: hands that may well be wrong."""
+        """(B,) bool: hands whose expected error is large, see `doubt.doubtful`."""
         return doubtful(self.expected_error)
 
 
 class FastFitter:
-    """One hand model, ready to be fitted.
+    """The terms and kinematics of one hand model.
 
-    `hand_length`: metres from the wrist joint to the tip of the middle finger that the shape is expected to
-    have; None: the mean shape is. `landmarks`: where on the hand its keypoints lie; None: where the detector
-    sees them.
+    `hand_length`: expected metres from the wrist joint to the tip of the middle finger; None: those of the
+    mean shape. `landmarks`: where the keypoints lie on the hand; None: where the detector sees them.
     """
 
     def __init__(
@@ -128,20 +128,20 @@ class FastFitter:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
         limits = Limits(model.side, model.name)
-        self.reach = limits.reach
+        self.angle_bounds = limits.angle_bounds
         self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
         self.surface = surface_of(model)
-        self._apart = Apart(self.surface)
-        self._in_front, self._touch = InFront(self.surface), Touch(self.surface)
+        self._interpenetration = Interpenetration(self.surface)
+        self._ordinal_depth, self._contact = OrdinalDepth(self.surface), Contact(self.surface)
         self._measured = hand_length is not None
         self._betas = np.zeros(NUM_BETAS) if hand_length is None else betas_of_measured(model, hand_length)
         self._length_rates = length_rates(model, self._betas)
 
     def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
-        """What is seen of those detections through that camera."""
-        far = np.array([d.distance for d in detections], dtype=np.float64)
+        """The observation of B detections through a camera."""
+        depth_zero = np.array([d.distance for d in detections], dtype=np.float64)
         seen = landmarked(detections, self.model.side)
-        return observation_of(seen, intrinsics, far if np.isfinite(far).any() else None)
+        return observation_of(seen, intrinsics, depth_zero if np.isfinite(depth_zero).any() else None)
 
     def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
@@ -155,61 +155,65 @@ class FastFitter:
         *,
         solid: bool = False,
     ) -> Problem:
-        """Those hands as the solver is to find them; near to poses where `seen` has some to keep.
+        """The problem of fitting B hands to an observation, near the poses of `seen.kept`, if there are any.
 
-        `solid`: their parts do not pass through each other, and meet as `seen` says if it has been asked. The
+        `solid`: with the terms that couple parts of a hand, so that these do not pass through each other. The
         shape must be given, and the start roughly right: a finger on the wrong side would be held there.
         """
-        terms = (*self._terms, *self._meeting_terms(seen)) if solid else self._terms
+        terms = (*self._terms, *self._coupling_terms(seen)) if solid else self._terms
         if seen.kept is not None:
             terms = (*terms, near_pose, distance)
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
             terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
-        reach = self.reach if seen.kept is None else None
-        return Problem(self.chain, seen, terms, shape, held, reach=reach)
+        angle_bounds = self.angle_bounds if seen.kept is None else None
+        return Problem(self.chain, seen, terms, shape, held, angle_bounds=angle_bounds)
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
-        """Independent frames. `max_iterations`: None for MAX_ITERATIONS."""
+        """Solve independent frames in batches. `max_iterations`: None for MAX_ITERATIONS."""
         most = MAX_ITERATIONS if max_iterations is None else max_iterations
         # Fingers that are made to touch have none of `pinned`.
         corrected = problem.seen.pinned is not None or problem.seen.touches is not None
         tolerance = PINNED_TOLERANCE if corrected else TOLERANCE
-        return Solution.filled(
+        return Solution.collect(
             len(start),
             (
-                solve(problem.select(part), start.select(part), max_iterations=most, tolerance=tolerance)
-                for part in slices(len(start), SLICE)
+                solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
+                for rows in slices(len(start), SOLVE_BATCH)
             ),
         )
 
     def solve_solid(
         self, seen: Observation, plain: Solution, times: Times | None = None, held: Held | None = None
     ) -> tuple[Observation, Solution]:
-        """The same hands as solid ones, from where they are without; and what is seen of how their parts
-        meet. `times`: when they were seen in a clip; None: they know nothing of each other."""
-        seen = replace(seen, meeting=meeting(self.surface, seen, plain.state, times))
+        """The observation with its self-contact, and the solution in which parts do not pass through each
+        other.
+
+        `plain`: the solution without these terms, to start from. `times`: when the frames of a clip were
+        seen; None: pictures are independent.
+        """
+        seen = replace(seen, self_contact=find_self_contact(self.surface, seen, plain.state, times))
         rows = []
         for first in range(0, len(plain), CHUNK):
-            part = slice(first, first + CHUNK)
-            posed, here = self.chain.pose(plain.state.select(part)), seen.select(part)
-            rows += [first + term(posed, here).hand for term in self._meeting_terms(seen)]
-        meet = np.unique(np.concatenate(rows))
-        if not len(meet):
+            chunk = slice(first, first + CHUNK)
+            posed, here = self.chain.pose(plain.state.select(chunk)), seen.select(chunk)
+            rows += [first + term(posed, here).hand for term in self._coupling_terms(seen)]
+        coupled = np.unique(np.concatenate(rows))
+        if not len(coupled):
             return seen, plain
         solid = self.problem(seen, held=held, solid=True)
-        chosen = (meet[part] for part in slices(len(meet), SLICE))
+        chosen = (coupled[batch] for batch in slices(len(coupled), SOLVE_BATCH))
         found = (self.solve_each(solid.select(rows), plain.state.select(rows)) for rows in chosen)
-        return seen, plain.replaced(meet, Solution.filled(len(meet), found))
+        return seen, plain.replaced(coupled, Solution.collect(len(coupled), found))
 
-    def _meeting_terms(self, seen: Observation) -> tuple[Apart | InFront | Touch, ...]:
-        """Those that couple parts of a hand."""
-        in_front = () if seen.meeting is None else (self._in_front,)
-        touch = () if seen.meeting is None and seen.touches is None else (self._touch,)
-        return (self._apart, *in_front, *touch)
+    def _coupling_terms(self, seen: Observation) -> tuple[Interpenetration | OrdinalDepth | Contact, ...]:
+        """The terms that couple two parts of a hand."""
+        ordinal = () if seen.self_contact is None else (self._ordinal_depth,)
+        contact = () if seen.self_contact is None and seen.touches is None else (self._contact,)
+        return (self._interpenetration, *ordinal, *contact)
 
     def solve_shape(self, seen: Observation) -> np.ndarray:
-        """(10,) the one shape of all frames, whose poses are solved beside it and dropped."""
+        """(10,) betas of the one shape of all frames. Their poses are solved together with it and dropped."""
         alone = self.solve_each(self.problem(seen), self.start(seen)).state
         together = self.problem(seen, "one")
         return solve(together, alone, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE).state.betas[0]
@@ -219,7 +223,7 @@ class FastFitter:
 def fitter_of(
     model: HandModel, hand_length: float | None = None, landmarks: Landmarks | None = None
 ) -> FastFitter:
-    """Kept between calls: an edit that is answered while the artist drags should not build it again."""
+    """The fitter of a model, cached, so that an edit while the artist drags does not build it again."""
     return FastFitter(model, hand_length, landmarks)
 
 
@@ -229,8 +233,8 @@ def fit_frames(
     intrinsics: Intrinsics,
     hand_length: float | None = None,
 ) -> FrameFits:
-    """Fit B pictures of a hand independently, each with a shape of its own, which is expected to have that
-    length (metres; None: an average one)."""
+    """Fit B pictures of a hand independently, each with a shape of its own. `hand_length`: see
+    `FastFitter`."""
     fitter = fitter_of(model, hand_length)
     seen = fitter.observe(detections, intrinsics)
     plain = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
@@ -239,7 +243,7 @@ def fit_frames(
         *fitter.chain.parameters(solution.state),
         solution=solution,
         evidence=evidence(seen, fitter.chain.points(solution.state), side_logits(detections, model.side)),
-        doubted=doubted(detections) * doubted_thumb(seen),
+        error_factor=crop_spread_factor(detections) * lifted_thumb_factor(seen),
     )
 
 
@@ -254,20 +258,20 @@ def fit_track(
 ) -> TrackFit:
     """Fit a followed hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
 
-    Gaps up to `gaps.LONGEST_GAP` are filled. `should_stop` is asked after every `CHUNK` frames; those that
-    were not reached are NaN. `hand_length` is as `FastFitter` has it.
+    Gaps up to `gaps.MAX_GAP_SECONDS` are filled. `should_stop` is asked after every `CHUNK` frames; those
+    that were not reached are NaN. `hand_length`: see `FastFitter`.
     """
     found, count = np.flatnonzero(track.detected), len(track.detections)
     fitter = fitter_of(model, hand_length, track.landmarks)
     detections = [d for d in track.detections if d is not None]
     seen = fitter.observe(detections, intrinsics)
     # A track's side is voted for by all of its frames.
-    sure = side_logits(detections, model.side).mean()
-    of_looks = doubted(detections)
+    side_logit = side_logits(detections, model.side).mean()
+    error_factor = crop_spread_factor(detections)
     del detections
     if isinstance(track.detections, SideBySide):
         track.detections.forget_corrections()
-    cuts = jumps(seen.pixels) | missing_between(found, track.holes)
+    cuts = detect_cuts(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
         seen, solution = fitter.solve_solid(seen, solution)
@@ -278,55 +282,55 @@ def fit_track(
         cuts = cuts[: len(found) - 1]
         times = Times.between(found, cuts, track.fps)
         seen, solution = fitter.solve_solid(seen.select(slice(len(found))), solution, times)
-        frames, state = over_time(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
+        frames, state = smooth_track(fitter, seen, solution.state, found, cuts, smoothing, track.fps)
     for _ in found:
         on_frame()
     rows = np.flatnonzero(np.isin(frames, found))
-    told = np.empty((len(rows), 5, 6))
-    for part in slices(len(rows)):
-        points = fitter.chain.points(state.select(rows[part]))
-        told[part] = evidence(seen.select(part), points, np.full(len(points), sure))
+    features = np.empty((len(rows), 5, 6))
+    for chunk in slices(len(rows)):
+        points = fitter.chain.points(state.select(rows[chunk]))
+        features[chunk] = evidence(seen.select(chunk), points, np.full(len(points), side_logit))
     converged = solution.converged
-    times = of_looks[: len(found)] * doubted_thumb(seen)
+    error_factor = error_factor[: len(found)] * lifted_thumb_factor(seen)
     del seen, solution
-    expected = among_neighbours(expected_error(told, times), Times.between(found, cuts, track.fps))
+    expected = temporal_mean(expected_error(features, error_factor), Times.between(found, cuts, track.fps))
     betas, orient, pose, transl = fitter.chain.parameters(state)
     return TrackFit(
         betas=betas[0],
-        global_orient=spread(orient, frames, count),
-        hand_pose=spread(pose, frames, count),
-        transl=spread(transl, frames, count),
-        converged=spread(converged, found, count, False),
-        filled=spread(True, np.setdiff1d(frames, found), count, False),
-        doubtful=spread(doubtful(expected), found, count, False) if track.calibrated else None,
-        expected_error=spread(expected, found, count) if track.calibrated else None,
+        global_orient=scatter(orient, frames, count),
+        hand_pose=scatter(pose, frames, count),
+        transl=scatter(transl, frames, count),
+        converged=scatter(converged, found, count, False),
+        filled=scatter(True, np.setdiff1d(frames, found), count, False),
+        doubtful=scatter(doubtful(expected), found, count, False) if track.calibrated else None,
+        expected_error=scatter(expected, found, count) if track.calibrated else None,
     )
 
 
 def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Solution:
-    """Every frame by itself, all with one shape; fewer when stopped."""
+    """Fit every frame by itself, all with one shape; fewer when stopped."""
     count = len(seen)
     chosen = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
     betas = fitter.solve_shape(seen.select(np.unique(chosen)))
 
-    def parts() -> Iterator[Solution]:
-        for part in slices(count, CHUNK):
-            chunk = seen.select(part)
+    def chunks() -> Iterator[Solution]:
+        for rows in slices(count, CHUNK):
+            chunk = seen.select(rows)
             yield fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas))
             if should_stop():
                 return
 
-    return Solution.filled(count, parts())
+    return Solution.collect(count, chunks())
 
 
-def _motion(smoothing: float, fps: float) -> Motion:
-    """Per second -> per frame. The stiffer, the farther frames influence each other."""
+def _motion_prior(smoothing: float, fps: float) -> MotionPrior:
+    """Per second -> per frame. The stronger the smoothing, the farther frames influence each other."""
     per_frame = 1.0 / (max(smoothing, 1e-6) * fps**2)
     overlap = int(np.clip(OVERLAP_SECONDS * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
-    return Motion(SMOOTH_ROTATION * per_frame, SMOOTH_PLACE * per_frame, overlap)
+    return MotionPrior(SMOOTH_ROTATION * per_frame, SMOOTH_PLACE * per_frame, overlap)
 
 
-def over_time(
+def smooth_track(
     fitter: FastFitter,
     seen: Observation,
     state: State,
@@ -337,35 +341,43 @@ def over_time(
     held: Held | None = None,
     before_each: Callable[[], None] = lambda: None,
 ) -> tuple[np.ndarray, State]:
-    """Stretch by stretch: gaps bridged, motion smoothed. Returns the frames that have a hand, and their
-    states. `held` has a row for each of the track's frames; `before_each` stretch, window and iteration may
-    raise to stop."""
-    motion = _motion(smoothing, fps)
+    """Interpolate the gaps of a track and smooth its motion, segment by segment.
+
+    Returns the numbers (F,) of the frames that have a hand, and their states. `found`: (N,) the detected
+    frames, of which `seen` and `state` have a row each; `cuts`: (N - 1,) bool between them. `held` has a row
+    for each frame of the clip. `before_each` is called before each segment, window and iteration, and may
+    raise to stop.
+    """
+    motion = _motion_prior(smoothing, fps)
     frames, states = [], []
-    for stretch in spans(found, fps, cuts):
+    for segment in segments(found, fps, cuts):
         before_each()
-        known = np.isin(stretch, found)
-        rows = np.flatnonzero(np.isin(found, stretch))
-        guess = bridged(state.select(slice(rows[0], rows[-1] + 1)), known)
-        here = None if held is None else held.select(stretch)
+        known = np.isin(segment, found)
+        rows = np.flatnonzero(np.isin(found, segment))
+        guess = interpolate_gaps(state.select(slice(rows[0], rows[-1] + 1)), known)
+        here = None if held is None else held.select(segment)
         guess = guess if here is None else here.put(guess)
         if smoothing > 0:
-            # Rows of frames without a detection repeat another's; they are not looked at.
+            # Frames without a detection repeat another one's row, which is not used.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
-            observed = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
-            observed = replace(observed, depth_sigma=JITTER * observed.depth_sigma)
-            problem = fitter.problem(observed, held=here, solid=True)
-            if observed.kept is None and observed.depth_zero is None and len(stretch) > 2:
+            segment_seen = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
+            segment_seen = replace(segment_seen, depth_sigma=SMOOTHED_DEPTH_FACTOR * segment_seen.depth_sigma)
+            problem = fitter.problem(segment_seen, held=here, solid=True)
+            if segment_seen.kept is None and segment_seen.depth_zero is None and len(segment) > 2:
                 certain = known & False if here is None else here.joints[:, 0]
-                far = wrist_distances(guess, known, certain, fps, smoothing)
-                guess = replace(guess, wrist=guess.wrist * far[:, None], depth_zero=guess.depth_zero * far)
-                kept = kept_at_distance(guess, np.full(len(far), DISTANCE_SIGMA))
-                problem = replace(
-                    problem, seen=replace(observed, kept=kept), terms=(*problem.terms, distance)
+                distance_factor = wrist_distance_factors(guess, known, certain, fps, smoothing)
+                guess = replace(
+                    guess,
+                    wrist=guess.wrist * distance_factor[:, None],
+                    depth_zero=guess.depth_zero * distance_factor,
                 )
-            calm = palm_motion(observed, known, fps)
-            problem = replace(problem, motion=motion, calm=calm, looked_at=known)
-            guess = smoothed(problem, guess, before_each)
-        frames.append(stretch)
+                kept = kept_at_distance(guess, np.full(len(distance_factor), DISTANCE_SIGMA))
+                problem = replace(
+                    problem, seen=replace(segment_seen, kept=kept), terms=(*problem.terms, distance)
+                )
+            motion_scale = palm_motion_scale(segment_seen, known, fps)
+            problem = replace(problem, motion=motion, motion_scale=motion_scale, observed=known)
+            guess = smooth_clip(problem, guess, before_each)
+        frames.append(segment)
         states.append(guess)
-    return np.concatenate(frames), State.joined(states)
+    return np.concatenate(frames), State.concatenate(states)

@@ -1,4 +1,4 @@
-"""Frames of a track without a detection: which of them are bridged, and a first guess for them."""
+"""Gaps in a track: which frames without a detection are interpolated, and a first guess for them."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from handfit_core.geometry.rotations import (
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import PALM_KEYPOINTS
 
-LONGEST_GAP = 0.5
-"""seconds; what a hand did for longer nobody can tell"""
+MAX_GAP_SECONDS = 0.5
+"""Longer gaps stay empty: nothing tells what the hand did"""
+MAX_SHIFT_OF_SIZE = 1.0
+"""Movement from one detection to the next, in parts of the hand's size, beyond which there is a cut
+between"""
+MAX_GROWTH = 1.6
+"""Ratio of the palm's sizes from one detection to the next beyond which there is a cut between"""
 
 
-LONGEST_JUMP = 1.0
-"""Of the hand's size, from one detection to the next: farther is a cut to another shot"""
-MOST_GROWTH = 1.6
-"""Of the palm's size in the picture, from one detection to the next: more is a cut, too"""
-
-
-def jumps(pixels: np.ndarray) -> np.ndarray:
-    """(N - 1,) bool: whether the hand jumps between consecutive detections (N, 21, 2), as at a cut."""
+def detect_cuts(pixels: np.ndarray) -> np.ndarray:
+    """(N - 1,) bool: whether there is a cut between consecutive detections (N, 21, 2) in pixels."""
     size = np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1e-9)
-    # Of the palm alone, since a fist that opens within a frame is no other shot.
+    # Only the palm, since a fist that opens within a frame is no other shot.
     spread = np.maximum(pixels[:, list(PALM_KEYPOINTS)].std(axis=1).max(axis=1), 1e-9)
     larger = np.maximum(size[1:], size[:-1])
     moved = np.linalg.norm(pixels[1:].mean(axis=1) - pixels[:-1].mean(axis=1), axis=1) / larger
     growth = np.maximum(spread[1:] / spread[:-1], spread[:-1] / spread[1:])
-    return (moved > LONGEST_JUMP) | (growth > MOST_GROWTH)
+    return (moved > MAX_SHIFT_OF_SIZE) | (growth > MAX_GROWTH)
 
 
 def missing_between(found: np.ndarray, holes: Sequence[int]) -> np.ndarray:
@@ -50,21 +49,23 @@ class Times:
     frames: np.ndarray
     """(N,) int, rising"""
     shots: np.ndarray
-    """(N,) int: those of one shot have one number"""
+    """(N,) int: the number of the shot that each one is in"""
     fps: float
 
     @classmethod
     def between(cls, frames: np.ndarray, cuts: np.ndarray, fps: float) -> Times:
-        """With `cuts` (N - 1,) bool between detections."""
+        """From frame numbers (N,), rising, with `cuts` (N - 1,) bool between detections."""
         return cls(frames, np.append(0, np.cumsum(cuts)), fps)
 
-    def reach(self, seconds: float) -> int:
-        """How many frames that is, but no more than there are from the first to the last."""
+    def radius(self, seconds: float) -> int:
+        """So many seconds in frames, but no more than from the first detection to the last."""
         return min(round(seconds * self.fps), int(self.frames[-1] - self.frames[0]))
 
     def mean(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, n) means of values over the frames around in the same shot: weights (2 r + 1,) of those from r
-        frames before to r after."""
+        """(N, n) weighted means of values (N, n) over the neighbouring frames in the same shot.
+
+        `weights` (2 r + 1,) are those of the frames from r before to r after.
+        """
         total, weight = np.zeros_like(values), np.zeros((len(values), 1))
         for step, each in enumerate(weights, -(len(weights) // 2)):
             row = np.searchsorted(self.frames, self.frames + step).clip(max=len(self.frames) - 1)
@@ -74,19 +75,23 @@ class Times:
         return total / weight
 
 
-def spans(found: np.ndarray, fps: float, jump: np.ndarray | None = None) -> list[np.ndarray]:
-    """Frame numbers, stretch by stretch: each runs from one detected frame to another without a gap that is
-    longer than LONGEST_GAP, and without a jump. `found` (N,) the detected frames, rising; `jump`
-    (N - 1,) bool between them."""
-    longest = int(LONGEST_GAP * fps)
+def segments(found: np.ndarray, fps: float, cut: np.ndarray | None = None) -> list[np.ndarray]:
+    """Consecutive frame numbers of each segment: it runs from one detected frame to another without a cut,
+    and without a gap that is longer than MAX_GAP_SECONDS.
+
+    `found`: (N,) the detected frames, rising. `cut`: (N - 1,) bool between them; None: there are none.
+    """
+    longest = int(MAX_GAP_SECONDS * fps)
     broken = np.diff(found) - 1 > longest
-    breaks = np.flatnonzero(broken if jump is None else broken | jump) + 1
-    return [np.arange(part[0], part[-1] + 1) for part in np.split(found, breaks)]
+    breaks = np.flatnonzero(broken if cut is None else broken | cut) + 1
+    return [np.arange(rows[0], rows[-1] + 1) for rows in np.split(found, breaks)]
 
 
-def bridged(state: State, known: np.ndarray) -> State:
-    """States of a stretch of T frames from those of its known ones (T,) bool, first and last among them:
-    rotations turn evenly from one known frame to the next."""
+def interpolate_gaps(state: State, known: np.ndarray) -> State:
+    """States of a segment's T frames, interpolated between those of its known ones (T,) bool.
+
+    The first and the last frame are known. Rotations turn evenly from one known frame to the next (slerp).
+    """
     if known.all():
         return state
     index = np.flatnonzero(known)

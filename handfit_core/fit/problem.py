@@ -1,4 +1,4 @@
-"""What is to be solved: a model, what is seen of its hands, and the terms that judge them."""
+"""The least-squares problem: a hand model, what is observed of its hands, and the residual terms."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ SharedShape = Literal["given", "each", "one"]
 
 @dataclass(frozen=True, eq=False)
 class Held(Batch):
-    """Which joints of B hands stay exactly as they are, and at what."""
+    """Joints of B hands that are no variables, and the state they are held at."""
 
     joints: np.ndarray
-    """(B, 16) bool in MANO's order; 0 is the wrist: its rotation and its place"""
+    """(B, 16) bool in MANO's order; 0 holds the wrist's rotation and its place"""
     state: State
     """B hands; only the held joints of it count"""
 
@@ -36,7 +36,7 @@ class Held(Batch):
         return np.concatenate([wrist, fingers, wrist], axis=1)
 
     def put(self, state: State) -> State:
-        """B hands with the held joints where they are held."""
+        """`state`, with the held joints replaced by theirs."""
         wrist, fingers = self.joints[:, :1], self.variables[:, 3:48].reshape(-1, 5, 9)
         return replace(
             state,
@@ -47,44 +47,44 @@ class Held(Batch):
 
 
 @dataclass(frozen=True)
-class Motion:
-    """How smooth a hand moves, per frame of the clip: standard deviations of accelerations."""
+class MotionPrior:
+    """Standard deviations of a hand's accelerations, per frame of the clip."""
 
     rotation: float
     """radians per frame squared"""
     place: float
     """metres per frame squared"""
     overlap: int = 60
-    """Frames that two windows share: what happens so many frames on has hardly an influence"""
+    """Frames that two windows share: frames farther apart hardly influence each other"""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem(Batch):
-    """B hands to be found."""
+    """The fit of B hands."""
 
     chain: Chain
     seen: Observation
     terms: tuple[Term, ...]
     shape: SharedShape = "given"
-    """Whether betas stay what they are, are each hand's own variables, or one for all"""
+    """Whether betas are constant, each hand's own variables, or one set for all hands"""
     held: Held | None = None
-    """Joints that are no variables; None: all are"""
-    motion: Motion | None = None
-    """B consecutive frames of a clip move like that; None: frames know nothing of each other"""
-    calm: np.ndarray | None = None
-    """(B,) parts of the palm's expected rotational acceleration in the frames of a clip; None: all of it"""
-    looked_at: np.ndarray | None = None
-    """(B,) bool: frames of a clip whose `seen` counts, the others follow their neighbours; None: all"""
+    """Joints that are no variables; None: all are variables"""
+    motion: MotionPrior | None = None
+    """The motion prior of B consecutive frames of a clip; None: frames are independent"""
+    motion_scale: np.ndarray | None = None
+    """(B,) factors of the palm's expected rotational acceleration in the frames of a clip; None: 1"""
+    observed: np.ndarray | None = None
+    """(B,) bool: frames of a clip whose `seen` counts; the others follow their neighbours. None: all count"""
 
-    reach: tuple[np.ndarray, np.ndarray] | None = None
-    """(5, 9) least and most radians that a step may lead angles to: limits are all but hard, and a step knows
-    nothing of those that it has not crossed yet. None: anywhere"""
+    angle_bounds: tuple[np.ndarray, np.ndarray] | None = None
+    """(5, 9) and (5, 9) radians between which steps keep the angles: joint limits are so steep that a step,
+    which only knows those that are exceeded already, would overshoot them. None: unbounded"""
 
-    def within_reach(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
-        """Increments of angles (B, 5, 9), cut off where they end; angles that are beyond go no farther."""
-        if self.reach is None:
+    def clip_to_bounds(self, state: State, of_fingers: np.ndarray) -> np.ndarray:
+        """Increments of angles (B, 5, 9), clipped to the bounds; angles beyond these go no farther."""
+        if self.angle_bounds is None:
             return of_fingers
-        least, most = self.reach
+        least, most = self.angle_bounds
         angles = state.angles
         ends = np.clip(angles + of_fingers, np.minimum(least, angles), np.maximum(most, angles))
         return ends - angles
@@ -139,12 +139,12 @@ class Problem(Batch):
         n = size - 10
         of_hand = np.zeros((batch, n), dtype=bool)
         of_hand[:, :3], of_hand[:, n - 4 : n - 1] = held[:, :3], held[:, 48:]
-        return blocks.holding(of_hand, held[:, 3:48].reshape(-1, 5, 9))
+        return blocks.with_fixed(of_hand, held[:, 3:48].reshape(-1, 5, 9))
 
 
 def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:
-    """(B, 48, 49) Gauss-Newton matrices of rows between parts of hands, by all angles (45) and the root's
-    turn (3), with their gradients as the last column."""
+    """(B, 48, 49) Gauss-Newton matrices of pair rows, by all angles (45) and the root's turn (3), with their
+    gradients as the last column."""
     hand = np.concatenate([rows.hand for rows in pairs])
     columns = np.concatenate([rows.columns for rows in pairs])
     fingers = np.concatenate([rows.fingers for rows in pairs])
@@ -156,4 +156,4 @@ def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:
 
 
 _GIVEN = np.append(FIXED_SHAPE, -1)
-"""Columns of a hand's rows where its shape is given"""
+"""Columns of a hand's rows whose shape is given, with the residual"""

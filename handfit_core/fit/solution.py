@@ -15,13 +15,13 @@ class Status(IntEnum):
     """Why a problem ended."""
 
     CONVERGED = 0
-    """The next step promised hardly anything, or the last one hardly gained anything"""
+    """The next step was predicted to gain almost nothing, or the last one gained almost nothing"""
     STUCK = 1
-    """No step, however short, lowers the cost: this is a minimum as far as numbers can tell"""
+    """No step, however short, lowers the cost: this is a minimum to numerical precision"""
     ITERATIONS = 2
     """The iterations ran out while the cost still fell: allow more, or start nearer"""
     NO_NUMBERS = 3
-    """The cost at the start is no number: look for NaN or infinity in what is fitted to"""
+    """The cost at the start is not finite: look for NaN or infinity in what is fitted to"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +30,13 @@ class Solution(Batch):
 
     state: State
     cost: np.ndarray
-    """(B,) of all terms, in squared sigmas"""
+    """(B,) sum over all terms, squared sigmas"""
     iterations: np.ndarray
     """(B,) int: steps tried"""
     status: np.ndarray
-    """(B,) int, as `Status` numbers them"""
+    """(B,) int, values of `Status`"""
 
     @property
     def converged(self) -> np.ndarray:
-        """(B,) bool: at a minimum, as far as the tolerance or numbers can tell."""
+        """(B,) bool: at a minimum, to within the tolerance or numerical precision."""
         return self.status <= Status.STUCK

@@ -1,4 +1,4 @@
-"""Where the solver starts: a relaxed hand laid over the landmarks in closed form."""
+"""The solver's start: a relaxed hand laid over the landmarks in closed form."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from handfit_core.hand_model.chain import Chain, State
 from handfit_core.skeleton import PALM_KEYPOINTS
 
 _LEAST_SCALE = 1e-3
-"""of pixels per metre against the focal length; no hand is farther than a thousand metres"""
+"""pixels per metre in parts of the focal length: no hand is farther than a thousand metres"""
 
 
 def spatial(seen: Observation) -> np.ndarray:
-    """(B, 21, 3) the landmarks as points in pixels about their mean, in camera axes, as if seen from afar."""
+    """(B, 21, 3) the landmarks in pixels relative to their mean, camera axes, under orthographic
+    projection."""
     plane = seen.pixels - seen.pixels.mean(axis=1, keepdims=True)
     along_axis = np.concatenate([plane, seen.depth[..., None]], axis=2)
     return along_axis @ turn_from_axis(seen.ray).swapaxes(1, 2)
@@ -23,8 +24,10 @@ def spatial(seen: Observation) -> np.ndarray:
 
 @np.errstate(all="ignore")
 def relaxed_start(chain: Chain, seen: Observation, angles: np.ndarray, betas: np.ndarray) -> State:
-    """angles (5, 9) radians and betas (10,) of the hand to lay over the landmarks. Rotation is that of the
-    palm; size and place are those of all points."""
+    """B hands of angles (5, 9) radians and betas (10,), laid over the landmarks.
+
+    The rotation is fitted to the palm, size and place to all points.
+    """
     batch = len(seen)
     flat = State(np.eye(3)[None], angles[None], np.zeros((1, 3)), betas[None], np.zeros(1))
     rest = chain.pose(flat).points[0]

@@ -10,30 +10,30 @@ import numpy as np
 CROSSING: Final = np.array([(a, b) for a in (1, 2) for b in range(3, 15)])
 """(Q, 2) bones of the thumb and of the fingers, three each and thumb first, that can lie over each other"""
 CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
-"""(Q, 2) keypoints at which these begin; they end at the next ones"""
-CROSSED: Final = 0.08
-"""Of the hand's size in the picture: bones that are nearer there lie over each other"""
+"""(Q, 2) keypoints at which these bones begin; they end at the next ones"""
+MAX_CROSSING_DISTANCE: Final = 0.08
+"""Distance in the picture up to which two bones cross, in parts of the hand's size"""
 
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """Pairs `CROSSING` of B hands in the picture."""
+    """How the Q pairs of bones `CROSSING` of B hands lie to each other in the picture."""
 
     along: np.ndarray
     """(B, Q, 2) how far along its bone each of a pair is nearest to the other, 0..1"""
     across: np.ndarray
-    """(B, Q) how near, in units of the points"""
+    """(B, Q) their distance there, in units of the points"""
     crossed: np.ndarray
-    """(B, Q) bool: whether they lie over each other"""
+    """(B, Q) bool: whether they cross"""
 
     @classmethod
     def of(cls, points: np.ndarray) -> Self:
-        """Of keypoints (B, 21, 2)."""
+        """The crossings of keypoints (B, 21, 2)."""
         starts = points[:, CROSSING_STARTS]
         ends = points[:, CROSSING_STARTS + 1]
         along, across = _nearest(starts[:, :, 0], ends[:, :, 0], starts[:, :, 1], ends[:, :, 1])
         size = np.ptp(points, axis=1).max(axis=1)
-        return cls(along, across, across <= CROSSED * np.maximum(size, 1e-9)[:, None])
+        return cls(along, across, across <= MAX_CROSSING_DISTANCE * np.maximum(size, 1e-9)[:, None])
 
     def deeper(self, depth: np.ndarray) -> np.ndarray:
         """(B, Q) by how much the second of a pair lies deeper, by the keypoints' depths (B, 21)."""

@@ -14,7 +14,7 @@ def rotvec_to_rotmat(rotvec: np.ndarray) -> np.ndarray:
     """(..., 3) axis-angle -> (..., 3, 3) matrices (Rodrigues' formula; exact at zero)."""
     rotvec = np.asarray(rotvec, dtype=np.float64)
     angle = np.sqrt(np.square(rotvec).sum(axis=-1, keepdims=True))
-    # Off zero by so little that sin(t) / t is exactly 1 long before.
+    # For much larger angles than this one, sin(t) / t is exactly 1 already.
     safe = np.maximum(angle, _SMALLEST)
     half = np.sin(0.5 * safe) / safe
     outer = (rotvec * (2.0 * half * half))[..., None] * rotvec[..., None, :]

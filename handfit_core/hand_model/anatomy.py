@@ -1,4 +1,4 @@
-"""What hands can do: anatomical axes, angles and ranges of the 15 finger joints.
+"""Anatomical axes, angles and ranges of motion of the 15 finger joints.
 
 Each joint has three axes in the flat pose, after manotorch (Yang et al. 2021): **twist** along the
 bone back towards the wrist, **spread** towards the back of the hand, and **bend** = twist x spread.
@@ -35,7 +35,8 @@ def anatomical_axes(model: HandModel) -> np.ndarray:
 
 
 def axes_of(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:
-    """The same (15, 3, 3) of a flat hand's joints (16, 3) and fingertips (5, 3), model frame."""
+    """(15, 3, 3) rotations whose columns are the (twist, spread, bend) axes of a flat hand's joints, model
+    frame, from joints (16, 3) and fingertips (5, 3)."""
     axes = np.empty((15, 3, 3))
     for finger, chain in FINGER_JOINTS.items():
         points = [*joints[list(chain)], tips[FINGERS.index(finger)]]

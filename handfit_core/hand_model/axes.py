@@ -36,7 +36,7 @@ _UP_OF_FINGERS: Final = np.array([0.0, 1.0, 0.0])
 _UP_OF_THUMB: Final = np.array([1.0, 1.0, 1.0])
 """Model frame of the right hand: out of the thumb's nail (manotorch's rest axes)"""
 _MIRROR: Final = np.array([-1.0, 1.0, 1.0])
-"""What turns a direction of the right hand's model frame into the left hand's"""
+"""Factors that turn a direction in the right hand's model frame into the left hand's"""
 
 ANATOMICAL_IN_BONE: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A finger joint's (twist, spread, bend) axes of `anatomy`, in columns, in its bone's frame: -Y, -Z and X"""
@@ -155,7 +155,8 @@ def mirrored_pose(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.
 
 
 QUATERNION_PRODUCTS: Final = ("w*x", "w*y", "w*z", "x*x", "y*y", "z*z", "y*z", "x*z", "x*y")
-"""R of a unit quaternion (w, x, y, z) is I plus the sum of these, each times its matrix of `_OF_PRODUCTS`"""
+"""R of a unit quaternion (w, x, y, z) is I plus the sum of these, each times its matrix of
+`_PRODUCT_MATRICES`"""
 
 
 def _matrices_of_products() -> np.ndarray:
@@ -169,9 +170,9 @@ def _matrices_of_products() -> np.ndarray:
     return matrices
 
 
-_OF_PRODUCTS: Final = _matrices_of_products()
-_LEAST_OFFSET: Final = 2e-4
-"""metres, where the product is 1, which most never come near"""
+_PRODUCT_MATRICES: Final = _matrices_of_products()
+_MIN_OFFSET: Final = 2e-4
+"""metres at a product of 1 below which an offset is left out; most products stay far below 1"""
 
 
 def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
@@ -182,11 +183,11 @@ def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
     quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint
     j + 1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
 
-    Products that move hardly anything (`_LEAST_OFFSET`) in the mean hand are zero in all others: betas turn
+    Products that move hardly anything (`_MIN_OFFSET`) in the mean hand are zero in all others: betas turn
     bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
     mean = _by_product(model, bone_frames(model.shaped(), model.side))
-    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _LEAST_OFFSET
+    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _MIN_OFFSET
     return np.where(used, _by_product(model, frames), 0.0)
 
 
@@ -206,7 +207,7 @@ def posedirs_of(offsets: np.ndarray, frames: np.ndarray) -> np.ndarray:
 def _products_to_elements(frames: np.ndarray) -> np.ndarray:
     """(15, 9, 9): row p of a joint is B M_p B^T, row by row."""
     basis = REST_FROM_MODEL.T @ frames[1:]
-    return np.einsum("jak,pkl,jbl->jpab", basis, _OF_PRODUCTS, basis).reshape(NUM_JOINTS - 1, 9, 9)
+    return np.einsum("jak,pkl,jbl->jpab", basis, _PRODUCT_MATRICES, basis).reshape(NUM_JOINTS - 1, 9, 9)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ ROOT, BETAS, PLACE, DEPTH_ZERO = slice(0, 3), slice(3, 13), slice(13, 16), slice
 """A hand's own variables: the root's turn, the shape, the wrist's place, and where depth is zero"""
 HAND_SIZE = 17
 FIXED_SHAPE = np.r_[ROOT, PLACE, DEPTH_ZERO]
-"""Those of a hand whose shape is given"""
+"""Indices of the variables of a hand whose shape is given"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +62,8 @@ class State(Batch):
     """(B,) metres along the line of sight where the detector's depth is zero"""
 
     def moved(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> State:
-        """Increments of the hand's own variables (B, 17), or (B, 7) where the shape is given, and of the
-        angles (B, 5, 9)."""
+        """The state after increments of the hand's own variables (B, 17), or (B, 7) where the shape is given,
+        and of the angles (B, 5, 9)."""
         free = of_hand.shape[1] == HAND_SIZE
         place = of_hand[:, PLACE] if free else of_hand[:, 3:6]
         return State(
@@ -87,14 +87,14 @@ def turns_by_angles(angles: np.ndarray, local: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """Where the landmarks are, and what their derivatives are made of."""
+    """The landmarks of B posed hands, and the axes and arms that their derivatives are made of."""
 
     points: np.ndarray
     """(B, 21, 3) metres, camera frame"""
     origins: np.ndarray
-    """(B, 5, 4, 3) where the three joints and the root turn"""
+    """(B, 5, 4, 3) metres: centres of rotation of the three joints and of the root"""
     axes: np.ndarray
-    """(B, 5, 4, 3, 3) about what, in columns: by each joint's angles, and by the root's increment"""
+    """(B, 5, 4, 3, 3) axes of rotation, in columns: of each joint's angles, and of the root's increment"""
     frames: np.ndarray
     """(B, 5, 3, 12) the axes of the three joints and of the root, side by side"""
     state: State
@@ -113,8 +113,9 @@ class Chain:
         offsets = landmarks.in_metres(model)
 
         turn = np.empty((5, 3, 3, 3))
-        # What each frame (three joints, then the root) adds to where four points and three joints are.
-        part, part_dirs = np.zeros((5, 4, 3, 7)), np.zeros((5, 4, 3, 7, NUM_BETAS))
+        # The contribution of each frame (three joints, then the root) to the places of four points and three
+        # joints.
+        offset, offset_dirs = np.zeros((5, 4, 3, 7)), np.zeros((5, 4, 3, 7, NUM_BETAS))
         for f, finger in enumerate(JOINTS_BY_FINGER):
             parent, frame = 0, _ROOT
             for level, joint in enumerate(finger):
@@ -122,17 +123,17 @@ class Chain:
                 # This joint, and all that lies beyond it.
                 beyond = [*range(level, 4), *range(4 + level, 7)]
                 bone, bone_dirs = joints[joint] - joints[parent], joint_dirs[joint] - joint_dirs[parent]
-                part[f, frame][:, beyond] = (axes[parent].T @ bone)[:, None]
-                part_dirs[f, frame][:, beyond] = (axes[parent].T @ bone_dirs)[:, None]
-                part[f, level, :, level] = offsets[1 + 4 * f + level]
+                offset[f, frame][:, beyond] = (axes[parent].T @ bone)[:, None]
+                offset_dirs[f, frame][:, beyond] = (axes[parent].T @ bone_dirs)[:, None]
+                offset[f, level, :, level] = offsets[1 + 4 * f + level]
                 parent, frame = joint, level
-            part[f, 2, :, 3] = axes[parent].T @ (tips[f] - joints[parent]) + offsets[4 + 4 * f]
-            part_dirs[f, 2, :, 3] = axes[parent].T @ (tip_dirs[f] - joint_dirs[parent])
+            offset[f, 2, :, 3] = axes[parent].T @ (tips[f] - joints[parent]) + offsets[4 + 4 * f]
+            offset_dirs[f, 2, :, 3] = axes[parent].T @ (tip_dirs[f] - joint_dirs[parent])
         self._axes = axes[JOINTS_BY_FINGER]  # (5, 3, 3, 3)
         self._turn = turn
-        self._part = part.reshape(-1)
-        self._part_dirs = np.ascontiguousarray(part_dirs.reshape(-1, NUM_BETAS).T)
-        self._point_dirs = part_dirs[:, :, :, :4].reshape(5, 12, 4 * NUM_BETAS)
+        self._offset = offset.reshape(-1)
+        self._offset_dirs = np.ascontiguousarray(offset_dirs.reshape(-1, NUM_BETAS).T)
+        self._point_dirs = offset_dirs[:, :, :, :4].reshape(5, 12, 4 * NUM_BETAS)
         self._wrist_offset = offsets[0]
         # The wrist's landmark by the root's increment, in the root's axes: e x l.
         self._wrist_turned = np.cross(np.eye(3), offsets[0]).T
@@ -142,7 +143,7 @@ class Chain:
         self._wrist_template, self._wrist_dirs = joints[0], joint_dirs[0]
 
     def pose(self, state: State) -> Posed:
-        """Place the landmarks."""
+        """Pose the landmarks of B hands."""
         batch = len(state)
         angles = state.angles.reshape(batch, 5, 3, 3)
         local = euler_to_rotmat(angles)
@@ -155,8 +156,8 @@ class Chain:
             frames[:, :, :, level] = parent
         np.matmul(frames[:, :, :, :3].swapaxes(2, 3), turns_by_angles(angles, local), out=axes[:, :, :3])
         frames = frames.reshape(batch, 5, 3, 12)
-        parts = (self._part + state.betas @ self._part_dirs).reshape(batch, 5, 12, 7)
-        placed = (frames @ parts).swapaxes(2, 3) + state.wrist[:, None, None]  # four points, three joints
+        offsets = (self._offset + state.betas @ self._offset_dirs).reshape(batch, 5, 12, 7)
+        placed = (frames @ offsets).swapaxes(2, 3) + state.wrist[:, None, None]  # four points, three joints
         points = np.empty((batch, NUM_KEYPOINTS, 3))
         points[:, 0] = state.wrist + state.root @ self._wrist_offset
         points[:, 1:].reshape(batch, 5, 4, 3)[...] = placed[:, :, :4]
@@ -165,8 +166,8 @@ class Chain:
         return Posed(points, origins, axes, frames, state)
 
     def points(self, state: State) -> np.ndarray:
-        """(B, 21, 3) the landmarks, in slices that bound the memory."""
-        return np.concatenate([self.pose(state.select(part)).points for part in slices(len(state))])
+        """(B, 21, 3) the landmarks, metres, camera frame; computed in slices, which bounds the memory."""
+        return np.concatenate([self.pose(state.select(rows)).points for rows in slices(len(state))])
 
     def jacobian(self, posed: Posed, rows: np.ndarray, *, shape: bool) -> np.ndarray:
         """(B, 21, c, 9 + n + k) from c rows of each landmark (B, 21, c, 3 + 1 + k).
@@ -218,8 +219,8 @@ class Chain:
     def parameters(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """betas (B, 10), global_orient (B, 3), hand_pose (B, 45) and transl (B, 3) in MANO's convention."""
         pose = np.empty((len(state), 15, 3))
-        for part in slices(len(state)):
-            local = self._axes @ euler_to_rotmat(state.angles[part].reshape(-1, 5, 3, 3))
-            pose[part, JOINTS_BY_FINGER - 1] = rotmat_to_rotvec(local @ np.swapaxes(self._axes, -1, -2))
+        for rows in slices(len(state)):
+            local = self._axes @ euler_to_rotmat(state.angles[rows].reshape(-1, 5, 3, 3))
+            pose[rows, JOINTS_BY_FINGER - 1] = rotmat_to_rotvec(local @ np.swapaxes(self._axes, -1, -2))
         rest_wrist = self._wrist_template + state.betas @ self._wrist_dirs.T
         return state.betas, rotmat_to_rotvec(state.root), pose.reshape(-1, 45), state.wrist - rest_wrist

@@ -1,4 +1,4 @@
-"""The one door through which every hand model enters: shapes, finiteness, plausibility."""
+"""Validation of every hand model that is read: shapes, finiteness, plausibility."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ LARGEST_HAND: Final = 10.0
 """metres across"""
 
 LARGEST: Final = 1e4
-"""of any number of a model: metres, weights and radians"""
-
+"""Largest magnitude of any number in a model: metres, weights and radians"""
 
 _PER_VERTEX: Final = -1
 _FLOATS: Final[dict[str, tuple[int | None, ...]]] = {
@@ -60,8 +59,8 @@ def checked_model(
     found = {}
     for key, sizes in _FLOATS.items():
         shape = tuple(count if n == _PER_VERTEX else n for n in sizes)
-        told = "J_regressor" if key == "joint_regressor" else key
-        found[key] = _floats(where, told, arrays[key], shape)
+        shown_key = "J_regressor" if key == "joint_regressor" else key
+        found[key] = _floats(where, shown_key, arrays[key], shape)
     shapedirs, weights = found.pop("shapedirs"), found.pop("weights")
     if shapedirs.shape[2] < NUM_BETAS:
         raise HandModelError(

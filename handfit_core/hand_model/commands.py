@@ -1,4 +1,7 @@
-"""The command line's `model` subcommand: convert MANO's files, and look into hand models."""
+"""The command line's `model` subcommand: convert MANO's files, and look into hand models.
+
+Handlers import what needs NumPy, so that the parser is built without it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handfit_core.errors import OptionError
+from handfit_core.errors import HandModelError, OptionError
 from handfit_core.files import check_writable, path_of
 
 if TYPE_CHECKING:
@@ -60,7 +63,6 @@ def _info(args: argparse.Namespace) -> int:
 
 def _read(path: Path) -> HandModel:
     """One file of either format; its side is what it is."""
-    from handfit_core.errors import HandModelError
     from handfit_core.hand_model.files import load_model_npz
 
     if path.is_dir():

@@ -8,16 +8,16 @@ import numpy as np
 
 from handfit_core.hand_model.data import HandModel
 
-_FINER: Final = 2
-"""Samples of a pixel along either axis"""
+_SUPERSAMPLING: Final = 2
+"""Samples per pixel along either axis"""
 _MARGIN: Final = 0.04
-"""of the picture, free on every side"""
+"""Free margin on every side, in parts of the picture"""
 _KEY, _FILL = np.array([-0.45, 0.65, 0.62]), np.array([0.8, 0.1, 0.59])
 """Unit vectors to the lights: from the left above, and from the right"""
 _SKIN: Final = np.linspace([52, 26, 22], [255, 222, 196], 256).round().astype(np.uint8)
 """(256, 3) RGB from the dark to full light"""
-_REACH: Final = 0.008
-"""metres around a place in which what stands before it takes light from it"""
+_OCCLUSION_RADIUS: Final = 0.008
+"""metres around a place in which nearer surfaces darken it (ambient occlusion)"""
 
 
 def drawn_pose(
@@ -37,16 +37,16 @@ def drawn_pose(
     around = np.array([[np.cos(a), 0.0, -np.sin(a)], [0.0, 1.0, 0.0], [np.sin(a), 0.0, np.cos(a)]])
     down = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
     points = points @ (down @ around).T
-    fine = size * _FINER
+    fine = size * _SUPERSAMPLING
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (1.0 - 2.0 * _MARGIN) * fine / max(high[:2] - low[:2])
     at = (points - (low + high) / 2.0) * scale + [fine / 2.0, fine / 2.0, 0.0]
     depth, light = _lit(at, model.faces, fine)
-    light *= 1.0 - 0.75 * _hidden(depth, _REACH * scale)
+    light *= 1.0 - 0.75 * _hidden(depth, _OCCLUSION_RADIUS * scale)
     there = np.isfinite(depth)
     picture = np.stack([np.where(there, np.clip(light, 0.0, 1.0), 0.0), there], axis=-1)
-    picture = picture.reshape(size, _FINER, size, _FINER, 2).mean(axis=(1, 3))
-    picture[..., 0] /= np.maximum(picture[..., 1], 1.0 / _FINER**2)
+    picture = picture.reshape(size, _SUPERSAMPLING, size, _SUPERSAMPLING, 2).mean(axis=(1, 3))
+    picture[..., 0] /= np.maximum(picture[..., 1], 1.0 / _SUPERSAMPLING**2)
     return (255.0 * picture[::-1]).round().astype(np.uint8)
 
 
@@ -56,7 +56,8 @@ def colored(drawn: np.ndarray) -> np.ndarray:
 
 
 def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Depth, -inf where nothing is, and light 0..1, both (size, size): of the triangles that face us."""
+    """Depth, -inf where nothing is, and light 0..1, both (size, size), of the triangles that face the
+    viewer."""
     sides = points[faces[:, 1:]] - points[faces[:, :1]]
     flat = np.cross(sides[:, 0], sides[:, 1])
     normals = np.zeros_like(points)
@@ -90,7 +91,8 @@ def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, 
 
 
 def _hidden(depth: np.ndarray, reach: float) -> np.ndarray:
-    """0..1, as `depth`: how much of the light of each place is taken by what stands before it nearby."""
+    """Ambient occlusion, 0..1, of the shape of `depth`: the share of each place's light that nearer surfaces
+    within `reach` pixels take."""
     taken, steps = np.zeros_like(depth), 0
     for part in (0.35, 0.7, 1.0):
         for angle in np.arange(8) * np.pi / 4.0 + part:

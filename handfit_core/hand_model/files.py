@@ -24,11 +24,11 @@ OPEN_HAND = "open-hand"
 """Name of the bundled model; anything else given as a model is a path."""
 
 MAX_FILE_BYTES = 64_000_000
-"""of a model; MANO's have 4 MB, and larger meshes in its format 10 MB"""
+"""Largest model file; MANO's have 4 MB, and larger meshes in its format 10 MB"""
 
-_LONGEST_NAME = 200
-_MOST_MEMORY = 200_000_000
-"""bytes that the arrays of a model may have: twelve times those of the open hand"""
+_MAX_NAME_LENGTH = 200
+_MAX_MEMORY_BYTES = 200_000_000
+"""Largest size of a model's arrays: twelve times that of the open hand's"""
 
 FORMAT_NAME = "handfit-model"
 FORMAT_VERSION = 1
@@ -113,7 +113,7 @@ def _candidates(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Pat
 
 def _read(path: Path, side: Side) -> HandModel:
     if path.suffix.lower() == ".pkl":
-        # Imported late: the open hand needs nothing of it.
+        # Imported late, as the open hand does not need it.
         from handfit_core.hand_model.mano_pickle import load_mano_pickle
 
         model = load_mano_pickle(path)
@@ -136,14 +136,14 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
     """Read a model that `save_model_npz` wrote. Raises HandModelError."""
     path = Path(path)
     try:
-        archive = NpzArchive(read_file(path, MAX_FILE_BYTES), _MOST_MEMORY)
+        archive = NpzArchive(read_file(path, MAX_FILE_BYTES), _MAX_MEMORY_BYTES)
         header = archive.header()
         if header.get("format") != FORMAT_NAME:
             raise NotNpz("is of another format")
         version = whole("version", header.get("version"), 1)
         name, side = (
-            text("name", header.get("name"), _LONGEST_NAME),
-            text("side", header.get("side"), _LONGEST_NAME),
+            text("name", header.get("name"), _MAX_NAME_LENGTH),
+            text("side", header.get("side"), _MAX_NAME_LENGTH),
         )
         arrays = {key: archive.array(key, "fiu") for key in ARRAY_NAMES if key in archive}
     except OSError as error:

@@ -20,8 +20,8 @@ Wrist = Literal["open", "cap", "forearm"]
 """How a mesh ends: as its model does, or closed by a cap or a piece of forearm, of as many vertices"""
 
 _RINGS: Final = (
-    # how far behind the edge, as a part of the length from the middle knuckle to it; breadth and thickness as
-    # parts of the edge's; how much of the edge's own outline has given way to an ellipse
+    # Distance behind the edge, in parts of the length from the middle knuckle to it; breadth and thickness,
+    # in parts of the edge's; share of an ellipse in the outline, beside the edge's own.
     (0.05, 0.985, 0.97, 0.15),
     (0.11, 0.965, 0.935, 0.4),
     (0.18, 0.955, 0.915, 0.7),
@@ -35,8 +35,10 @@ _RINGS: Final = (
 )
 """The forearm: narrowest and flattest a thumb's breadth behind the edge, rounded at its end"""
 _END: Final = 0.6
+"""Distance of the forearm's end behind the edge, in parts of the length from the middle knuckle to the
+edge"""
 _CAP: Final = 0.1
-"""height of the cap that stands in for a forearm, in the same parts"""
+"""Height of the cap, in parts of the length from the middle knuckle to the edge"""
 
 
 def wrist_ring(polygons: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Hand models, read once: a slider's step or an edit while the artist drags must not read a file."""
+"""Cache of hand models: a slider's step or an edit while the artist drags must not read a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from handfit_core.skeleton import Side
 
 
 def kept_model(model: str, side: Side) -> HandModel:
-    """As `load_model`, but the same object every time, until its file or the folder around it changes.
+    """`load_model`, cached: the same object every time, until its file or the folder around it changes.
 
     Raises HandModelError.
     """

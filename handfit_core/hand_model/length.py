@@ -13,10 +13,10 @@ from handfit_core.skeleton import FINGERS, NUM_BETAS
 _MIDDLE = FINGERS.index("middle")
 _STEPS = 8
 
-ODD_SHAPE: Final = 3.0
-FARTHEST_SHAPE: Final = 6.0
-"""Standard deviations from the mean: where a given hand length is remarked on, and where it ends. The open
-hand's mesh begins to fold at six and a half."""
+ODD_SHAPE_SIGMAS: Final = 3.0
+MAX_SHAPE_SIGMAS: Final = 6.0
+"""Standard deviations from the mean shape beyond which a given hand length is warned of, and beyond which it
+is clipped. The open hand's mesh begins to fold at six and a half."""
 
 log = logging.getLogger("handfit")
 
@@ -62,13 +62,13 @@ def betas_of_measured(model: HandModel, length: float) -> np.ndarray:
     """(10,) the shape nearest to the mean that has that length in metres, no farther from the mean than
     meshes keep their form."""
     betas = betas_of_length(model, length)
-    return betas * min(1.0, FARTHEST_SHAPE / max(float(np.linalg.norm(betas)), 1e-9))
+    return betas * min(1.0, MAX_SHAPE_SIGMAS / max(float(np.linalg.norm(betas)), 1e-9))
 
 
-def tell_of_odd_shapes(model: HandModel, length: float) -> None:
+def warn_of_odd_shapes(model: HandModel, length: float) -> None:
     """Warn where a hand length in metres asks for a shape that hardly any hand has."""
     away = float(np.linalg.norm(betas_of_length(model, length)))
-    if away <= ODD_SHAPE:
+    if away <= ODD_SHAPE_SIGMAS:
         return
     reached = flat_hand_length(model, betas_of_measured(model, length))
     log.warning(

@@ -42,7 +42,7 @@ _TIPS: dict[Side, tuple[int, ...]] = {
     # The left mesh is no exact mirror; manotorch takes the neighbour for its middle finger.
     "left": tuple(445 if vertex == 444 else vertex for vertex in MANO_TIP_VERTICES),
 }
-_AGAIN = "copy it again from the archive that mano.is.tue.mpg.de gives"
+_COPY_AGAIN = "copy it again from the archive that mano.is.tue.mpg.de gives"
 
 
 def load_mano_pickle(path: str | os.PathLike[str]) -> HandModel:
@@ -62,7 +62,7 @@ def load_mano_pickle(path: str | os.PathLike[str]) -> HandModel:
         with np.errstate(all="ignore"):  # what is not finite is refused, not warned of
             return _model_from(path, content)
     except _Unfit as error:
-        raise HandModelError(f"{shown(path)}: {error}; {_AGAIN}") from error
+        raise HandModelError(f"{shown(path)}: {error}; {_COPY_AGAIN}") from error
 
 
 def _model_from(path: Path, content: Any) -> HandModel:
@@ -115,7 +115,7 @@ def _model_from(path: Path, content: Any) -> HandModel:
             source=str(path),
         )
     except HandModelError as error:
-        raise HandModelError(f"{error}; {_AGAIN}") from error
+        raise HandModelError(f"{error}; {_COPY_AGAIN}") from error
 
 
 def _side_in_name(path: Path) -> Side | None:
@@ -149,7 +149,7 @@ def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
     smplx and manotorch load the result. No chumpy is needed to read it. One key goes beyond MANO's:
     `tip_vertices` (5,), which other tools ignore. Needs SciPy. Raises OutputError.
     """
-    from scipy.sparse import csc_matrix
+    from scipy.sparse import csc_matrix  # slow to load
 
     path = Path(path)
     parents = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)], dtype=np.uint32)
@@ -177,7 +177,7 @@ def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
 
 
 class _Unfit(Exception):
-    """What is wrong with the content of a file that could be read."""
+    """The content of a file that could be read is no hand model; the message says why."""
 
 
 def _unpickled(path: Path) -> Any:
@@ -195,7 +195,7 @@ def _unpickled(path: Path) -> Any:
         ) from error
     except Exception as error:  # a damaged pickle can fail in any way
         raise HandModelError(
-            f"{shown(path)}: not a MANO .pkl file, or a damaged or truncated one; {_AGAIN}"
+            f"{shown(path)}: not a MANO .pkl file, or a damaged or truncated one; {_COPY_AGAIN}"
         ) from error
 
 

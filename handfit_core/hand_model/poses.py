@@ -46,7 +46,7 @@ class Pose:
         return cls(side, rotmat_to_rotvec(fingers).reshape(_ANGLES))
 
     def values(self) -> dict[str, Any]:
-        """What a custom property of Blender's can hold."""
+        """The pose as a dict of plain values, which a custom property of Blender's can hold."""
         return {"side": self.side, "hand_pose": self.hand_pose.tolist()}
 
     @classmethod
@@ -67,7 +67,7 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class ReadyPose:
-    """One that comes with the hand."""
+    """A pose that comes with the add-on."""
 
     name: str
     pose: Pose
@@ -77,7 +77,7 @@ class ReadyPose:
 
 @lru_cache(maxsize=1)
 def ready_poses() -> dict[str, ReadyPose]:
-    """By name, in the order in which they are shown; those of a right hand."""
+    """The ready poses of a right hand by name, in the order in which they are shown."""
     with np.load(FILE, allow_pickle=False) as arrays:
         parts = [arrays[name] for name in ("names", "hand_poses", "drawn")]
     return {

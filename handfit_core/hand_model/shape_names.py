@@ -1,4 +1,4 @@
-"""What each of a model's shape coefficients changes, in words, found in the model's own data.
+"""Names of a model's shape coefficients by what they change, found in the model's own data.
 
 A coefficient moves every vertex of the flat hand. This movement is compared with those of things that an
 artist would ask for: a larger hand, longer fingers, a thicker palm, and so on. Where one of them explains
@@ -16,7 +16,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS
 
 DOMINANT: Final = 0.55
-"""An effect gives its name where it explains more than this share of the movement. Of two in equal parts each
+"""Share of the movement beyond which an effect gives the coefficient its name. Of two equal effects each
 explains half."""
 
 _LONG_FINGERS: Final = tuple(finger for finger in FINGERS if finger != "thumb")

@@ -1,4 +1,4 @@
-"""A hand's skin as tapered capsules around its bones: how deep its parts stand in each other, and where.
+"""A hand's skin as tapered capsules around its bones: how deep its parts penetrate each other, and where.
 
 A tapered capsule is what spheres cover that move along a bone while their radius changes evenly. Of two of
 them, with unit axes a and b and radii that grow by k and m along these, the signed gap |p - q| - r - s is
@@ -25,18 +25,18 @@ NUM_BONES: Final = 19
 """15 bones of the fingers, three each as in `skeleton.FINGERS`, the thumb's metacarpal among them; then the
 metacarpals of index, middle, ring and little finger"""
 PALM: Final = 15
-"""The first of those that move with the wrist"""
+"""The first of the bones that move with the wrist"""
 FINGER_OF_BONE: Final = np.array([*(b // 3 for b in range(PALM)), 1, 2, 3, 4])
 LEVEL_OF_BONE: Final = np.array([*(b % 3 for b in range(PALM)), 3, 3, 3, 3])
 """Which of `chain.Posed`'s frames carries each bone: the finger's joints, and 3 for the root"""
 
 
 def _may_touch(first: int, second: int) -> bool:
-    """Whether parts count; those that grow together do not."""
+    """Whether two parts can come into contact; parts that are joined cannot."""
     if second >= PALM:
-        # The thumb's root and the fingers' first bones meet the palm in the flat hand, too.
+        # The thumb's root and the fingers' first bones are joined to the palm.
         return first < PALM and first % 3 > 0
-    # So do the thumb's root and the next two fingers' first bones, through the web between them.
+    # The web joins the thumb's root to the next two fingers' first bones.
     return first // 3 != second // 3 and (first, second) not in ((0, 3), (0, 6))
 
 
@@ -44,16 +44,16 @@ PAIRS: Final = np.array(
     [(i, j) for i in range(NUM_BONES) for j in range(i + 1, NUM_BONES) if _may_touch(i, j)]
 )
 """(P, 2) bones that can touch, the lower first"""
-THUMB_IN_PALM: Final = 0.006
-"""metres by which the palm gives under the thumb's first bone, as in a fist around the thumb"""
-THUMB_IN_WEB: Final = 0.0085
-"""metres by which the web between thumb and index finger gives under the thumb's first bone"""
-_GIVES: Final = np.select(
+PALM_COMPRESSION: Final = 0.006
+"""metres by which the palm is compressed under the thumb's first bone, as in a fist around the thumb"""
+WEB_COMPRESSION: Final = 0.0085
+"""metres by which the web between thumb and index finger is compressed under the thumb's first bone"""
+_COMPRESSION: Final = np.select(
     [(PAIRS == (1, PALM)).all(axis=1), (PAIRS[:, 0] == 1) & (PAIRS[:, 1] > PALM)],
-    [-THUMB_IN_WEB, -THUMB_IN_PALM],
+    [-WEB_COMPRESSION, -PALM_COMPRESSION],
     0.0,
 )
-"""(P,) metres, negative as overlaps are"""
+"""(P,) metres of compression that count as no overlap, with the sign of a gap: negative"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +64,9 @@ class Capsules:
     """(B, 19, 2, 3) both ends of the axes, the nearer to the wrist first"""
     radii: np.ndarray
     """(B, 19, 2) at these ends"""
-    grown: np.ndarray
-    """(B, P) metres, 0 or less: gaps of `PAIRS` in the flat hand, where fingers side by side grow out of
-    the palm. So much does not count"""
+    rest_gap: np.ndarray
+    """(B, P) metres, 0 or less: gaps of `PAIRS` that count as 0. Fingers side by side overlap in the flat
+    hand, too, where they leave the palm"""
 
     def of(
         self, hand: np.ndarray, bones: np.ndarray
@@ -100,7 +100,7 @@ class Surface:
         self._chain = Chain(model, NO_OFFSETS)
         mean = _measured(model, np.zeros(NUM_BETAS))
         steps = [_measured(model, beta) for beta in np.eye(NUM_BETAS)]
-        # All but linear in the shape, since joints and skin are linear in it.
+        # Almost linear in the shape, since joints and skin are linear in it.
         self._ends, self._radii = mean
         self._end_dirs = np.stack([ends - mean[0] for ends, _ in steps], axis=-1)  # (19, 2, 3, 10)
         self._radius_dirs = np.stack([radii - mean[1] for _, radii in steps], axis=-1)  # (19, 2, 10)
@@ -121,7 +121,7 @@ class Surface:
         return self._radii + (self._radius_dirs @ betas.T).transpose(2, 0, 1)
 
     def capsules(self, posed: Posed) -> Capsules:
-        """The capsules of B posed hands. The last ones are kept: several terms ask for them."""
+        """The capsules of B posed hands; the last ones are cached, as several terms need them."""
         if self._last is not None and self._last[0] is posed:
             return self._last[1]
         betas = posed.state.betas
@@ -134,20 +134,19 @@ class Surface:
         )
         ends = origins[:, :, None] + local @ frames.transpose(1, 0, 3, 2)
         radii = self.radii(betas)
-        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, _GIVES))
+        found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, _COMPRESSION))
         self._last = posed, found
         return found
 
     def depths(self, capsules: Capsules) -> np.ndarray:
-        """(B,) metres: how deep the deepest two parts of each hand stand in each other; 0 where none do."""
+        """(B,) metres of each hand's deepest penetration of two parts; 0 where none overlap."""
         near = self.near(capsules)
         deepest = np.zeros(len(capsules.ends))
         np.maximum.at(deepest, near.hand, -near.gap)
         return deepest
 
     def near(self, capsules: Capsules, within: float = 0.0) -> Near:
-        """The pairs whose skins are no farther apart than `within` metres. How deep parts stand in each other
-        in the flat hand, where fingers grow out of the palm side by side, does not count."""
+        """The pairs whose skins are no farther apart than `within` metres, with gaps beyond `rest_gap`."""
         ends, radii = capsules.ends, capsules.radii
         axis = (ends[:, :, 1] - ends[:, :, 0]) / 2.0
         middle = ends[:, :, 0] + axis
@@ -160,16 +159,18 @@ class Surface:
         return Near(*(getattr(near, name)[kept] for name in Near.__dataclass_fields__))
 
     def gaps(self, capsules: Capsules, hand: np.ndarray, pair: np.ndarray) -> Near:
-        """Those pairs (K,), as numbered in `PAIRS`, of those hands (K,), however far they are apart."""
+        """The gaps of pairs (K,), as numbered in `PAIRS`, of hands (K,), however far they are apart."""
         if not len(hand):
             return Near(hand, PAIRS[pair], np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0))
         parts = capsules.of(hand, PAIRS[pair])
         places, gap = gaps_along(*parts, nearest_along(*parts))
-        return Near(hand, PAIRS[pair], places, _towards(places), gap - capsules.grown[hand, pair])
+        return Near(hand, PAIRS[pair], places, _towards(places), gap - capsules.rest_gap[hand, pair])
 
     def gaps_at(self, capsules: Capsules, hand: np.ndarray, points: np.ndarray) -> Near:
-        """The same of two keypoints (K, 2) of those hands: the spheres around joints and in fingertips. 0, as
-        the second, is the palm, wherever it is nearest."""
+        """The gaps between keypoints (K, 2) of hands (K,), which are spheres around joints and in fingertips.
+
+        0, as the second one, is the palm where it is nearest to the first.
+        """
         level = (points - 1) % 4
         bones, along = 3 * ((points - 1) // 4) + np.minimum(level, 2), (level == 3) * 1.0
         palm = points[:, 1] == 0
@@ -194,7 +195,7 @@ def _towards(places: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def surface_of(model: HandModel) -> Surface:
-    """Kept between calls, as fitters are."""
+    """The surface of a model, cached."""
     return Surface(model)
 
 
@@ -208,7 +209,7 @@ def nearest_along(
     tried[:2, :, 0], tried[2:4, :, 1] = ((0.0,), (1.0,)), ((0.0,), (1.0,))
     tried[:2, :, 1] = b.nearest(ends_a.swapaxes(0, 1))
     tried[2:4, :, 0] = a.nearest(ends_b.swapaxes(0, 1))
-    tried[4] = _within(a, b)
+    tried[4] = _inner_minimum(a, b)
     outside = ~((tried[4] >= 0.0) & (tried[4] <= 1.0)).all(axis=1)
     tried[4, outside] = tried[0, outside]
     _, gaps = gaps_along(ends_a, radii_a, ends_b, radii_b, tried)
@@ -232,7 +233,7 @@ class _Axis:
     def of(cls, ends: np.ndarray, radii: np.ndarray) -> _Axis:
         axis = ends[:, 1] - ends[:, 0]
         length = np.maximum(np.sqrt((axis * axis).sum(axis=1)), 1e-9)
-        taper = np.clip((radii[:, 1] - radii[:, 0]) / length, -STEEPEST, STEEPEST)
+        taper = np.clip((radii[:, 1] - radii[:, 0]) / length, -MAX_TAPER, MAX_TAPER)
         return cls(ends[:, 0], axis / length[:, None], length, taper)
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
@@ -245,7 +246,7 @@ class _Axis:
 
 
 @np.errstate(all="ignore")
-def _within(first: _Axis, second: _Axis) -> np.ndarray:
+def _inner_minimum(first: _Axis, second: _Axis) -> np.ndarray:
     """(K, 2) how far along both axes the gap would be least if they had no ends; NaN where it is least
     nowhere, as along parallel ones."""
     a, b, k, m = first.unit, second.unit, first.taper, second.taper
@@ -286,21 +287,23 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
-STEEPEST: Final = 0.9
-"""of a taper: at 1, one end's sphere would hold the other's"""
-_SECTIONS: Final = np.array([(0.1, 0.5), (0.5, 0.9)])
-"""Between which parts of a bone its skin is measured; what the two say is carried on to its ends"""
-_OF_PALM: Final = np.array([(0.3, 0.65), (0.65, 0.95)])
-"""The same of metacarpals, from the wrist on"""
-_ROOT_OF_THUMB: Final = 1.1
-"""How much thicker the thumb is where it leaves the palm, of which its skin there is a part"""
+MAX_TAPER: Final = 0.9
+"""Largest taper of a capsule: at 1, one end's sphere would contain the other's"""
+_BONE_SECTIONS: Final = np.array([(0.1, 0.5), (0.5, 0.9)])
+"""Two sections of a finger's bone, in parts of its length, whose skin is measured and extrapolated to its
+ends"""
+_PALM_SECTIONS: Final = np.array([(0.3, 0.65), (0.65, 0.95)])
+"""Two such sections of a metacarpal, from the wrist on"""
+_THUMB_ROOT_SCALE: Final = 1.1
+"""Ratio of the thumb's radius where it leaves the palm to that at its knuckle; its skin there is the
+palm's"""
 _METACARPAL: Final = np.array([0.25, 0.85])
 """Parts of the way from the wrist to a knuckle between which the palm's capsules lie: their round ends reach
 farther"""
 _FIST: Final = np.radians([[0.0, 0.0, bend] for _ in range(5) for bend in (75.0, 90.0, 55.0)])
 """(15, 3) radians: angles of the hand whose palm is measured; its thumb is flat"""
-_PALM_STRIP: Final = 0.006
-"""metres to both sides of a metacarpal in which the palm's thickness is measured"""
+_STRIP_HALF_WIDTH: Final = 0.006
+"""metres to either side of a metacarpal in which the palm's thickness is measured"""
 
 
 def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -316,12 +319,14 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
             here = shaped.joints[joint]
             length = np.linalg.norm(end - here)
             skin = (shaped.vertices[owner == joint] - here) @ axes[joint]
-            middle, radius = _sections(skin[:, 1:], -skin[:, 0] / length, _SECTIONS)
+            middle, radius = _sections(skin[:, 1:], -skin[:, 0] / length, _BONE_SECTIONS)
             # A fingertip lies on the skin, so that the axis ends before it.
             at = np.array([0.0, 1.0 if bone % 3 < 2 else 1.0 - radius.mean() / length])
             ends[bone, :, 0] = -at * length
-            ends[bone, :, 1:], radii[bone] = (_carried_on(part, _SECTIONS, at) for part in (middle, radius))
-    ends[0, :, 1:], radii[0] = ends[1, 0, 1:], radii[1, 0] * np.array([_ROOT_OF_THUMB, 1.0])
+            ends[bone, :, 1:], radii[bone] = (
+                _carried_on(part, _BONE_SECTIONS, at) for part in (middle, radius)
+            )
+    ends[0, :, 1:], radii[0] = ends[1, 0, 1:], radii[1, 0] * np.array([_THUMB_ROOT_SCALE, 1.0])
     fist = rotmats_from_angles(np.where(np.arange(15)[:, None] < 12, _FIST, 0.0), anatomical_axes(model))
     closed = model.posed(betas, np.zeros(3), rotmat_to_rotvec(fist).reshape(45), np.zeros(3))
     palm = closed.vertices[owner == 0] - shaped.joints[0]
@@ -330,10 +335,10 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
         across = np.cross(knuckle, [0.0, 1.0, 0.0])
         back = np.cross(across, knuckle)
         across, back = across / np.linalg.norm(across), back / np.linalg.norm(back)
-        strip = palm[np.abs(palm @ across) < _PALM_STRIP]
+        strip = palm[np.abs(palm @ across) < _STRIP_HALF_WIDTH]
         along = strip @ knuckle / (knuckle @ knuckle)
-        middle, radius = _sections((strip @ back)[:, None], along, _OF_PALM)
-        off, radii[bone] = (_carried_on(part, _OF_PALM, _METACARPAL) for part in (middle, radius))
+        middle, radius = _sections((strip @ back)[:, None], along, _PALM_SECTIONS)
+        off, radii[bone] = (_carried_on(part, _PALM_SECTIONS, _METACARPAL) for part in (middle, radius))
         ends[bone] = np.outer(_METACARPAL, knuckle) + off * back
     return ends, radii
 

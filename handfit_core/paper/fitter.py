@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import spread
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
@@ -293,8 +293,8 @@ def fit_track(
     frames, count = list(found)[: len(placed)], len(track.detections)
     return TrackFit(
         betas=shape,
-        global_orient=spread([hand.global_orient for hand in placed], frames, count),
-        hand_pose=spread([hand.hand_pose for hand in placed], frames, count),
-        transl=spread([hand.transl for hand in placed], frames, count),
-        converged=spread(converged, frames, count, False),
+        global_orient=scatter([hand.global_orient for hand in placed], frames, count),
+        hand_pose=scatter([hand.hand_pose for hand in placed], frames, count),
+        transl=scatter([hand.transl for hand in placed], frames, count),
+        converged=scatter(converged, frames, count, False),
     )

@@ -33,38 +33,38 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.surface import cross, gaps_along, nearest_along, surface_of
 from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
-from handfit_core.slices import retold
+from handfit_core.slices import map_yields
 
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) fingers that can touch each other, those with the thumb first"""
 
-TOUCHING: Final = (0.004, 0.012)
-"""metres between skins: what is nearer than the first touches; what is farther than the second does not"""
-_CROSSED: Final = (0.5, 0.8)
-"""Fingers beside each other are no touch to keep. This much of the way between two fingers' skins, and more,
-lies across the palm where they are beside each other; up to the first, one lies over the other"""
-BLEND: Final = 0.1
-"""seconds: a touch is kept for as long before and after, and fades in and out for twice as long"""
+TOUCH_GAP: Final = (0.004, 0.012)
+"""metres between skins up to which they touch, and from which they do not"""
+_CROSSED_SHARE: Final = (0.5, 0.8)
+"""Share of the way between two fingers' skins that leads across the palm: up to the first, one finger lies
+over the other; from the second on they lie side by side, which is no touch to keep"""
+BLEND_SECONDS: Final = 0.1
+"""Time for which a touch is kept before and after; it fades in and out for twice as long"""
 
-_THUMB: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
+_THUMB_TURN_COST: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
 """Diagonal of M of the thumb's three joints: twist, spread and bend"""
-_FINGER: Final = ((np.inf, 4.0, 2.0), (np.inf, np.inf, 2.0), (np.inf, np.inf, 3.0))
-"""The same of the other fingers. Infinite: they do not turn so"""
-_LEFT_OPEN: Final = 0.02
+_FINGER_TURN_COST: Final = ((np.inf, 4.0, 2.0), (np.inf, np.inf, 2.0), (np.inf, np.inf, 3.0))
+"""Diagonal of M of the other fingers' joints; infinite: fixed"""
+_OPEN_SHARE: Final = 0.02
 """e: the share of a gap that stays open where both touch"""
-_ALONG: Final = (0.9, 0.5)
-"""The share of what lies along the skins that is closed at most, at first and after the mean: touches of
+_SLIDING_SHARE: Final = (0.9, 0.5)
+"""Largest share of a distance along the skins that is closed, in the first pass and in the second: touches of
 several fingers with one thumb cannot all be met in the very same places"""
-_FARTHEST: Final = np.radians((30.0, 4.0))
-"""radians that an angle turns at most, beyond what was captured and beyond the mean: what needs more is no
-hand's grip, or a jump, and stays apart"""
-_MOST_STEPS: Final = 20
-_SMALL: Final = 1e-6
-"""radians: steps that are smaller end the search"""
-_AT_ONCE: Final = 32
-"""frames that a slice solves"""
-_FOUND_AT_ONCE: Final = 256
-"""frames in which a slice looks for touches"""
+_MAX_TURN: Final = np.radians((30.0, 4.0))
+"""radians by which an angle turns at most, from the captured pose in the first pass and from the mean in the
+second: touches that need more are no grip, or would make a jump, and stay open"""
+_MAX_STEPS: Final = 20
+_STEP_TOLERANCE: Final = 1e-6
+"""radians: the search ends at smaller steps"""
+_SOLVE_FRAMES: Final = 32
+"""Frames that are solved in one step of work"""
+_DETECT_FRAMES: Final = 256
+"""Frames in which touches are detected in one step of work"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +78,12 @@ class Fingertips:
 
     @classmethod
     def of(cls, model: HandModel, betas: np.ndarray) -> Fingertips:
-        """Those of a hand model of shape betas (10,)."""
+        """The fingertips of a hand model of shape betas (10,)."""
         flat = surface_of(model).of(betas[None], np.zeros((1, 45)))
         return cls(points_to_rest(flat.ends[0, 2:15:3]), flat.radii[0, 2:15:3])
 
     def mirrored(self) -> Fingertips:
-        """The other hand's."""
+        """The fingertips of the other hand."""
         return Fingertips(self.ends @ MIRROR_X, self.radii)
 
 
@@ -102,13 +102,13 @@ class Touches:
     ways: np.ndarray
     """(T, 10, 3) metres from that place of the second to the first's, in rest space, the wrist at rest"""
 
-    def some(self, rows: np.ndarray, pairs: np.ndarray) -> Touches:
-        """Some frames and pairs alone."""
+    def subset(self, rows: np.ndarray, pairs: np.ndarray) -> Touches:
+        """The touches in the frames `rows`, of `pairs` alone."""
         return Touches(*(getattr(self, name)[rows][:, pairs] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class ContactResult:
     """A character's hand whose fingertips touch where the captured ones do, over T frames."""
 
     standing: np.ndarray
@@ -124,26 +124,28 @@ class Kept:
 def finding_touches(
     source: SourceHand, skins: Fingertips, turns: np.ndarray, times: np.ndarray
 ) -> Generator[None, None, Touches]:
-    """What touches in captured hands, in steps: turns (T, 16, 3, 3) as `TargetHand.local` takes them, at
-    times (T,) in seconds, rising."""
+    """Detect the touches of captured hands, in steps.
+
+    `turns`: (T, 16, 3, 3), see `TargetHand.local`; `times`: (T,) seconds, rising.
+    """
     last = JOINTS_BY_FINGER[:, 2]
     across = source.joints[FINGER_JOINTS["index"][0]] - source.joints[FINGER_JOINTS["little"][0]]
     count = len(turns)
     ends, beside = np.empty((count, len(FINGERS), 2, 3)), np.empty((count, len(FINGERS), 3))
     along, gap = np.empty((count, len(PAIRS), 2)), np.empty((count, len(PAIRS)))
-    for start in range(0, count, _FOUND_AT_ONCE):
-        some = slice(start, start + _FOUND_AT_ONCE)
+    for start in range(0, count, _DETECT_FRAMES):
+        some = slice(start, start + _DETECT_FRAMES)
         whole, joints = globally(turns[some])[:, last], source.points(turns[some])[0][:, last, None]
         ends[some] = joints + np.einsum("tfab,feb->tfea", whole, skins.ends - source.joints[last, None])
         beside[some] = whole @ across
         along[some], gap[some] = _nearest(ends[some], skins.radii, PAIRS)
         yield
-    # Of fingers that lie side by side, the nearest places run from end to end.
+    # Where fingers lie side by side, the nearest places jump from end to end between frames.
     along = _mean(along, times)
     places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
     ways = places[:, :, 0] - places[:, :, 1]
     beside = np.abs((_units(ways) * _units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
-    near = _falling(gap, TOUCHING) * np.where(PAIRS[:, 0] == 0, 1.0, _falling(beside, _CROSSED))
+    near = _falling(gap, TOUCH_GAP) * np.where(PAIRS[:, 0] == 0, 1.0, _falling(beside, _CROSSED_SHARE))
     most = near.copy()
     for first, second, _ in _neighbours(times):
         most[first] = np.maximum(most[first], near[second])
@@ -160,21 +162,21 @@ def keeping_contacts(
     turns: np.ndarray,
     times: np.ndarray,
     keyed: np.ndarray | None = None,
-) -> Generator[float, None, Kept]:
-    """Have a character's fingertips touch where captured ones do, in steps that tell how much is done, 0..1.
+) -> Generator[float, None, ContactResult]:
+    """Have a character's fingertips touch where captured ones do, in steps that yield the share done, 0..1.
 
     `source`, `skins` and `turns` (T, 16, 3, 3) are the captured hand's, of the target's side; times (T,) in
     seconds, rising. `keyed` (K,) bool: the bones that may turn more than captured; None: all.
     """
     standing, apart = np.empty((len(turns), len(target.bones), 3, 3)), np.zeros(len(turns))
-    for start in range(0, len(turns), _FOUND_AT_ONCE):
-        standing[start : start + _FOUND_AT_ONCE] = target.standing(turns[start : start + _FOUND_AT_ONCE])
+    for start in range(0, len(turns), _DETECT_FRAMES):
+        standing[start : start + _DETECT_FRAMES] = target.standing(turns[start : start + _DETECT_FRAMES])
         yield 0.0
     times = np.asarray(times, dtype=np.float64)
-    found = yield from retold(finding_touches(source, skins, turns, times), lambda: 0.0)
+    found = yield from map_yields(finding_touches(source, skins, turns, times), lambda: 0.0)
     chains = _Chains.of(target, source, skins, np.ones(len(target.bones), bool) if keyed is None else keyed)
     x = np.zeros((len(turns), len(chains.bones)))
-    for some, done in _slices(found.weights[:, chains.told].max(axis=1, initial=0.0)):
+    for some, done in _slices(found.weights[:, chains.known_pairs].max(axis=1, initial=0.0)):
         x[some] = chains.problem(standing[some], found, some).solve(x[some], 0)
         yield 0.5 * done
     x = _mean(x, times)
@@ -183,14 +185,14 @@ def keeping_contacts(
         x[some] = problem.solve(x[some], 1)
         standing[some], apart[some] = problem.turned(standing[some], x[some]), problem.apart(x[some])
         yield 0.5 + 0.5 * done
-    return Kept(standing, apart, np.abs(x).max(axis=1, initial=0.0))
+    return ContactResult(standing, apart, np.abs(x).max(axis=1, initial=0.0))
 
 
 def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
     """The frames whose value (T,) is not zero, some at a time, and which share of them is done with these."""
     rows = np.flatnonzero(value)
-    for start in range(0, len(rows), _AT_ONCE):
-        yield rows[start : start + _AT_ONCE], min((start + _AT_ONCE) / len(rows), 1.0)
+    for start in range(0, len(rows), _SOLVE_FRAMES):
+        yield rows[start : start + _SOLVE_FRAMES], min((start + _SOLVE_FRAMES) / len(rows), 1.0)
 
 
 def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,13 +210,13 @@ def _units(vectors: np.ndarray) -> np.ndarray:
 
 
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
-    """1 up to the first, 0 from the second on, smooth between."""
+    """1 up to the first bound, 0 from the second on, smooth between."""
     share = np.clip((range_[1] - value) / (range_[1] - range_[0]), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Of (T, ...) those within `BLEND` of each frame, nearer ones counting more."""
+    """(T, ...) means of values (T, ...) over the frames within `BLEND_SECONDS`, nearer ones counting more."""
     total, count = values.copy(), np.ones(len(times))
     for first, second, share in _neighbours(times):
         shares = share.reshape(-1, *[1] * (values.ndim - 1))
@@ -226,10 +228,10 @@ def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray], None, None]:
-    """Frames and those that are so many after them, for as many as lie within `BLEND` of each other anywhere,
-    and how near each is: 1 at the same time, 0 from `BLEND` on."""
+    """Pairs of frames within `BLEND_SECONDS` of each other, as slices that are one, two, ... frames apart,
+    and their weights: 1 at the same time, 0 from `BLEND_SECONDS` on."""
     for step in range(1, len(times)):
-        share = np.maximum(1.0 - (times[step:] - times[:-step]) / BLEND, 0.0)
+        share = np.maximum(1.0 - (times[step:] - times[:-step]) / BLEND_SECONDS, 0.0)
         if not share.any():
             return
         yield slice(0, len(times) - step), slice(step, None), share
@@ -258,13 +260,13 @@ class _Chains:
     """(U,) the bone of each angle"""
     which: np.ndarray
     """(U,) twist, spread or bend of it: 0, 1, 2"""
-    unwelcome: np.ndarray
+    turn_cost: np.ndarray
     """(U,) the diagonal of M"""
     lower: np.ndarray
     """(U,) radians"""
     upper: np.ndarray
     """(U,)"""
-    told: np.ndarray
+    known_pairs: np.ndarray
     """(P,) which of `PAIRS` have two last bones"""
 
     @classmethod
@@ -288,13 +290,15 @@ class _Chains:
             lent, above = [joint], target.joints[parent] if parent >= 0 else ()
             while (before := PARENTS[lent[-1]]) and before not in above:
                 lent.append(before)
-            cost = (_THUMB if finger == "thumb" else _FINGER)[FINGER_JOINTS[finger].index(lent[-1])]
+            cost = (_THUMB_TURN_COST if finger == "thumb" else _FINGER_TURN_COST)[
+                FINGER_JOINTS[finger].index(lent[-1])
+            ]
             rows = np.array(lent) - 1
-            for axis, unwelcome in enumerate(cost):
-                if keyed[k] and np.isfinite(unwelcome):
+            for axis, turn_cost in enumerate(cost):
+                if keyed[k] and np.isfinite(turn_cost):
                     low, high = limits.lower[rows, axis].sum(), limits.upper[rows, axis].sum()
-                    angles.append((k, axis, unwelcome, float(low), float(high)))
-        bones, which, unwelcome, lower, upper = np.reshape(angles, (-1, 5)).T
+                    angles.append((k, axis, turn_cost, float(low), float(high)))
+        bones, which, turn_cost, lower, upper = np.reshape(angles, (-1, 5)).T
         bones, which = bones.astype(int), which.astype(int)
 
         last = np.full(len(FINGERS), -1)
@@ -310,22 +314,22 @@ class _Chains:
                 carries[f] |= bones == bone
                 bone = target.parents[bone]
         first, second = last[PAIRS].T
-        told = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
+        known_pairs = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
         return cls(
             *(target, axes, starts, last, skins.radii, ends, carries),
-            *(bones, which, unwelcome, lower, upper, told),
+            *(bones, which, turn_cost, lower, upper, known_pairs),
         )
 
     def problem(self, standing: np.ndarray, found: Touches, rows: np.ndarray) -> _Problem:
-        """What touches in some rows (N,) of all frames, where the bones stand as captured: (N, K, 3, 3)."""
+        """The problem of the frames `rows` (N,), whose bones stand as captured: (N, K, 3, 3)."""
         whole = self.whole(standing)
         local = whole.copy()
         for k, parent in enumerate(self.target.parents):
             if parent >= 0:
                 local[:, k] = np.swapaxes(whole[:, parent], -1, -2) @ whole[:, k]
         angles = rotmat_to_euler(np.swapaxes(self.axes, -1, -2) @ local @ self.axes)
-        pairs = self.told[found.weights[rows][:, self.told].any(axis=0)]
-        return _Problem(self, PAIRS[pairs], angles, found.some(rows, pairs))
+        pairs = self.known_pairs[found.weights[rows][:, self.known_pairs].any(axis=0)]
+        return _Problem(self, PAIRS[pairs], angles, found.subset(rows, pairs))
 
     def whole(self, standing: np.ndarray) -> np.ndarray:
         """How bones (N, K, 3, 3) are turned from where ours rest, in our rest space."""
@@ -418,51 +422,51 @@ class _Problem:
     def stiffness(self, slopes: np.ndarray, along: float) -> np.ndarray:
         """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
         pose. `along`: the share of what lies along them that is closed at most."""
-        gives = (slopes**2 / self.chains.unwelcome).sum(axis=(-1, -2))
+        gives = (slopes**2 / self.chains.turn_cost).sum(axis=(-1, -2))
         towards, weights = _units(self.touching.ways), self.touching.weights
-        between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.unwelcome).sum(axis=-1)
+        between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.turn_cost).sum(axis=-1)
         share = along * weights * (self.pairs == 0).any(axis=1)
         rho = [
-            weight / (np.maximum(give, 1e-9) * (1.0 - weight + _LEFT_OPEN))
+            weight / (np.maximum(give, 1e-9) * (1.0 - weight + _OPEN_SHARE))
             for weight, give in ((weights, between), (share, (gives - between) / 2.0))
         ]
         normal = towards[..., :, None] * towards[..., None, :]
         return rho[0][..., None, None] * normal + rho[1][..., None, None] * (np.eye(3) - normal)
 
-    def some(self, rows: np.ndarray) -> _Problem:
-        """Some frames alone."""
+    def subset(self, rows: np.ndarray) -> _Problem:
+        """The problem of the frames `rows` alone."""
         every = np.arange(len(self.pairs))
-        return _Problem(self.chains, self.pairs, self.angles[rows], self.touching.some(rows, every))
+        return _Problem(self.chains, self.pairs, self.angles[rows], self.touching.subset(rows, every))
 
     def solve(self, about: np.ndarray, again: int) -> np.ndarray:
         """x (N, U), the least away from `about` (N, U), by projected Levenberg-Marquardt: the first time (0)
         or `again` (1), from the mean."""
-        chains, unwelcome = self.chains, self.chains.unwelcome
+        chains, turn_cost = self.chains, self.chains.turn_cost
         captured = self.angles[:, chains.bones, chains.which]
-        # What is beyond its range already may stay so.
-        low = np.clip(chains.lower - captured, -_FARTHEST[0], 0.0)
-        high = np.clip(chains.upper - captured, 0.0, _FARTHEST[0])
-        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1], _ALONG[again])
+        # Angles that are beyond their range already may stay there.
+        low = np.clip(chains.lower - captured, -_MAX_TURN[0], 0.0)
+        high = np.clip(chains.upper - captured, 0.0, _MAX_TURN[0])
+        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1], _SLIDING_SHARE[again])
         about = np.clip(about, low, high)
         if again:
-            low, high = np.maximum(low, about - _FARTHEST[1]), np.minimum(high, about + _FARTHEST[1])
+            low, high = np.maximum(low, about - _MAX_TURN[1]), np.minimum(high, about + _MAX_TURN[1])
         x, damping, left = about.copy(), np.full(len(about), 1e-3), np.arange(len(about))
-        own = np.arange(len(unwelcome))
+        own = np.arange(len(turn_cost))
 
         def cost(off: np.ndarray, rho: np.ndarray, away: np.ndarray) -> np.ndarray:
-            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (unwelcome * away**2).sum(
+            return ((rho @ off[..., None])[..., 0] * off).sum(axis=(-1, -2)) + (turn_cost * away**2).sum(
                 axis=-1
             )
 
-        for _ in range(_MOST_STEPS):
-            problem, stiff, here, away = self.some(left), rho[left], x[left], x[left] - about[left]
+        for _ in range(_MAX_STEPS):
+            problem, stiff, here, away = self.subset(left), rho[left], x[left], x[left] - about[left]
             off, slopes = problem.forward(here, jacobian=True)
             flat = slopes.reshape(len(left), -1, len(own))
             pull = np.swapaxes((stiff @ slopes).reshape(flat.shape), -1, -2)
-            gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + unwelcome * away
+            gradient = (pull @ off.reshape(len(left), -1, 1))[..., 0] + turn_cost * away
             free = ~((here <= low[left]) & (gradient > 0.0) | (here >= high[left]) & (gradient < 0.0))
             hessian = (pull @ flat) * (free[:, :, None] & free[:, None, :])
-            hessian[:, own, own] += unwelcome
+            hessian[:, own, own] += turn_cost
             hessian[:, own, own] *= 1.0 + damping[left][:, None]
             step = np.linalg.solve(hessian, np.where(free, -gradient, 0.0)[..., None])[..., 0]
             tried = np.clip(here + step, low[left], high[left])
@@ -470,7 +474,7 @@ class _Problem:
             better = costs[1] < costs[0]
             x[left[better]] = tried[better]
             damping[left] *= np.where(better, 0.1, 10.0)
-            left = left[np.abs(tried - here).max(axis=1) > _SMALL]
+            left = left[np.abs(tried - here).max(axis=1) > _STEP_TOLERANCE]
             if not len(left):
                 break
         return x

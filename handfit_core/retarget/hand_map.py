@@ -19,13 +19,12 @@ PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
 
 USUAL_THUMB_ROLL: Final = 30.0
-"""degrees of `HandMap.thumb_roll` for rigs that nobody has looked at: what Rigify's metarig, VRM's T-pose and
-Mixamo's thumbs need within 6 degrees, since they rest with the nail turned farther away from the hand's back
-than ours"""
+"""degrees: default of `HandMap.thumb_roll`. Rigify's metarig, VRM's T-pose and Mixamo's thumbs need this
+within 6 degrees, since they rest with the nail turned farther away from the hand's back than ours"""
 
-_LONGEST: Final = 256
+_MAX_NAME_LENGTH: Final = 256
 """characters of a bone's name; Blender's own limit is 63 bytes"""
-_LARGEST: Final = 1_000_000
+_MAX_PRESET_BYTES: Final = 1_000_000
 """bytes of a preset, characters of a table; a preset with 63 bytes for every bone's name has some 4 000"""
 _RANGES: Final = {"thumb_roll": (-360.0, 360.0), "fold": (0.0, 1.0)}
 
@@ -43,7 +42,7 @@ class HandMap:
     control: str = ""
     """The bone that moves the whole hand; empty: the hand's own"""
     rig: str = ""
-    """What the rig was taken for, as an artist reads it"""
+    """The kind of rig that was recognised, as an artist reads it"""
     thumb_roll: float = 0.0
     """degrees about each of the thumb's bones; positive turns its nail towards the back of the hand, on
     either hand"""
@@ -112,7 +111,7 @@ class HandMap:
                 fits = type(value) in (int, float) and lowest <= value <= highest
             else:
                 kind = bool if kinds[name] == "bool" else str
-                fits = isinstance(value, kind) and len(str(value)) <= _LONGEST
+                fits = isinstance(value, kind) and len(str(value)) <= _MAX_NAME_LENGTH
             if not fits:
                 raise HandModelError(f"{name} of this table of a hand's bones is {shown(str(value)[:40])!r}")
             values[name] = value
@@ -183,7 +182,7 @@ def from_preset(text: str) -> list[HandMap]:
 def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
     """The tables of a preset file. Raises HandModelError, which names it."""
     try:
-        return from_preset(read_file(path, _LARGEST).decode("utf-8", "replace"))
+        return from_preset(read_file(path, _MAX_PRESET_BYTES).decode("utf-8", "replace"))
     except (OSError, ValueError) as error:
         raise HandModelError(f"{shown(path)}: {why(error)}") from error
     except HandModelError as error:
@@ -191,7 +190,7 @@ def read_preset(path: str | os.PathLike[str]) -> list[HandMap]:
 
 
 def _json(text: str, what: str) -> Any:
-    if len(text) > _LARGEST:
+    if len(text) > _MAX_PRESET_BYTES:
         raise HandModelError(f"this is no {what} of a hand's bones: it is too long")
     try:
         data = json.loads(text)
@@ -205,7 +204,7 @@ def _names(data: Any, keys: tuple[str, ...]) -> tuple[str, ...]:
     if not isinstance(data, dict) or not set(data) <= set(keys):
         raise HandModelError(f"a table of a hand's bones names them by {', '.join(keys)}")
     names = tuple(data.get(key, "") for key in keys)
-    if not all(isinstance(name, str) and len(name) <= _LONGEST for name in names):
+    if not all(isinstance(name, str) and len(name) <= _MAX_NAME_LENGTH for name in names):
         raise HandModelError("a table of a hand's bones holds names")
     return names
 

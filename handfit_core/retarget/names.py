@@ -40,7 +40,7 @@ class Name:
     """its words without the side, in small letters and without what stands between them; numbers that follow
     each other are kept apart"""
     plain: str
-    """the same, numbers without leading zeros"""
+    """`exact`, with numbers without leading zeros"""
     left: str
     """how the bone of the left side is called"""
     copy: str
@@ -87,9 +87,10 @@ class Rig:
     palm: str = ""
     """The metacarpals, likewise, or all four"""
     prefix: str = ""
-    """What stands before each name as a rule; anything else may, too"""
+    """The usual prefix of each name; others are recognised, too"""
     thumb_roll: float = USUAL_THUMB_ROLL
-    """As in `HandMap`: with it, nails of characters that were looked at face where ours does"""
+    """degrees, see `HandMap.thumb_roll`: with it, nails of characters that were inspected face where ours
+    do"""
 
     @functools.cached_property
     def slots(self) -> dict[int, str]:
@@ -206,7 +207,8 @@ for _number, _rig in enumerate(RIGS):
 
 
 def _hand(bones: Bones, side: Side, rig: Rig, bearers: dict[int, int]) -> Found | None:
-    """What some bones are as a hand of that side, if they are one."""
+    """The hand of that side that the `bearers` (bones by slot) of a rig's names are; None where they are
+    none."""
     fingers = {f: [j for j in joints if j in bearers] for f, joints in FINGER_JOINTS.items()}
     fingers = {finger: joints for finger, joints in fingers.items() if joints}
     if len(fingers) < 2 or sum(map(len, fingers.values())) < 4:

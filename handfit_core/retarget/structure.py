@@ -1,8 +1,8 @@
 """Which bones are a hand, whatever they are called: by how they branch and where they lie.
 
 A hand is a bone from which chains of bones fan out. The thumb is the one that begins nearest the wrist and
-points elsewhere; the others stand in a row away from it. Metacarpals and bones at the tips are told from the
-three bones of a finger by where they begin and by how many there are.
+points elsewhere; the others stand in a row away from it. Metacarpals and bones at the tips are distinguished
+from the three bones of a finger by where they begin and by how many there are.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ LABEL = "By its structure"
 _TIP = re.compile(r"(tip|end|nub|leaf|先)[._\s]?(l|r|left|right)?$", re.IGNORECASE)
 _NO_HAND = re.compile(r"toe|foot|hair|skirt|wing|tail|cloth|feather|足|髪|スカート", re.IGNORECASE)
 _HAND = re.compile(r"hand|wrist|palm|thumb|finger|mitt|手|指", re.IGNORECASE)
-"""What a name must have for two chains to be a mitten: ears, legs and straps come in pairs, too"""
-_LONGEST = 5
+"""Words of which a name needs one for two chains to be a mitten: ears, legs and straps come in pairs, too"""
+_MAX_FINGER_BONES = 5
 """bones in a finger: metacarpal, three, and one at its tip"""
-_FOLLOWED = {
+_FINGERS_FOLLOWED = {
     4: (("index",), ("middle",), ("ring",), ("little",)),
     3: (("index",), ("middle",), ("ring", "little")),
     2: (("index",), ("middle", "ring", "little")),
     1: (("index", "middle", "ring", "little"),),
 }
-"""Which of ours a hand's fingers follow, from the thumb on"""
-_FLAT = 0.02
-_LEAST = 0.2
-"""How sure to be at least: feet, jaws and hair stay below"""
+"""Captured fingers that the fingers of a hand follow, by their number without the thumb, from the index on"""
+_MIN_LEANING = 0.02
+"""Bend of the fingers, see `leaning`, below which it does not tell the side"""
+_MIN_CONFIDENCE = 0.2
+"""Least confidence of a hand: feet, jaws and hair stay below"""
 
 
 def structured_hands(bones: Bones, side: Side) -> list[Found]:
@@ -52,13 +53,14 @@ def structured_hands(bones: Bones, side: Side) -> list[Found]:
             guess = _hand(bones, hand, depth)
         except HandModelError:  # bones in one place or on a line are no hand
             continue
-        if guess is not None and guess.sure > _LEAST and guess.hand_map.side == side:
+        if guess is not None and guess.sure > _MIN_CONFIDENCE and guess.hand_map.side == side:
             found.append(guess)
     return sorted(found, key=lambda one: -one.sure)
 
 
 def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int], list[int]]]:
-    """What hangs from a bone like fingers: each the bones that it shares with others, and its own."""
+    """The chains that hang from a bone like fingers: for each, the bones it shares with others, and its
+    own."""
     found: list[tuple[list[int], list[int]]] = []
     open_ends = [([], [child]) for child in bones.children[hand] if depth[child] > 1]
     while open_ends:
@@ -68,7 +70,7 @@ def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int],
             if len(stem) + len(own) > 1:
                 return []  # an arm, a spine: what hangs there are no fingers
             open_ends += [(own, [child]) for child in deep]
-        elif len(own) > _LONGEST:
+        elif len(own) > _MAX_FINGER_BONES:
             return []
         elif bones.children[own[-1]]:
             open_ends.append((stem, [*own, deep[0] if deep else bones.children[own[-1]][0]]))
@@ -78,7 +80,7 @@ def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int],
 
 
 def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
-    """What a bone is as a hand, if it is one."""
+    """The hand that begins at a bone; None where it is none."""
     chains = _chains(bones, hand, depth)
     if not 2 <= len(chains) <= 5 or len({(stem or own)[0] for stem, own in chains}) < 2:
         return None
@@ -127,7 +129,7 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     lengths = []
     for number, i in enumerate(others):
         stem, own = chains[i]
-        fingers = _FOLLOWED[len(others)][number]
+        fingers = _FINGERS_FOLLOWED[len(others)][number]
         first = own.index(starts[i])
         own, before = own[first:], own[:first] or stem
         lengths.append(len(own))
@@ -158,7 +160,7 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     sides = [parsed(bones.names[bone]).side for bone in (*every, *bones.ancestors(hand))]
     named = next((side for side in sides if side is not None), None)
     lean = leaning(bones, hand_map)
-    if abs(lean) < _FLAT:
+    if abs(lean) < _MIN_LEANING:
         lean, sure = float(wrist[0]), sure * (1.0 if named else 0.7)
     return Found(replace(hand_map, side=named or ("left" if lean > 0.0 else "right")), sure)
 

@@ -31,10 +31,12 @@ from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side, other_side
 
-_FOLDS = {"ring": 0.15, "little": 0.25}
-"""How much of the first joint's bend a metacarpal has at most: a fist cups the palm by 10 to 20 degrees"""
-_NEAR = 0.1
-"""Tails that lie nearer than this share of a bone's length to the next bone are where bones end"""
+_FOLD_SHARES = {"ring": 0.15, "little": 0.25}
+"""Largest share of the first joint's bend that a metacarpal takes over: a fist cups the palm by 10 to 20
+degrees"""
+_TAIL_TOLERANCE = 0.1
+"""Distance from a tail to the next bone, in parts of the bone's length, up to which tails are where bones
+end"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +155,7 @@ class TargetHand:
             else:
                 finger = PALM_FINGERS[self.hand_map.palm.index(self.bones[k])]
                 bend = rotmat_to_rotvec(turns[:, FINGER_JOINTS[finger][0]])
-                turned = rotvec_to_rotmat(self.hand_map.fold * _FOLDS[finger] * bend)
+                turned = rotvec_to_rotmat(self.hand_map.fold * _FOLD_SHARES[finger] * bend)
             found[:, k] = self.aligned @ turned @ self.aligned.T @ self.corrected[k] @ self.rest[k]
         return found
 
@@ -211,7 +213,7 @@ class TargetHand:
 
 
 def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHand:
-    """What is needed to have a character's hand follow a captured one of the same side. Raises HandModelError
+    """The target for a captured hand of the same side. Raises HandModelError
     where bones are missing, where the hand itself or what carries it stands for a finger, or where bones lie
     so that there is no telling where the palm faces."""
     hand_map.check(bones.index)
@@ -343,7 +345,7 @@ def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:
     if len(chain) > 1:
         step = bones.heads[last] - bones.heads[chain[-2]]
         gap = np.linalg.norm(bones.tails[chain[-2]] - bones.heads[last])
-        if gap > _NEAR * np.linalg.norm(step):
+        if gap > _TAIL_TOLERANCE * np.linalg.norm(step):
             return bones.heads[last] + 0.8 * step
     return bones.tails[last]
 

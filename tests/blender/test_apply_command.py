@@ -132,14 +132,14 @@ def test_a_take_moves_a_character_as_its_built_hands_do(make_take):
     from blender_manient.scene.build import build_take
     from blender_manient.scene.onto_character import reading_motion
     from blender_manient.scene.store import hand_of
-    from handfit_core.slices import result_of
+    from handfit_core.slices import run_to_completion
 
     take = make_take().take
     built = build_take(take)
     for number, one in enumerate(built.hands):
         hand = hand_of(one.armature)
         assert hand is not None
-        read, computed = result_of(reading_motion(hand)), motion_of(take, take.hands[number])
+        read, computed = run_to_completion(reading_motion(hand)), motion_of(take, take.hands[number])
         np.testing.assert_array_equal(read.frames, computed.frames)
         assert len(read.frames) == 16, "gaps are filled"
         np.testing.assert_allclose(globally(read.turns), globally(computed.turns), atol=1e-5)

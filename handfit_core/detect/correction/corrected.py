@@ -121,7 +121,7 @@ def corrected(
 ) -> tuple[Landmarked, np.ndarray]:
     """Detections taken for hands of those sides, and the probability (N,) that they are."""
     parts = [_of_chunk(detections[part], sides[part], trust) for part in slices(len(detections), CHUNK)]
-    whole = Landmarked.joined([found for found, _ in parts])
+    whole = Landmarked.concatenate([found for found, _ in parts])
     return whole, np.concatenate([probability for _, probability in parts])
 
 

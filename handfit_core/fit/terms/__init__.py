@@ -1,32 +1,32 @@
-"""What hands are judged by, one term a file, each with its Jacobian.
+"""The residual terms of a fit, one a file, each with its Jacobian.
 
-A term is called with posed hands and what is seen of them, and returns `Rows`, or `PairRows` where parts of
-a hand meet. All are divided by what they are expected to be (their sigma), so that costs add up.
+A term is called with posed hands and their `Observation`, and returns `Rows`, or `PairRows` where it couples
+two parts of a hand. All residuals are divided by their expected size (their sigma), so that costs add up.
 """
 
-from handfit_core.fit.terms.apart import Apart
+from handfit_core.fit.terms.contact import Contact
 from handfit_core.fit.terms.coupling import coupling
 from handfit_core.fit.terms.depth import depth
 from handfit_core.fit.terms.distance import distance
-from handfit_core.fit.terms.in_front import InFront
+from handfit_core.fit.terms.interpenetration import Interpenetration
 from handfit_core.fit.terms.limits import Limits
 from handfit_core.fit.terms.near_pose import near_pose
+from handfit_core.fit.terms.ordinal_depth import OrdinalDepth
 from handfit_core.fit.terms.pose_prior import PosePrior
 from handfit_core.fit.terms.reprojection import reprojection
 from handfit_core.fit.terms.rows import PairRows, Rows, Term
 from handfit_core.fit.terms.shape import Shape
-from handfit_core.fit.terms.touch import Touch
 
 __all__ = [
-    "Apart",
-    "InFront",
+    "Contact",
+    "Interpenetration",
     "Limits",
+    "OrdinalDepth",
     "PairRows",
     "PosePrior",
     "Rows",
     "Shape",
     "Term",
-    "Touch",
     "coupling",
     "depth",
     "distance",

@@ -1,4 +1,4 @@
-"""Relative depth along the line of sight against what was seen."""
+"""Relative depth of the landmarks along the line of sight against the observed depth."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NEAREST = 0.02
 def depth(posed: Posed, seen: Observation) -> Rows:
     """One row for each point: r = f / d (ray . x - d) - depth, with d where depth is zero.
 
-    Depth that is seen has no zero of its own: d is solved for, but where `seen.depth_zero` knows it. It is
-    the hand's distance too, which turns metres into pixels.
+    Observed depth has no zero of its own: d is solved for where `seen.depth_zero` does not give it. It is the
+    hand's distance, too, which turns metres into pixels.
     """
     zero, free = posed.state.depth_zero[:, None], 1.0
     if seen.depth_zero is not None:

@@ -1,4 +1,4 @@
-"""How far a wrist has left its distance from the camera."""
+"""Deviation of the wrist's distance from the camera from one that is to be kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a finger's angles lie outside of what joints can do."""
+"""Joint limits: how far a finger's angles lie outside their range of motion."""
 
 from __future__ import annotations
 
@@ -13,32 +13,34 @@ from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.skeleton import JOINTS_BY_FINGER, Side
 
 SPREAD, BEND = 1, 2
-CLOSED = np.zeros((5, 9))
-CLOSED[1:, [MIDDLE_BEND, LAST_BEND]] = np.radians([10.0, 15.0])
-"""(5, 9) radians that a closed hand bends the fingers' middle and last joints beyond their own range"""
-SPREAD_LEFT = 0.3
-"""Of a knuckle's spread when it is bent by 90 degrees: collateral ligaments tighten"""
+CLOSED_HAND_MARGIN = np.zeros((5, 9))
+CLOSED_HAND_MARGIN[1:, [MIDDLE_BEND, LAST_BEND]] = np.radians([10.0, 15.0])
+"""(5, 9) radians by which a closed hand bends the fingers' middle and last joints beyond their active
+range"""
+BENT_SPREAD_SHARE = 0.3
+"""Share of a knuckle's spread that is left when it is bent by 90 degrees: collateral ligaments tighten"""
 SIGMA = float(np.radians(1.0))
 """radians beyond the range that cost as much as one sigma"""
 PASSIVE_RANGE = float(np.radians(10.0))
-"""radians beyond its own range of motion that a joint of a kept pose may be drawn: the ranges are those of
-moving it oneself, and a finger that is pressed goes further. Without this, the palm is moved where a person
-would only bend the finger."""
+"""radians beyond the active range of motion to which a joint of a pose that is corrected may be drawn: a
+finger that is pressed goes further than it does by itself. Without this, a drag would move the palm where a
+person would only bend the finger"""
 
-BEYOND = float(np.radians(3.0))
-"""radians beyond the range to which a step may lead: farther out, nothing that is seen holds a joint"""
+STEP_MARGIN = float(np.radians(3.0))
+"""radians beyond the range to which a solver's step may lead: no observation brings a joint back from farther
+out"""
 
-_PER_RADIAN = (1.0 - SPREAD_LEFT) / (np.pi / 2) * np.array([0.0, 1.0, 1.0, 1.0, 1.0])
-"""By how much a knuckle's spread shrinks with its bend; the thumb's first joint is none"""
+_PER_RADIAN = (1.0 - BENT_SPREAD_SHARE) / (np.pi / 2) * np.array([0.0, 1.0, 1.0, 1.0, 1.0])
+"""(5,) share of a knuckle's spread that is lost per radian of bend; the thumb's first joint is no knuckle"""
 
 
 class Limits:
     """Nine rows for each finger, zero inside the range: r = (a - upper) / sigma above, (a - lower) / sigma
     below.
 
-    A knuckle's range of spread is scaled by 1 - (1 - SPREAD_LEFT) * bend / 90 degrees, bend within 0..90.
-    It is wider by `CLOSED`; where hands are to stay near a pose by `PASSIVE_RANGE`, or as far as that pose
-    goes.
+    A knuckle's range of spread is scaled by 1 - (1 - BENT_SPREAD_SHARE) * bend / 90 degrees, bend within
+    0..90. All ranges are wider by `CLOSED_HAND_MARGIN`; where hands are to stay near a pose, by
+    `PASSIVE_RANGE`, or as far as that pose goes.
     """
 
     def __init__(self, side: Side, model: str = OPEN_HAND) -> None:
@@ -46,18 +48,21 @@ class Limits:
         self.lower, self.upper = (a[JOINTS_BY_FINGER - 1].reshape(5, 9) for a in (ranges.lower, ranges.upper))
 
     @property
-    def reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """(5, 9) least and most radians that steps may lead to, where no pose is kept."""
-        return self.lower - BEYOND, self.upper + CLOSED + BEYOND
+    def angle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(5, 9) and (5, 9) radians between which a solver's steps stay, where no pose is kept."""
+        return self.lower - STEP_MARGIN, self.upper + CLOSED_HAND_MARGIN + STEP_MARGIN
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:
         """The rows of B posed hands."""
-        kept, sigma, below, above = seen.kept, SIGMA, np.zeros(1), CLOSED
+        kept, sigma, below, above = seen.kept, SIGMA, np.zeros(1), CLOSED_HAND_MARGIN
         if kept is not None:
             own = np.isnan(kept.limits_sigma)[:, None, None]
             sigma = np.where(own, SIGMA, kept.limits_sigma[:, None, None])
             more = np.maximum(np.abs(self._outside(kept.angles, below, below)), PASSIVE_RANGE)
-            below, above = np.where(own, below, more), np.where(own, above, np.maximum(more, CLOSED))
+            below, above = (
+                np.where(own, below, more),
+                np.where(own, above, np.maximum(more, CLOSED_HAND_MARGIN)),
+            )
         angles = posed.state.angles
         outside = self._outside(angles, below, above)
         slope = (outside != 0.0) / sigma
@@ -71,7 +76,7 @@ class Limits:
         return rows
 
     def _outside(self, angles: np.ndarray, below: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """(B, 5, 9) radians beyond the ranges, which are wider by so much on either side."""
+        """(B, 5, 9) radians beyond the ranges, which are widened by `below` and `above`."""
         left = np.ones_like(angles)
         left[..., SPREAD] -= _PER_RADIAN * np.clip(angles[..., BEND], 0.0, np.pi / 2)
         return angles - np.clip(angles, self.lower * left - below, self.upper * left + above)

@@ -15,7 +15,7 @@ import numpy as np
 from handfit_core.geometry.rotations import rotmat_to_rotvec, skew
 
 SMALL = 1e-4
-"""radians; below this the series is exact to double precision"""
+"""radians below which the series is exact to double precision"""
 
 
 def rotation_acceleration(rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""How far a finger's angles have left a pose that is to be kept."""
+"""Deviation of a finger's angles from a pose that is to be kept."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from handfit_core.hand_model.chain import Posed
 
 
 def near_pose(posed: Posed, seen: Observation) -> Rows:
-    """Nine rows for each finger: the shorter way round from `seen.kept`, which must be there."""
+    """Nine rows for each finger: r = (a - kept) / sigma, the difference taken the shorter way round.
+
+    `seen.kept` must be there.
+    """
     assert seen.kept is not None
     angles = posed.state.angles
     weight = 1.0 / seen.kept.angle_sigma[..., None]

@@ -1,4 +1,4 @@
-"""Distance of a finger's angles from what hands usually do."""
+"""Mahalanobis distance of a finger's angles from a Gaussian of usual poses."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from handfit_core.hand_model.chain import Posed
 from handfit_core.skeleton import Side
 
 WEIGHT = 0.15
-"""of the squared distance: with more of it, closed hands open and others are drawn towards usual poses"""
+"""Factor of the squared distance: with more of it, closed hands open and others are drawn to usual poses"""
 PINNED_WEIGHT = 0.7
-"""Weight where a person has put points in place: little else tells where the others are"""
+"""Factor of the squared distance where an artist has pinned points: little else tells where the others are"""
 
 
 class PosePrior:

@@ -1,4 +1,4 @@
-"""Where landmarks project against where they were seen, in pixels."""
+"""Reprojection error: where landmarks project against where they were seen, in pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What terms give to the solver: residuals with their derivatives, and how large residuals count."""
+"""What terms give to the solver: residuals with their derivatives, and the kernel that weights them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE, cross
 Group = Literal["points", "fingers", "hand"]
 
 POINTS: Group = "points"
-"""21 of them: derivatives by the point's place (3), metres, camera frame, and by where depth is zero (1)"""
+"""21 groups of rows: derivatives by the point's place (3), metres, camera frame, and by where depth is zero
+(1)"""
 FINGERS: Group = "fingers"
-"""5 of them, as in `skeleton.FINGERS`: derivatives by the finger's nine angles, radians"""
+"""5 groups of rows, as in `skeleton.FINGERS`: derivatives by the finger's nine angles, radians"""
 HAND: Group = "hand"
-"""One: derivatives by its own 17 variables, as `hand_model.chain` orders them"""
+"""One group of rows: derivatives by the hand's own 17 variables, as `hand_model.chain` orders them"""
 
 SIZES: dict[Group, tuple[int, int]] = {POINTS: (21, 4), FINGERS: (5, 9), HAND: (1, HAND_SIZE)}
-"""How many there are, and of how many derivatives"""
+"""How many groups of a kind a hand has, and how many derivatives their rows have"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +33,13 @@ class Rows:
     columns: np.ndarray
     """(B, count, c, derivatives + 1), the residual last"""
     certain: np.ndarray | None = None
-    """(B, count) bool: residuals that count with their square, however large. Others do so up to one sigma,
-    and linearly beyond (Huber's kernel with delta 1, on the norm of a point's rows); None: all are certain"""
+    """(B, count) bool: residuals that count with their square, however large. The others have Huber's kernel
+    with delta 1 on the norm of a point's rows: square up to one sigma, linear beyond. None: all are
+    certain"""
 
     @classmethod
     def zeros(cls, of: Group, batch: int, count: int) -> Rows:
-        """`count` rows of nothing for each point, finger or hand."""
+        """`count` rows of zeros for each point, finger or hand of `batch` hands."""
         groups, derivatives = SIZES[of]
         return cls(of, np.zeros((batch, groups, count, derivatives + 1)))
 
@@ -52,8 +54,11 @@ class Rows:
         return self.columns[..., :-1]
 
     def weighted(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns to be squared, and the cost (B,): with an iteratively re-weighted kernel rho of a squared
-        residual s, rows are multiplied with the root of rho'(s)."""
+        """(B, count, c, derivatives + 1) columns whose squares are the normal equations, and (B,) costs.
+
+        Iteratively re-weighted least squares: with the kernel rho of a squared residual s, rows are
+        multiplied with the root of rho'(s).
+        """
         squared = np.square(self.residual).sum(axis=2)
         if self.certain is None:
             return self.columns, squared.sum(axis=1)
@@ -66,24 +71,27 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class PairRows:
-    """K residuals between two parts of hands, in sigmas. There are few, of some hands only."""
+    """K residuals between two parts of a hand, in sigmas. There are few, of some hands only."""
 
     hand: np.ndarray
-    """(K,) which hand"""
+    """(K,) row of the batch"""
     fingers: np.ndarray
     """(K, 2) which fingers, as in `skeleton.FINGERS`; a part of the palm counts as one that does not move"""
     columns: np.ndarray
-    """(K, 22) to be squared: derivatives by both fingers' nine angles and by the root's turn (3), and the
-    residual"""
+    """(K, 22) derivatives by both fingers' nine angles and by the root's turn (3), and the residual; all of
+    them multiplied with the root of the kernel's slope"""
     cost: np.ndarray
-    """(K,)"""
+    """(K,) squared sigmas"""
 
 
 def between(
     posed: Posed, hand: np.ndarray, bones: np.ndarray, places: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
-    """(K, 21) derivatives of direction . (p - q), as `PairRows` orders them, for places p and q (K, 2, 3)
-    that ride on `surface` bones (K, 2) of those hands, and directions (K, 3) that stay."""
+    """(K, 21) derivatives of direction . (p - q), in the order of `PairRows.columns`.
+
+    p and q are `places` (K, 2, 3) in metres, camera frame, fixed to `bones` (K, 2) of `Surface` of the hands
+    `hand` (K,); `direction` (K, 3) is constant.
+    """
     found = np.empty((len(hand), 21))
     if not len(hand):
         return found
@@ -100,8 +108,8 @@ def between(
 
 
 class Term(Protocol):
-    """One thing that hands are judged by."""
+    """One kind of residual of a fit."""
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows | PairRows:
-        """The rows of B posed hands, of which `seen` tells."""
+        """The rows of B posed hands against their observation."""
         ...

@@ -1,4 +1,4 @@
-"""Distance of a hand's shape from what is expected, and of its length from a measured one."""
+"""Deviation of a hand's shape from the expected one, and of its length from a measured one."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from handfit_core.hand_model.chain import BETAS, Posed
 from handfit_core.skeleton import NUM_BETAS
 
 LENGTH_SIGMA = 0.001
-"""metres, of a length that was measured; left to the coefficients' own spread, proportions would overrule
-it"""
+"""metres, of a measured length; with the betas' own spread alone, proportions would overrule it"""
 
 WEIGHT = 0.2
-"""of the squared betas, where the length is not known: hands' proportions differ more than the open hand's
-betas, of sigma 1, expect. Their size, which hardly any picture tells from their distance, does not"""
+"""Factor of the squared betas where the length is not known: hands' proportions differ more than the open
+hand's betas, of sigma 1, expect. Their size does not, and hardly any picture tells it from the distance"""
 
 
 class Shape:
-    """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured. Where it was
-    not, the ten count `WEIGHT` times but for what changes the length.
+    """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured.
 
-    `length_rates` (10,): metres by which it grows with each beta; it is all but linear in them. None: nobody
-    knows. All counts `weight` times: in a clip with one shape that would else be judged in each frame.
+    Where it was not, the ten count `WEIGHT` times, except in the direction that changes the length.
+    `length_rates` (10,): metres by which the length grows with each beta, in which it is almost linear; None:
+    not known. `weight`: factor of the whole cost, for clips with one shape, which would otherwise count once
+    a frame.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ from handfit_core.edit import RefineHand, from_message, landmark_points, refit_e
 from handfit_core.edit.adding import KNUCKLE, WRIST, Seen, laid, with_added
 from handfit_core.errors import OptionError, ProtocolError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
-from handfit_core.fit.terms.limits import BEYOND
+from handfit_core.fit.terms.limits import STEP_MARGIN
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
@@ -107,7 +107,7 @@ def test_a_hand_needs_a_size(knuckle: tuple[float, float]) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_points_are_met_and_poses_get_better_with_each(side: Side) -> None:
+def test_more_points_better_poses(side: Side) -> None:
     truth, pixels = seen(side)
     alone = [
         aligned_error(points_of(h := added(side, p, []), h), t) for p, t in zip(pixels, truth, strict=True)
@@ -139,12 +139,12 @@ def test_poses_are_what_a_hand_can_do(side: Side) -> None:
         result = refit_each(added(side, place, POINTS[6]))
         rotations = rotvec_to_rotmat(result.hand_pose[0].reshape(15, 3))
         angles = anatomical_angles(rotations, anatomical_axes(model))
-        assert np.all(angles < upper + BEYOND + 1e-6)
-        assert np.all(angles > lower - BEYOND - 1e-6)
+        assert np.all(angles < upper + STEP_MARGIN + 1e-6)
+        assert np.all(angles > lower - STEP_MARGIN - 1e-6)
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_the_side_of_the_hand_that_is_seen_follows_from_the_points(side: Side) -> None:
+def test_visible_side_follows_points(side: Side) -> None:
     """Thumb and little finger tell palm from back, however the hand was laid."""
     truth = rotvec_to_rotmat(posed(side)[0])[:, :, 1]
     turned = [
@@ -154,7 +154,7 @@ def test_the_side_of_the_hand_that_is_seen_follows_from_the_points(side: Side) -
     assert np.mean(turned) > 0.9
 
 
-def test_the_way_there_does_not_count() -> None:
+def test_path_does_not_count() -> None:
     """A draft comes near to what is kept, and neither depends on an answer before."""
     place = seen("right")[1][8]
     hand = added("right", place, POINTS[6])
@@ -167,7 +167,7 @@ def test_the_way_there_does_not_count() -> None:
     assert away.mean() < 0.1 * np.ptp(place, axis=0).max()
 
 
-def test_fingers_without_a_point_bend_as_their_neighbours() -> None:
+def test_fingers_without_points() -> None:
     """Of a fist, index and little fingertips are enough for the two between them."""
     model = kept_model("open-hand", "right")
     axes = anatomical_axes(model)
@@ -195,7 +195,7 @@ def test_locked_joints_stay() -> None:
     assert np.any(whole.hand_pose != hand.hand_pose)
 
 
-def test_one_palm_point_corrects_the_pose_that_is_there() -> None:
+def test_one_palm_point() -> None:
     """In another frame of a clip a hand holds: a fingertip that is dragged there bends its finger alone."""
     place = seen("right")[1][0]
     hand = added("right", place, [])
@@ -226,7 +226,7 @@ def test_frames_between_two_are_filled() -> None:
     assert np.all(np.diff(found.landmarks_2d[:, KNUCKLE, 0]) > 0)
 
 
-def test_messages_say_that_a_hand_was_added() -> None:
+def test_messages_of_added_hands() -> None:
     hand = added("left", seen("left")[1][0], POINTS[3])
     message = json.loads(json.dumps(to_message(hand), allow_nan=False))
     assert from_message(message).added

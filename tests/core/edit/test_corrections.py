@@ -9,7 +9,7 @@ from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
     changed_quats,
-    changed_stretches,
+    changed_segments,
     correction_between,
 )
 from handfit_core.errors import TakeError
@@ -23,19 +23,19 @@ from handfit_core.geometry.rotations import (
 from tests.corrections import correction, random_field
 
 
-def test_weights_are_one_at_home_and_zero_on_other_corrections():
+def test_weights_at_corrections():
     field = random_field(1, [10, 13, 30], spread=6.0)
     np.testing.assert_allclose(field.weights(np.array([10, 13, 30])), np.eye(3), atol=1e-12)
 
 
-def test_neighbours_within_their_spread_share_what_lies_between():
+def test_overlapping_spreads():
     field = random_field(1, [10, 14], spread=6.0)
     weights = field.weights(np.linspace(10, 14, 41))
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
     assert (np.diff(weights[:, 0]) < 0).all()
 
 
-def test_weights_fall_from_one_to_zero_over_the_spread():
+def test_weights_fall_over_spread():
     field = random_field(1, [20], spread=5.0)
     weights = field.weights(np.arange(12.0, 29.0))[:, 0]
     assert (weights[:4] == 0).all()
@@ -46,7 +46,7 @@ def test_weights_fall_from_one_to_zero_over_the_spread():
     assert field.weights(np.array([22.5]))[0, 0] == pytest.approx(0.5)
 
 
-def test_no_spread_touches_its_own_frame_only():
+def test_no_spread():
     field = random_field(1, [20], spread=0.0)
     np.testing.assert_array_equal(field.weights(np.array([19.0, 19.99, 20.0, 20.01]))[:, 0], [0, 0, 1, 0])
 
@@ -58,7 +58,7 @@ def test_an_empty_field_is_zero():
     assert not location.any()
 
 
-def test_outside_of_the_changed_stretches_two_fields_are_the_same():
+def test_changed_segments():
     """Against the definition, on a fine grid, for corrections that come, go and change."""
     rng = np.random.default_rng(5)
     grid = np.linspace(0, 100, 2001)
@@ -71,13 +71,13 @@ def test_outside_of_the_changed_stretches_two_fields_are_the_same():
         for frame in rng.choice(100, rng.integers(0, 3), replace=False):
             new = new.having({int(frame): correction(rng, float(rng.integers(0, 15)))})
         inside = np.zeros(len(grid), dtype=bool)
-        for first, last in changed_stretches(old, new):
+        for first, last in changed_segments(old, new):
             inside |= (grid >= first) & (grid <= last)
         for before, after in zip(old.at(grid), new.at(grid), strict=True):
             np.testing.assert_allclose(before[~inside], after[~inside], atol=1e-12)
 
 
-def test_turns_lead_from_one_rotation_to_the_other():
+def test_correction_between():
     rng = np.random.default_rng(2)
     before, after = rng.normal(size=(2, 50, 4))
     before[0] *= 3.0  # keys need not be of unit length
@@ -88,7 +88,7 @@ def test_turns_lead_from_one_rotation_to_the_other():
     np.testing.assert_allclose(rotvec_to_quat(np.zeros(3)), [1, 0, 0, 0], atol=0)
 
 
-def test_quaternion_product_is_the_product_of_rotations():
+def test_quat_multiply():
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=(2, 20, 4))
     np.testing.assert_allclose(
@@ -144,7 +144,7 @@ def test_what_is_no_correction_is_refused(text):
         CorrectionField.from_json(text)
 
 
-def test_the_field_is_zero_where_frames_are_keyed_anew():
+def test_field_is_zero_at_new_keys():
     """On any of them, whatever is corrected around, between, or cleared afterwards."""
     rng = np.random.default_rng(6)
     for _ in range(200):
@@ -162,7 +162,7 @@ def test_the_field_is_zero_where_frames_are_keyed_anew():
         assert not new.cleared(new.corrected).corrections
 
 
-def test_joints_that_are_not_keyed_keep_their_corrections():
+def test_other_joints_keep_corrections():
     old = random_field(3, [10, 20], spread=8.0)
     for frame in (10.0, 12.0, 17.5):
         new = old.keyed_anew([frame], joints=range(1, 16), location=False, keep_pins=True)

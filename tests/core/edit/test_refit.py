@@ -138,7 +138,7 @@ def test_handles_are_the_solvers_points(side: Side) -> None:
 
 
 @pytest.mark.parametrize("by", [(6.0, 0.0), (0.0, 12.0), (-15.0, 20.0)])
-def test_a_dragged_fingertip_lands_on_its_pin(by: tuple[float, float]) -> None:
+def test_dragged_fingertip(by: tuple[float, float]) -> None:
     hand, before = dragged(TIP, by)
     after = refit_each(hand).landmarks_2d[0]
     assert distance(after[TIP], hand.pins[0, TIP]) < 1.0
@@ -156,7 +156,7 @@ def test_several_pins_are_all_met() -> None:
 
 
 @pytest.mark.parametrize("keypoint", [5, 17])
-def test_a_dragged_knuckle_turns_the_palm_about_the_wrist(keypoint: int) -> None:
+def test_dragged_knuckle(keypoint: int) -> None:
     hand, before = dragged(keypoint, (-12.0, 12.0))
     after = refit_each(hand).landmarks_2d[0]
     moved = distance(after, before)
@@ -165,7 +165,7 @@ def test_a_dragged_knuckle_turns_the_palm_about_the_wrist(keypoint: int) -> None
     assert moved[0] < 0.6 * moved[keypoint]
 
 
-def test_a_dragged_wrist_leaves_the_fingertips() -> None:
+def test_dragged_wrist() -> None:
     hand, before = dragged(0, (12.0, -9.0))
     after = refit_each(hand).landmarks_2d[0]
     moved = distance(after, before)
@@ -174,7 +174,7 @@ def test_a_dragged_wrist_leaves_the_fingertips() -> None:
     assert moved[list(TIP_KEYPOINTS)].max() < 4.0
 
 
-def test_a_pin_that_moves_nothing_changes_nothing() -> None:
+def test_pin_in_place() -> None:
     hand, before = dragged(TIP, (0.0, 0.0))
     found = refit_each(hand)
     assert distance(found.landmarks_2d[0], before).max() < 0.5
@@ -189,7 +189,7 @@ def test_a_pin_that_moves_nothing_changes_nothing() -> None:
     assert distance(again, before)[OTHERS].max() < 0.3 * off + 0.5
 
 
-def test_without_pins_a_pose_stays_to_the_last_bit() -> None:
+def test_no_pins_keep_pose() -> None:
     detection, start = photo()
     found = refit_each(make_hand("right", [detection], start))
     for name, rows in zip(("global_orient", "hand_pose", "transl"), start[1:], strict=True):
@@ -247,7 +247,7 @@ def test_all_locked_stays() -> None:
     np.testing.assert_array_equal(refit_each(hand).hand_pose, hand.hand_pose)
 
 
-def test_a_frame_without_a_detection_is_posed_by_its_pins() -> None:
+def test_pins_without_detection() -> None:
     """And one without a pose by its detection; one with neither comes back empty, as does one with a pose
     behind the camera."""
     detection, start = photo()
@@ -297,7 +297,7 @@ def turned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("keypoint", TIP_KEYPOINTS)
-def test_a_fingertip_dragged_outwards_leaves_the_hand_at_its_distance(keypoint: int) -> None:
+def test_outward_drag_keeps_distance(keypoint: int) -> None:
     """Nearer, it would look larger and reach the pin."""
     _, before = dragged(keypoint, (0.0, 0.0))
     hand, _ = dragged(keypoint, tuple(12.0 * outwards(before, keypoint)))
@@ -305,7 +305,7 @@ def test_a_fingertip_dragged_outwards_leaves_the_hand_at_its_distance(keypoint: 
     assert abs(found.joints_3d[0, 0, 2] - keypoints_of("right", *photo()[1])[0, 0, 2]) < 0.004
 
 
-def test_a_pin_of_a_range_leaves_the_hand_at_its_distance() -> None:
+def test_range_pin_keeps_distance() -> None:
     true, start, detections = clip()
     points = handles("right", true)
     pins = no_pins(COUNT)
@@ -329,7 +329,7 @@ def test_palm_pins_change_the_distance() -> None:
     assert 0.85 * wrist < found.joints_3d[0, 0, 2] < 0.95 * wrist
 
 
-def test_drafts_follow_a_drag_and_the_last_answer_is_as_good_as_a_direct_one() -> None:
+def test_drafts_follow_drag() -> None:
     """Small steps with few iterations each land near the pin; what is kept is fitted in full."""
     guess, missed = None, []
     for step in np.linspace(0.1, 1.0, 10):
@@ -342,7 +342,7 @@ def test_drafts_follow_a_drag_and_the_last_answer_is_as_good_as_a_direct_one() -
     assert np.linalg.norm(final.joints_3d - direct.joints_3d, axis=-1).max() < 1e-3  # metres
 
 
-def test_untouched_fingers_keep_a_hand_made_pose() -> None:
+def test_untouched_fingers_keep_pose() -> None:
     """Beyond the limits, and far from what hands usually do."""
     detection, (betas, orient, pose, transl) = photo()
     by_hand = pose.copy()
@@ -359,7 +359,7 @@ def test_untouched_fingers_keep_a_hand_made_pose() -> None:
     assert turned(by_hand[0], found.hand_pose[0])[[0, 1, 2, 12, 13, 14]].max() > 1.0
 
 
-def test_a_small_drag_hardly_turns_a_hand_made_finger() -> None:
+def test_small_drag() -> None:
     """Its own finger does not fall back to what hands usually do."""
     detection, (betas, orient, pose, transl) = photo()
     by_hand = pose.copy()
@@ -379,7 +379,7 @@ def test_fingers_ride_on_a_dragged_knuckle() -> None:
     assert np.median(turned(hand.hand_pose[0], found.hand_pose[0])) < 5.0
 
 
-def test_a_finger_that_is_dragged_far_remembers_its_detection() -> None:
+def test_far_drag_returns_to_detection() -> None:
     """Its pose was changed by hand; where it is dragged far from that, the detection knows it better."""
     true = true_hands("right", 3, seed=1)
     detection = seen(landmarks_of("right", *true)[1], "right", noise=0.5)
@@ -396,7 +396,7 @@ def test_a_finger_that_is_dragged_far_remembers_its_detection() -> None:
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 3.0])
-def test_a_take_without_poses_is_its_capture(smoothing: float) -> None:
+def test_range_equals_capture(smoothing: float) -> None:
     """At its own frame rate, with a missing picture and a gap."""
     detections = clip()[2]
     rows: tuple[HandDetection | None, ...] = (*detections[:4], None, *detections[5:])
@@ -427,7 +427,7 @@ def test_drafts_go_on_from_the_last() -> None:
     assert distance(led.landmarks_2d, refit_each(steps[-1], draft=True).landmarks_2d).max() > 1.0
 
 
-def test_the_way_of_a_drag_does_not_count() -> None:
+def test_drag_path_does_not_count() -> None:
     """What is kept is the same after any drafts, at one go too, and comes as near to its pin."""
     steps = [dragged(4, (share * 120.0, 0.0))[0] for share in (0.25, 0.5, 0.75, 0.95, 1.0)]
     kept = []
@@ -442,7 +442,7 @@ def test_the_way_of_a_drag_does_not_count() -> None:
     assert distance(kept[0].landmarks_2d, steps[-1].pins)[0, 4] < 1.5
 
 
-def test_a_frame_whose_fit_ran_away_costs_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diverged_frame_is_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     hand = corrected_clip()
     good = refit_range(hand)
     projected = good.projected.copy()
@@ -496,7 +496,7 @@ def corrected_clip(**more: Any) -> RefineHand:
     return make_hand("right", list(detections), start, pins, **more)
 
 
-def test_pins_of_a_range_mend_the_frames_between() -> None:
+def test_range_pins_mend_frames_between() -> None:
     aims = handles("right", clip()[0])[:, TIP]
     hand = corrected_clip()
     plain = refit_range(replace(hand, pins=no_pins(COUNT)))
@@ -687,7 +687,7 @@ def test_bad_requests_are_named(message: dict[str, Any], named: str) -> None:
         result_from_message(message)
 
 
-def test_a_model_is_read_once_until_it_changes(tmp_path: Path) -> None:
+def test_kept_model(tmp_path: Path) -> None:
     path = save_model_npz(model_of("right"), tmp_path / "MANO_RIGHT.npz")
     first = kept_model(str(path), "right")
     assert kept_model(str(path), "right") is first
@@ -721,7 +721,7 @@ def test_warming_up(tmp_path: Path) -> None:
     ],
     ids=lambda value: str(np.shape(value)),
 )
-def test_answers_of_another_shape_are_named(name: str, array: np.ndarray) -> None:
+def test_wrong_answer_shapes_are_named(name: str, array: np.ndarray) -> None:
     done = answer({"mode": "draft", "hand": to_message(dragged(TIP, (1.0, 1.0))[0])}, lambda: False)
     with pytest.raises(ProtocolError, match=name):
         result_from_message({"result": {**done["result"], name: pack(array)}})

@@ -103,14 +103,14 @@ def test_gaps_are_those_of_the_mesh() -> None:
         assert np.linalg.norm(first[:, None] - second, axis=-1).min() < 0.004
 
 
-def test_frames_that_need_the_same_move_alike() -> None:
+def test_equal_frames_move_alike() -> None:
     """Also where many ways lead together: a step of what was turned is a small part of it."""
     hand, pair = moving(), (6, 4)
     moved = turned(hand, refit_each(replace(hand, touches=touches(COUNT, pair))))
     assert np.abs(np.diff(moved, axis=0)).max() < 0.5 * moved.max()
 
 
-def test_frames_that_need_something_else_move_as_if_alone() -> None:
+def test_other_frames_move_alone() -> None:
     """Each in its own way, whatever others of the same request need."""
     hand = moving()
     half = len(hand) // 2
@@ -154,7 +154,7 @@ def test_locked_fingers_stay() -> None:
     assert np.abs(gaps(hand, pair, found)).max() < np.abs(gaps(hand, pair, hand)).max()
 
 
-def test_a_range_leads_to_where_points_touch_and_away_from_there() -> None:
+def test_range_with_touches() -> None:
     hand, pair = moving(), (8, 4)
     within = touches(COUNT, pair, slice(FIRST, LAST + 1))
     plain, found = refit_range(hand), refit_range(replace(hand, touches=within))

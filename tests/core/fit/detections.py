@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.fit.terms.limits import CLOSED
+from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
@@ -122,7 +122,7 @@ def angles_of_pose(pose: np.ndarray, side: Side) -> np.ndarray:
 def ends_of_range(side: Side) -> tuple[np.ndarray, np.ndarray]:
     """(15, 3) radians: the least and the most that a hand bends joints to, closed as far as it goes."""
     ranges, closed = joint_limits(side), np.zeros((15, 3))
-    closed[JOINTS_BY_FINGER - 1] = CLOSED.reshape(5, 3, 3)
+    closed[JOINTS_BY_FINGER - 1] = CLOSED_HAND_MARGIN.reshape(5, 3, 3)
     return ranges.lower, ranges.upper + closed
 
 

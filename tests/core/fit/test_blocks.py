@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.fit.blocks import FLOOR, Blocks
+from handfit_core.fit.blocks import DIAGONAL_FLOOR, Blocks
 from handfit_core.hand_model.chain import BETAS
 from tests.core.fit.differences import close, random
 
@@ -45,7 +45,7 @@ def make_blocks(
 
 def damped(whole: np.ndarray, damping: np.ndarray) -> np.ndarray:
     diagonal = np.einsum("bii->bi", whole)
-    return whole + (diagonal * damping[:, None] + FLOOR)[..., None] * np.eye(whole.shape[-1])
+    return whole + (diagonal * damping[:, None] + DIAGONAL_FLOOR)[..., None] * np.eye(whole.shape[-1])
 
 
 fingers_alone_or_coupled = pytest.mark.parametrize("coupled", [False, True])
@@ -62,7 +62,7 @@ def test_step_equals_a_dense_solve(n: int, coupled: bool) -> None:
     close(of_fingers, expected[:, n:].reshape(4, 5, 9), rtol=1e-7, atol=1e-9)
 
 
-def test_shared_step_equals_one_dense_solve() -> None:
+def test_shared_step_equals_dense_solve() -> None:
     """The shape is the same in all problems: one matrix of 3 (7 + 45) + 10."""
     n, shared, batch = 17, 10, 3
     blocks, whole, gradient = make_blocks(batch, n)
@@ -86,7 +86,7 @@ def test_shared_step_equals_one_dense_solve() -> None:
         close(of_hand[i, common], expected[batch * size :], rtol=1e-7, atol=1e-9)
 
 
-def test_huge_damping_is_a_short_step_down_the_gradient() -> None:
+def test_huge_damping() -> None:
     blocks, whole, gradient = make_blocks(1, 7)
     of_hand, _ = blocks.step(np.array([1e9]))
     diagonal = whole[0].diagonal()
@@ -94,7 +94,7 @@ def test_huge_damping_is_a_short_step_down_the_gradient() -> None:
 
 
 @fingers_alone_or_coupled
-def test_held_variables_stay_and_the_others_are_solved_without_them(coupled: bool) -> None:
+def test_fixed_variables(coupled: bool) -> None:
     """Against a dense solve without their rows and columns; another set in each problem."""
     n = 7
     blocks, whole, gradient = make_blocks(3, n, coupled=coupled)
@@ -102,7 +102,7 @@ def test_held_variables_stay_and_the_others_are_solved_without_them(coupled: boo
     held[0, :6] = True
     held[1] = False
     damping = np.array([1e-3, 0.1, 1e-7])
-    of_hand, of_fingers = blocks.holding(held[:, :n], held[:, n:].reshape(3, 5, 9)).step(damping)
+    of_hand, of_fingers = blocks.with_fixed(held[:, :n], held[:, n:].reshape(3, 5, 9)).step(damping)
     found = np.concatenate([of_hand, of_fingers.reshape(-1, 45)], axis=1)
     full = damped(whole, damping)
     for i in range(3):

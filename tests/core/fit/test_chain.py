@@ -41,7 +41,7 @@ def test_pose_is_the_models_keypoints(side: Side) -> None:
     np.testing.assert_allclose(found, keypoints_of(chain.model, given), rtol=0, atol=1e-12)
 
 
-def test_only_tips_differ_in_a_model_with_blended_skin() -> None:
+def test_blended_skin_moves_tips_only() -> None:
     """MANO's fingertip vertices are skinned by more than one bone and moved by pose blend shapes."""
     model = imitation_model()
     chain, given = Chain(model, NO_OFFSETS), parameters(8)
@@ -138,7 +138,7 @@ def test_rows_go_through_the_jacobian() -> None:
     close(whole[..., 25:], rows[..., 3:])
 
 
-def test_moved_by_nothing_is_the_same_and_without_shape_keeps_betas() -> None:
+def test_zero_increments() -> None:
     state = make_state(2, chain_of())
     still = state.moved(np.zeros((2, 17)), np.zeros((2, 5, 9)))
     for name in State.__dataclass_fields__:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from handfit_core.fit import clips
-from handfit_core.fit.clips import smoothed
+from handfit_core.fit.clips import smooth_clip
 from handfit_core.fit.observation import Observation
-from handfit_core.fit.problem import Held, Motion, Problem
+from handfit_core.fit.problem import Held, MotionPrior, Problem
 from handfit_core.geometry.rotations import euler_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model.chain import State
 from tests.core.fit.differences import close, random
@@ -20,7 +20,7 @@ from tests.core.fit.hands import RELAXED, chain_of, observe, problem_of
 
 CHAIN = chain_of()
 FPS = 25.0
-MOTION = Motion(rotation=9.0 / FPS**2, place=0.75 / FPS**2)
+MOTION = MotionPrior(rotation=9.0 / FPS**2, place=0.75 / FPS**2)
 COUNT = 40
 
 
@@ -58,34 +58,38 @@ def clip(seed: int = 0) -> tuple[State, Observation, State]:
     return truth, observe(CHAIN.pose(truth).points, noise=3.0, seed=seed), jittered(truth, seed)
 
 
-def total_cost(seen: Observation, known: np.ndarray, state: State, calm: np.ndarray | None = None) -> float:
+def total_cost(
+    seen: Observation, known: np.ndarray, state: State, motion_scale: np.ndarray | None = None
+) -> float:
     of_frames = problem_of(CHAIN, seen, "given").blocks(state).cost[known]
     local = euler_to_rotmat(state.angles.reshape(-1, 15, 3))
     rotations = np.concatenate([state.root[:, None], local], axis=1)
-    turn, place = acceleration_of(rotations, state.wrist, calm)
+    turn, place = acceleration_of(rotations, state.wrist, motion_scale)
     return float(of_frames.sum() + turn / MOTION.rotation**2 + place / MOTION.place**2)
 
 
 def acceleration_of(
-    rotations: np.ndarray, places: np.ndarray, calm: np.ndarray | None
+    rotations: np.ndarray, places: np.ndarray, motion_scale: np.ndarray | None
 ) -> tuple[float, float]:
-    """Sums of squares, by SciPy's rotations; the palm's in parts of what `calm` expects."""
-    from scipy.spatial.transform import Rotation
+    """Sums of squares, by SciPy's rotations; the palm's in parts of what `motion_scale` expects."""
+    from scipy.spatial.transform import Rotation  # slow to load
 
     turns = np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:]
     vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(turns.shape[:-1])
     turning = np.diff(vectors, axis=0)
-    if calm is not None:
-        turning[:, 0] /= calm[1:-1, None]
+    if motion_scale is not None:
+        turning[:, 0] /= motion_scale[1:-1, None]
     return float(np.square(turning).sum()), float(np.square(np.diff(places, 2, axis=0)).sum())
 
 
-def clip_of(seen: Observation, known: np.ndarray | None = None, motion: Motion = MOTION) -> Problem:
-    return replace(problem_of(CHAIN, seen, "given"), motion=motion, looked_at=known)
+def clip_of(seen: Observation, known: np.ndarray | None = None, motion: MotionPrior = MOTION) -> Problem:
+    return replace(problem_of(CHAIN, seen, "given"), motion=motion, observed=known)
 
 
-def run(seen: Observation, start: State, known: np.ndarray | None = None, motion: Motion = MOTION) -> State:
-    return smoothed(clip_of(seen, known, motion), start)
+def run(
+    seen: Observation, start: State, known: np.ndarray | None = None, motion: MotionPrior = MOTION
+) -> State:
+    return smooth_clip(clip_of(seen, known, motion), start)
 
 
 def points_of(state: State) -> np.ndarray:
@@ -104,32 +108,34 @@ def test_total_cost_falls() -> None:
     assert total_cost(seen, known, found) < 0.2 * total_cost(seen, known, start)
 
 
-@pytest.mark.parametrize("calm", [None, np.array([1.0, 0.3, 0.05, 0.05, 0.05, 0.1, 0.4, 1.0, 1.0])])
-def test_it_is_a_minimum(monkeypatch: pytest.MonkeyPatch, calm: np.ndarray | None) -> None:
+@pytest.mark.parametrize("motion_scale", [None, np.array([1.0, 0.3, 0.05, 0.05, 0.05, 0.1, 0.4, 1.0, 1.0])])
+def test_it_is_a_minimum(monkeypatch: pytest.MonkeyPatch, motion_scale: np.ndarray | None) -> None:
     """No small change of any kind lowers the total cost; also where the palm holds still."""
     monkeypatch.setattr(clips, "ITERATIONS", 20)
     monkeypatch.setattr(clips, "TOLERANCE", 1e-9)
     _, seen, start = clip()
     part = np.arange(9)
     known = np.array([True, True, True, False, True, True, True, True, True])
-    found = smoothed(replace(clip_of(seen.select(part), known), calm=calm), start.select(part))
-    least = total_cost(seen.select(part), known, found, calm)
+    found = smooth_clip(
+        replace(clip_of(seen.select(part), known), motion_scale=motion_scale), start.select(part)
+    )
+    least = total_cost(seen.select(part), known, found, motion_scale)
     for seed in range(6):
         for size in (1e-2, 1e-3):
             other = jittered(found, seed, turn=size, place=size / 10)
-            assert total_cost(seen.select(part), known, other, calm) > least
+            assert total_cost(seen.select(part), known, other, motion_scale) > least
     # One joint of one frame, each way: the slope is zero.
     for frame, joint in [(0, 3), (3, 20), (5, 44)]:
         change = np.zeros((9, 5, 9))
         change.reshape(9, 45)[frame, joint] = 1e-4
         still = np.zeros((9, 7))
         moved = [found.moved(still, s * change) for s in (1.0, -1.0)]
-        costs = [total_cost(seen.select(part), known, m, calm) for m in moved]
+        costs = [total_cost(seen.select(part), known, m, motion_scale) for m in moved]
         curve = sum(costs) - 2 * least
         assert abs(costs[0] - costs[1]) < 0.2 * curve
 
 
-def test_motion_without_acceleration_is_kept() -> None:
+def test_constant_velocity_is_kept() -> None:
     """Even turning, straight movement and exact looks: where there is nothing to smooth, nothing changes."""
     count = 12
     still = motion_of(np.zeros(count))
@@ -152,7 +158,7 @@ def test_error_against_the_truth_falls() -> None:
     for seed in range(8):
         truth, seen, start = clip(seed)
         # The other motion is as good as no smoothing.
-        found = [run(seen, start, motion=m) for m in (MOTION, Motion(1e3, 1e3))]
+        found = [run(seen, start, motion=m) for m in (MOTION, MotionPrior(1e3, 1e3))]
         off = [shape_of(f) - shape_of(truth) for f in found]
         errors.append([np.linalg.norm(o, axis=-1).mean() for o in off])
         moved = [*off, *(f.wrist - truth.wrist for f in found)]
@@ -168,7 +174,7 @@ def test_more_smoothing_is_smoother() -> None:
     _, seen, start = clip()
     rough = [
         np.linalg.norm(np.diff(points_of(run(seen, start, motion=m)), 2, axis=0), axis=-1).mean()
-        for m in (Motion(1e3, 1e3), MOTION, Motion(MOTION.rotation / 5, MOTION.place / 5))
+        for m in (MotionPrior(1e3, 1e3), MOTION, MotionPrior(MOTION.rotation / 5, MOTION.place / 5))
     ]
     assert rough[0] > rough[1] > rough[2]
 
@@ -188,7 +194,7 @@ def test_no_lag() -> None:
     )
     seen = observe(CHAIN.pose(truth).points)
     true = np.diff(points_of(truth), axis=0).reshape(COUNT - 1, -1)
-    for motion in (MOTION, Motion(MOTION.rotation / 4, MOTION.place / 4)):
+    for motion in (MOTION, MotionPrior(MOTION.rotation / 4, MOTION.place / 4)):
         found = np.diff(points_of(run(seen, truth, motion=motion)), axis=0).reshape(COUNT - 1, -1)
         shifts = np.arange(-4, 5)
         match = np.array([(np.roll(found, s, axis=0) * true).sum() for s in shifts])
@@ -213,7 +219,7 @@ def test_time_has_no_direction() -> None:
     np.testing.assert_allclose(points_of(behind)[::-1], points_of(ahead), atol=1e-7)
 
 
-def test_frames_without_a_detection_follow_their_neighbours() -> None:
+def test_undetected_frames() -> None:
     """Whatever stands in `seen` there is not looked at."""
     truth, seen, start = clip()
     known = np.ones(COUNT, dtype=bool)
@@ -238,7 +244,7 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
     monkeypatch.setattr(clips, "ITERATIONS", 30)
     monkeypatch.setattr(clips, "TOLERANCE", 1e-9)
     whole = run(seen, start)
-    monkeypatch.setattr(clips, "WINDOW", 12)
+    monkeypatch.setattr(clips, "WINDOW_FRAMES", 12)
     calls = []
     window = clips._window
     monkeypatch.setattr(clips, "_window", lambda *a: calls.append(len(a[1])) or window(*a))
@@ -250,10 +256,8 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
 
 
 @pytest.mark.parametrize(("window", "windows"), [(600, 1), (12, 2)])
-def test_asks_before_every_window_and_iteration(
-    monkeypatch: pytest.MonkeyPatch, window: int, windows: int
-) -> None:
-    monkeypatch.setattr(clips, "WINDOW", window)
+def test_before_each_is_called(monkeypatch: pytest.MonkeyPatch, window: int, windows: int) -> None:
+    monkeypatch.setattr(clips, "WINDOW_FRAMES", window)
     monkeypatch.setattr(clips, "TOLERANCE", 0.0)
     _, seen, start = clip()
     solve, done, asked = clips._solve, [], []
@@ -261,7 +265,7 @@ def test_asks_before_every_window_and_iteration(
     motion = replace(MOTION, overlap=16)
 
     def smoothing(before_each: Callable[[], None]) -> None:
-        smoothed(clip_of(seen, motion=motion), start, before_each)
+        smooth_clip(clip_of(seen, motion=motion), start, before_each)
 
     smoothing(lambda: asked.append(len(done)))
     whole = windows * clips.ITERATIONS
@@ -278,7 +282,7 @@ def test_asks_before_every_window_and_iteration(
     assert len(done) == whole + 1
 
 
-def test_one_or_two_frames_stay_as_they_are() -> None:
+def test_one_or_two_frames() -> None:
     _, seen, start = clip()
     for count in (1, 2):
         part = np.arange(count)
@@ -294,16 +298,14 @@ def test_shape_is_not_touched() -> None:
 
 
 @pytest.mark.parametrize("window", [600, 12])
-def test_held_variables_stay_and_the_others_find_their_minimum(
-    monkeypatch: pytest.MonkeyPatch, window: int
-) -> None:
-    monkeypatch.setattr(clips, "WINDOW", window)
+def test_held_variables(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
+    monkeypatch.setattr(clips, "WINDOW_FRAMES", window)
     _, seen, start = clip()
     joints = np.zeros((COUNT, 16), dtype=bool)
     joints[:, [1, 2, 15]] = True
     joints[10:20, 0] = True
     held = Held(joints, start)
-    found = smoothed(replace(clip_of(seen, motion=replace(MOTION, overlap=16)), held=held), start)
+    found = smooth_clip(replace(clip_of(seen, motion=replace(MOTION, overlap=16)), held=held), start)
     close(held.put(found).angles, found.angles, atol=1e-9, rtol=0)
     close(found.root[10:20], start.root[10:20], atol=1e-9, rtol=0)
     assert np.array_equal(found.wrist[10:20], start.wrist[10:20])

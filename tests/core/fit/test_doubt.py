@@ -28,13 +28,13 @@ def expected_of(detections: list[HandDetection]) -> np.ndarray:
     return fit_frames(model_of("right"), detections, CAMERA).expected_error
 
 
-def test_the_worse_hands_are_seen_the_more_they_are_expected_to_err() -> None:
+def test_error_grows_with_noise() -> None:
     means = [expected_of(detections_of(noise)).mean() for noise in (0.0, 6.0, 20.0, 60.0)]
     assert np.all(np.diff(means) > 0.0)
-    assert means[0] < doubt.DOUBTFUL_ERROR < means[-1] < doubt.MOST
+    assert means[0] < doubt.DOUBTFUL_ERROR < means[-1] < doubt.MAX_ERROR
 
 
-def test_a_finger_that_is_somewhere_else_is_doubted_more_than_the_others() -> None:
+def test_displaced_finger_has_larger_error() -> None:
     clean = detections_of()
     spoilt = []
     for detection in clean:
@@ -46,14 +46,14 @@ def test_a_finger_that_is_somewhere_else_is_doubted_more_than_the_others() -> No
     assert grown.mean(axis=0).argmax() == 1
 
 
-def test_left_and_right_are_doubted_alike() -> None:
+def test_sides_have_equal_error() -> None:
     ours = detections_of(noise=3.0)
     theirs = fit_frames(model_of("left"), [mirror_image(d) for d in ours], CAMERA)
     np.testing.assert_allclose(theirs.expected_error, expected_of(ours), rtol=1e-2)
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_hand_that_may_be_the_other_one_is_doubted_more(side: Side) -> None:
+def test_unsure_side_raises_error(side: Side) -> None:
     (one,) = detections_of(side=side)[:1]
     certain = doubt.side_logits([replace(one, right_side=1.0)], side).item()
     cases = [
@@ -74,7 +74,7 @@ def test_a_hand_that_may_be_the_other_one_is_doubted_more(side: Side) -> None:
     assert fits[0] < fits[1] < fits[2]
 
 
-def test_what_is_no_hand_has_numbers_too() -> None:
+def test_degenerate_hands_have_errors() -> None:
     """All in one point, far away, behind the camera, at the camera, and nowhere."""
     fitter = fitter_of(model_of("right"))
     (one,) = detections_of()[:1]
@@ -85,17 +85,17 @@ def test_what_is_no_hand_has_numbers_too() -> None:
         for sure in (-6.0, 0.0, 6.0):
             expected = doubt.expected_error(doubt.evidence(observed, points, np.array([sure])))
             assert expected.shape == (1, 5)
-            assert np.all((expected > 0.0) & (expected <= doubt.MOST))
+            assert np.all((expected > 0.0) & (expected <= doubt.MAX_ERROR))
     assert doubt.doubtful(doubt.expected_error(doubt.evidence(observed, np.nan * start, np.ones(1)))).all()
 
 
-def test_the_threshold_is_of_the_mean_over_fingers() -> None:
+def test_doubtful_threshold() -> None:
     at = np.full((1, 5), doubt.DOUBTFUL_ERROR)
     assert not doubt.doubtful(at).any()
     assert doubt.doubtful(at + np.array([1e-3, 0.0, 0.0, 0.0, 0.0])).all()
 
 
-def test_a_track_has_them_in_its_detected_frames() -> None:
+def test_errors_of_a_track() -> None:
     found: list[HandDetection | None] = list(with_side_judged(detections_of(noise=2.0)))
     found[3] = None
     track = DetectedTrack("right", tuple(found), 25.0)
@@ -106,28 +106,28 @@ def test_a_track_has_them_in_its_detected_frames() -> None:
     np.testing.assert_array_equal(fit.doubtful, fit.expected_error.mean(axis=1) > doubt.DOUBTFUL_ERROR)
 
 
-def test_neighbours_in_time_tell_too_but_not_over_cuts_and_gaps() -> None:
+def test_temporal_mean() -> None:
     expected = np.full((12, 5), 0.005)
     expected[6] = 0.04
     frames = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 20, 21, 22])
     shots = (frames > 6).astype(int)
-    found = doubt.among_neighbours(expected, Times(frames, shots, 25.0))
+    found = doubt.temporal_mean(expected, Times(frames, shots, 25.0))
     np.testing.assert_allclose(found[[0, 1, 2, 7, 8, 9, 10, 11]], 0.005)
     assert np.all(found[3:7] > 0.005)
     np.testing.assert_allclose(found[6], (0.005**3 * 0.04) ** 0.25)
-    np.testing.assert_allclose(doubt.among_neighbours(expected, Times(frames, shots, 1.0)), expected)
-    alone = doubt.among_neighbours(expected[:1], Times(frames[:1], shots[:1], 25.0))
+    np.testing.assert_allclose(doubt.temporal_mean(expected, Times(frames, shots, 1.0)), expected)
+    alone = doubt.temporal_mean(expected[:1], Times(frames[:1], shots[:1], 25.0))
     assert alone == pytest.approx(expected[:1])
 
 
-def test_calibration_finds_the_weights_that_made_the_errors() -> None:
+def test_calibration_recovers_weights() -> None:
     rng = np.random.default_rng(0)
-    told = rng.normal(size=(4000, 5, 6))
+    features = rng.normal(size=(4000, 5, 6))
     weights, constants = (
         np.array([0.4, 0.1, -0.2, 0.0, 0.3, -0.1]),
         np.log([0.004, 0.006, 0.008, 0.01, 0.012]),
     )
-    true = np.exp(told @ weights + constants)
-    found = calibrated(told, true * rng.exponential(size=true.shape))
+    true = np.exp(features @ weights + constants)
+    found = calibrated(features, true * rng.exponential(size=true.shape))
     np.testing.assert_allclose(found["weights"], weights, atol=0.03)
     np.testing.assert_allclose(found["constants"], constants, atol=0.06)

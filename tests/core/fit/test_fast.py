@@ -10,9 +10,9 @@ import pytest
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
-from handfit_core.fit.gaps import LONGEST_GAP
+from handfit_core.fit.gaps import MAX_GAP_SECONDS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model.length import betas_of_length, flat_hand_length, tell_of_odd_shapes
+from handfit_core.hand_model.length import betas_of_length, flat_hand_length, warn_of_odd_shapes
 from handfit_core.skeleton import PARENTS, SIDES, Side
 from handfit_core.solvers import TrackFit
 from tests.core.fit.detections import (
@@ -130,7 +130,7 @@ def test_garbage_is_doubtful() -> None:
     assert clean.doubtful.mean() <= 0.05
 
 
-def test_too_few_iterations_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "MAX_ITERATIONS", 1)
     fits = fit_frames(model_of("right"), detections_of("right", poses(4)), CAMERA)
     assert not fits.solution.converged.any()
@@ -161,7 +161,7 @@ def points_of_track(side: Side, found: TrackFit) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_clip_is_recovered_with_one_shape(side: Side) -> None:
+def test_recovers_clip(side: Side) -> None:
     true, track = clip(side, 14)
     found = fitted(track)
     assert found.betas.shape == (10,)
@@ -197,7 +197,7 @@ def test_smoothing_takes_jitter_out() -> None:
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
 def test_short_gaps_are_filled_and_marked(smoothing: float) -> None:
-    most = int(LONGEST_GAP * FPS)
+    most = int(MAX_GAP_SECONDS * FPS)
     true, track = clip("right", 40, missing=(0, *range(3, 6), *range(20, 20 + most + 1)))
     found = fitted(track, smoothing)
     expected = np.zeros(40, dtype=bool)
@@ -219,7 +219,7 @@ def test_short_gaps_are_filled_and_marked(smoothing: float) -> None:
     assert off[present].max() < 5.0  # pixels
 
 
-def test_a_single_picture_among_empty_frames() -> None:
+def test_single_detection() -> None:
     _, track = clip("right", 5, missing=(0, 1, 3, 4))
     found = fitted(track)
     np.testing.assert_array_equal(found.present, track.detected)
@@ -235,7 +235,7 @@ def test_long_clips_are_cut_into_chunks(monkeypatch: pytest.MonkeyPatch) -> None
     np.testing.assert_allclose(points_of_track("right", cut), points_of_track("right", whole), atol=1e-4)
 
 
-def test_a_stopped_clip_keeps_the_chunks_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopped_clip_keeps_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     _, track = clip("right", 9, missing=(1,), noise=2.0)
     monkeypatch.setattr(fit, "CHUNK", 3)
     calls: list[int] = []
@@ -253,7 +253,7 @@ def test_a_stopped_clip_keeps_the_chunks_that_are_done(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("length", [0.15, 0.17, 0.21])
-def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> None:
+def test_given_length(side: Side, length: float) -> None:
     model = model_of(side)
     _, orient, pose, transl = (np.tile(values, (3, 1)) for values in parameters_of(side, 12, seed=5))
     betas = np.tile(betas_of_length(model, length), (36, 1))
@@ -275,7 +275,7 @@ def test_a_given_length_gives_size_and_distance(side: Side, length: float) -> No
     assert flat_hand_length(model, found.betas) == pytest.approx(length, rel=0.01)
 
 
-def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCaptureFixture) -> None:
+def test_warns_of_odd_lengths(caplog: pytest.LogCaptureFixture) -> None:
     _, track = clip("right", 2)
     model = model_of("right")
     for length, said, reached in [
@@ -286,13 +286,13 @@ def test_lengths_that_hardly_any_hand_has_are_remarked_on(caplog: pytest.LogCapt
         caplog.clear()
         found = fit_track(1.0, model, track, CAMERA, lambda: None, hand_length=length)
         assert not caplog.records  # it is not this hand's alone
-        tell_of_odd_shapes(model, length)
+        warn_of_odd_shapes(model, length)
         assert (said or "") in caplog.text
         assert bool(caplog.records) == (said is not None)
         assert flat_hand_length(model, found.betas) == pytest.approx(reached, rel=0.01)
 
 
-def test_fingers_that_another_hand_hides_are_carried_by_their_neighbours_in_time() -> None:
+def test_overlapped_fingers_in_clips() -> None:
     """In a few frames the detector takes the other hand's fingers for this one's."""
     poses, track = clip("right", 30)
     model, wrong = model_of("right"), slice(12, 17)

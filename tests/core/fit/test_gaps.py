@@ -1,11 +1,11 @@
-"""Which gaps are bridged, and what stands in them."""
+"""Which gaps are interpolate_gaps, and what stands in them."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from handfit_core.fit.gaps import LONGEST_GAP, bridged, jumps, missing_between, spans
+from handfit_core.fit.gaps import MAX_GAP_SECONDS, detect_cuts, interpolate_gaps, missing_between, segments
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import PALM_KEYPOINTS
@@ -18,22 +18,22 @@ NOT_PALM = np.setdiff1d(np.arange(21), PALM_KEYPOINTS)
 
 @pytest.mark.parametrize("fps", [5.0, 25.0, 29.97, 60.0])
 def test_gaps_up_to_the_limit_are_bridged(fps: float) -> None:
-    most = int(LONGEST_GAP * fps)
-    (stretch,) = spans(np.array([3, 4, 4 + most + 1, 4 + most + 2]), fps)
+    most = int(MAX_GAP_SECONDS * fps)
+    (stretch,) = segments(np.array([3, 4, 4 + most + 1, 4 + most + 2]), fps)
     np.testing.assert_array_equal(stretch, np.arange(3, 4 + most + 3))
-    first, second = spans(np.array([3, 4, 4 + most + 2, 4 + most + 3]), fps)
+    first, second = segments(np.array([3, 4, 4 + most + 2, 4 + most + 3]), fps)
     np.testing.assert_array_equal(first, [3, 4])
     np.testing.assert_array_equal(second, [6 + most, 7 + most])
 
 
-def test_few_frames_per_second_bridge_nothing() -> None:
-    assert [list(s) for s in spans(np.array([0, 1, 3]), 1.0)] == [[0, 1], [3]]
+def test_low_fps_has_no_gaps() -> None:
+    assert [list(s) for s in segments(np.array([0, 1, 3]), 1.0)] == [[0, 1], [3]]
 
 
 def test_every_frame_found_is_one_stretch() -> None:
-    (stretch,) = spans(np.arange(7), 25.0)
+    (stretch,) = segments(np.arange(7), 25.0)
     np.testing.assert_array_equal(stretch, np.arange(7))
-    (single,) = spans(np.array([5]), 25.0)
+    (single,) = segments(np.array([5]), 25.0)
     np.testing.assert_array_equal(single, [5])
 
 
@@ -48,7 +48,7 @@ def local_of(state: State) -> np.ndarray:
 def test_filled_frames_lie_between() -> None:
     ends = make_state(3, CHAIN, seed=4, spread=0.5)
     known = np.array([True, False, False, False, True, False, True])
-    state = bridged(ends, known)
+    state = interpolate_gaps(ends, known)
     assert len(state) == 7
     rows = np.flatnonzero(known)
     for name in State.__dataclass_fields__:
@@ -67,26 +67,26 @@ def test_filled_frames_lie_between() -> None:
 
 def test_nothing_missing_changes_nothing() -> None:
     state = make_state(4, CHAIN)
-    assert bridged(state, np.ones(4, dtype=bool)) is state
+    assert interpolate_gaps(state, np.ones(4, dtype=bool)) is state
 
 
-def test_a_jump_or_a_sudden_growth_is_a_cut() -> None:
+def test_detect_cuts() -> None:
     hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
     seen = np.stack([hand, hand + 30.0, hand + 300.0, 2.0 * hand + 300.0, 2.0 * hand + 310.0])
-    np.testing.assert_array_equal(jumps(seen), [False, True, True, False])
+    np.testing.assert_array_equal(detect_cuts(seen), [False, True, True, False])
 
 
-def test_a_fist_that_opens_at_once_is_no_cut() -> None:
+def test_opening_fist_is_no_cut() -> None:
     hand = np.random.default_rng(0).uniform(0, 100, (21, 2))
     opened = hand.copy()
     opened[NOT_PALM] *= 2.5
-    np.testing.assert_array_equal(jumps(np.stack([hand, opened])), [False])
+    np.testing.assert_array_equal(detect_cuts(np.stack([hand, opened])), [False])
 
 
-def test_stretches_end_at_cuts_and_missing_pictures() -> None:
+def test_segments_end_at_cuts() -> None:
     found = np.array([0, 1, 2, 5, 6])
     cuts = np.array([False, True, False, False])
-    assert [s.tolist() for s in spans(found, 25.0, cuts)] == [[0, 1], [2, 3, 4, 5, 6]]
+    assert [s.tolist() for s in segments(found, 25.0, cuts)] == [[0, 1], [2, 3, 4, 5, 6]]
     np.testing.assert_array_equal(missing_between(found, (3,)), [False, False, True, False])
     np.testing.assert_array_equal(missing_between(found, (2, 5)), [False, False, True, True])
     np.testing.assert_array_equal(missing_between(found, ()), [False] * 4)

@@ -21,7 +21,7 @@ def test_inverse_right_jacobian_by_differences(angle: float) -> None:
         turn = rotvec_to_rotmat(rotvec)
         expected = np.empty((3, 3))
         for i in range(3):
-            # A step that does not lead over pi, where the logarithm jumps.
+            # A step that does not lead over pi, where the logarithm detect_cuts.
             d = np.eye(3)[i] * STEP
             ahead, back = (rotmat_to_rotvec(turn @ rotvec_to_rotmat(s * d)) for s in (1, -1))
             expected[:, i] = (ahead - back) / (2 * STEP)

@@ -19,7 +19,7 @@ DETECTIONS = [seen(p, RIGHT) for p in POINTS]
 RIGHTS: list[Side] = [RIGHT for _ in DETECTIONS]
 
 
-def test_no_trust_leaves_the_detectors_word() -> None:
+def test_no_trust_keeps_detection() -> None:
     found = landmarked(DETECTIONS, RIGHT, Trust(plane=0.0, depth=0.0))
     np.testing.assert_allclose(found.pixels, [d.keypoints_2d for d in DETECTIONS], atol=1e-9)
     np.testing.assert_allclose(found.depth.mean(axis=1), 0.0, atol=1e-9)
@@ -31,7 +31,7 @@ def test_no_trust_leaves_the_detectors_word() -> None:
     )  # of the hand's size: perspective is all that is left
 
 
-def test_full_trust_takes_the_networks_word() -> None:
+def test_full_trust_takes_network() -> None:
     found = landmarked(DETECTIONS, RIGHT, Trust(plane=1.0, depth=1.0))
     frame = canonical(DETECTIONS, RIGHTS)
     said = frame.to_picture(landmark_network()(frame).points)
@@ -57,7 +57,7 @@ def test_trust_in_the_plane_and_in_depth() -> None:
     np.testing.assert_allclose(depth.depth, full.depth, atol=1e-9)
 
 
-def test_expected_errors_scale_with_the_picture_and_have_a_floor() -> None:
+def test_expected_errors_scale() -> None:
     large = [replace(d, keypoints=2 * d.keypoints) for d in DETECTIONS]
     small, twice = landmarked(DETECTIONS, RIGHT, Trust()), landmarked(large, RIGHT, Trust())
     np.testing.assert_allclose(twice.pixel_sigma, 2 * small.pixel_sigma, rtol=1e-4)

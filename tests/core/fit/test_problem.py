@@ -91,7 +91,7 @@ def test_gradient_is_that_of_the_cost(kind: str, side: Side) -> None:
     assert np.abs(2 * gradients_of(blocks)[0] - differences).max() < 1e-6 * np.abs(differences).max()
 
 
-def test_matrices_are_half_the_hessian_at_zero_residual() -> None:
+def test_matrices_are_half_hessians() -> None:
     """Where points fit exactly and only they count, Gauss-Newton's matrix is the Hessian."""
     chain = chain_of("right", OFFSETS)
     state = make_state(1, chain)
@@ -110,7 +110,7 @@ def test_matrices_are_half_the_hessian_at_zero_residual() -> None:
     assert np.abs(matrix_of(blocks) - hessian).max() < 1e-6 * np.abs(hessian).max()
 
 
-def test_matrices_are_symmetric_and_not_negative() -> None:
+def test_matrices_are_semidefinite() -> None:
     chain = chain_of()
     seen = observe(chain.pose(make_state(3, chain, seed=2)).points, noise=5.0)
     whole = matrix_of(problem_of(chain, seen).blocks(make_state(3, chain)))
@@ -136,7 +136,7 @@ def held_of(state: State, *joints: int) -> Held:
     return Held(at, state)
 
 
-def test_held_joints_do_not_move_and_the_others_do() -> None:
+def test_held_joints() -> None:
     """Thumb 13, 14, 15 and index 1, 2, 3 come first, then middle, ring and little finger."""
     chain = chain_of()
     state, other = make_state(2, chain), make_state(2, chain, seed=3)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from handfit_core.fit import levenberg
-from handfit_core.fit.clips import smoothed
+from handfit_core.fit.clips import smooth_clip
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.problem import Motion, Problem
+from handfit_core.fit.problem import MotionPrior, Problem
 from handfit_core.fit.solution import Solution, Status
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.terms import Limits
@@ -56,7 +56,7 @@ CASES = [
 SOLVERS: dict[str, Solve] = {
     "each by itself": lambda p, s: exactly(p, s).state,
     "one shape": lambda p, s: exactly(replace(p, shape="one"), s).state,
-    "as a clip that may move as it likes": lambda p, s: smoothed(as_clip(p), s),
+    "as a clip that may move as it likes": lambda p, s: smooth_clip(as_clip(p), s),
 }
 
 
@@ -65,7 +65,7 @@ def exactly(problem: Problem, start: State) -> Solution:
 
 
 def as_clip(problem: Problem) -> Problem:
-    return replace(problem, shape="given", motion=Motion(1e3, 1e3))
+    return replace(problem, shape="given", motion=MotionPrior(1e3, 1e3))
 
 
 def start_of(case: Case, problem: Problem, truth: State) -> State:
@@ -118,7 +118,7 @@ def test_cost_falls_with_every_iteration() -> None:
     assert (costs[-1] < costs[0]).all()
 
 
-def test_cost_is_that_of_the_state_and_a_minimum() -> None:
+def test_cost_is_minimum() -> None:
     problem, start = noisy()
     solution = exactly(problem, start)
     blocks = problem.blocks(solution.state)
@@ -140,7 +140,7 @@ def test_each_problem_has_its_own_end() -> None:
 
 @pytest.mark.parametrize("what", ["pixels", "depth"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_problem_without_numbers_harms_no_other(what: str, value: float) -> None:
+def test_not_finite_problem_is_isolated(what: str, value: float) -> None:
     problem, start = noisy(4)
     expected = exactly(problem, start)
     spoiled = getattr(problem.seen, what).copy()
@@ -168,7 +168,7 @@ def test_the_status_says_why_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     assert again.iterations.max() <= 2
     close(again.cost, first.cost, rtol=1e-4, atol=0)
     # No step helps: as at a minimum that is as deep as numbers go.
-    monkeypatch.setattr(levenberg, "MOST_DAMPING", 1e-2)
+    monkeypatch.setattr(levenberg, "MAX_DAMPING", 1e-2)
     blocks = partial(Problem.blocks, problem)
 
     def never_better(_problem: Problem, state: State):
@@ -192,18 +192,18 @@ def test_a_shared_shape_is_one_shape() -> None:
     assert solution.cost.sum() >= exactly(problem, start).cost.sum() - 1e-6
 
 
-def test_steps_lead_no_farther_than_joints_reach() -> None:
+def test_steps_stay_in_angle_bounds() -> None:
     """Where they began beyond, they go no farther; the cost falls all the same."""
     problem, start = noisy(6)
-    least, most = Limits("right").reach
+    least, most = Limits("right").angle_bounds
     start = replace(start, angles=start.angles.copy())
     start.angles[0, 2, 5] = most[2, 5] + 0.5
-    bounded = replace(problem, reach=(least, most))
+    bounded = replace(problem, angle_bounds=(least, most))
     found = exactly(bounded, start)
     assert (found.state.angles <= np.maximum(most, start.angles) + 1e-9).all()
     assert (found.state.angles >= np.minimum(least, start.angles) - 1e-9).all()
     assert found.converged.all()
     wild = random(6, 5, 9, scale=10.0)
-    cut = start.angles + bounded.within_reach(start, wild)
+    cut = start.angles + bounded.clip_to_bounds(start, wild)
     assert (np.abs(cut - np.clip(start.angles + wild, least, most))[1:] < 1e-12).all()
-    assert problem.within_reach(start, wild) is wild
+    assert problem.clip_to_bounds(start, wild) is wild

@@ -10,7 +10,7 @@ from tests.core.fit.differences import close
 from tests.core.fit.hands import MIRROR, RELAXED, chain_of, make_state, observe
 
 
-def test_spatial_landmarks_are_the_hand_seen_from_afar() -> None:
+def test_spatial_landmarks() -> None:
     chain = chain_of()
     points = chain.pose(make_state(2, chain)).points
     points = points + np.array([0.0, 0.0, 50.0])
@@ -22,7 +22,7 @@ def test_spatial_landmarks_are_the_hand_seen_from_afar() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_relaxed_hand_starts_at_its_place(side: Side) -> None:
+def test_relaxed_start(side: Side) -> None:
     chain = chain_of(side)
     angles = RELAXED if side == "right" else RELAXED * MIRROR
     truth = replace(make_state(6, chain, spread=0.0), betas=np.zeros((6, 10)))

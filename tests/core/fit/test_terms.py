@@ -23,7 +23,14 @@ from handfit_core.fit.terms import (
     near_pose,
     reprojection,
 )
-from handfit_core.fit.terms.limits import BEND, CLOSED, PASSIVE_RANGE, SIGMA, SPREAD, SPREAD_LEFT
+from handfit_core.fit.terms.limits import (
+    BEND,
+    BENT_SPREAD_SHARE,
+    CLOSED_HAND_MARGIN,
+    PASSIVE_RANGE,
+    SIGMA,
+    SPREAD,
+)
 from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
@@ -135,13 +142,13 @@ def test_derivatives(term: Term) -> None:
 
 
 @every_term
-def test_what_lies_behind_the_camera_stays_finite(term: Term) -> None:
+def test_behind_camera_stays_finite(term: Term) -> None:
     posed, seen = hands()
     posed.points[0, 3, 2], posed.points[0, 4, 2], posed.state.depth_zero[:] = -0.4, 0.0, -0.1
     assert np.isfinite(term(posed, seen).columns).all()
 
 
-def test_reprojection_is_the_pinhole_camera() -> None:
+def test_reprojection() -> None:
     posed, seen = hands()
     for i in range(3):
         camera = Intrinsics(*seen.focal[i].tolist(), *seen.centre[i].tolist())
@@ -153,7 +160,7 @@ def test_reprojection_is_the_pinhole_camera() -> None:
     close(reprojection(posed, seen).residual, reprojection(as_if, seen).residual)
 
 
-def test_depth_has_no_zero_and_no_metres_of_its_own() -> None:
+def test_depth_zero_is_solved() -> None:
     posed, seen = hands()
     state = replace(posed.state, depth_zero=2 * posed.state.depth_zero)
     moved = replace(posed, points=2 * posed.points, state=state)
@@ -164,7 +171,7 @@ def test_depth_has_no_zero_and_no_metres_of_its_own() -> None:
     close(depth(posed, along).residual[..., 0], expected)
 
 
-def test_depth_that_is_known_in_metres_is_not_solved_for() -> None:
+def test_known_depth_zero() -> None:
     """Where it is not, NaN says so, and all is as without."""
     posed, seen = hands()
     known = replace(seen, depth_zero=np.array([0.6, np.nan, 0.7]))
@@ -177,21 +184,21 @@ def test_depth_that_is_known_in_metres_is_not_solved_for() -> None:
     close(rows.jacobian[[0, 2], ..., :3], depth(elsewhere, seen).jacobian[[0, 2], ..., :3])
 
 
-def test_limits_are_the_distance_from_the_nearer_end_in_sigmas() -> None:
+def test_limits() -> None:
     limits = Limits("right")
     inside = np.broadcast_to((limits.lower + limits.upper) / 2, (2, 5, 9)).copy()
     inside[..., SPREAD] *= 0.1
     assert not limits(*with_angles(inside)).columns.any()
     outside = inside.copy()
-    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED[1, 5] + 3.5 * SIGMA
+    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED_HAND_MARGIN[1, 5] + 3.5 * SIGMA
     outside[0, 2, 8] = limits.lower[2, 8] - 3 * SIGMA
     residual = limits(*with_angles(outside)).residual
     assert (residual[0, 1, 5], residual[0, 2, 8]) == pytest.approx((3.5, -3.0))
     assert np.abs(residual).sum() == pytest.approx(6.5)
 
 
-@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + SPREAD_LEFT) / 2)])
-def test_a_knuckles_spread_tightens_as_it_bends(finger: int, left: float) -> None:
+@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + BENT_SPREAD_SHARE) / 2)])
+def test_knuckle_spread_tightens(finger: int, left: float) -> None:
     """Half of the way at 45 degrees; not the thumb's."""
     limits = Limits("right")
     angles = np.zeros((1, 5, 9))
@@ -200,7 +207,7 @@ def test_a_knuckles_spread_tightens_as_it_bends(finger: int, left: float) -> Non
     assert limits(*with_angles(angles)).residual[0, finger, SPREAD] == pytest.approx(2.0)
 
 
-def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
+def test_limits_about_kept_pose() -> None:
     """By the passive range, or as far as that pose goes."""
     limits, sigma = Limits("right"), 0.005
     kept = make_state(1, CHAIN, spread=0.0)
@@ -211,7 +218,7 @@ def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
     # No less than closed hands have.
-    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED[3, 8] + 0.03
+    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED_HAND_MARGIN[3, 8] + 0.03
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert residual[0, 3, 8] == pytest.approx(0.03 / sigma)
     # A frame without a pose among those that keep one is as if nobody kept any.
@@ -219,7 +226,7 @@ def test_limits_are_wider_about_a_pose_that_is_kept() -> None:
     np.testing.assert_array_equal(free, limits(posed, seen).residual)
 
 
-def test_the_pose_prior_is_the_mahalanobis_distance_and_mirrored_for_left_hands() -> None:
+def test_pose_prior() -> None:
     posed, seen = hands()
     away = (posed.state.angles - MEAN)[..., None]
     expected = (away.swapaxes(-1, -2) @ np.linalg.inv(COVARIANCE) @ away)[..., 0, 0]
@@ -228,7 +235,7 @@ def test_the_pose_prior_is_the_mahalanobis_distance_and_mirrored_for_left_hands(
     close(np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1), WEIGHT * expected)
 
 
-def test_the_pose_prior_counts_more_where_a_person_has_put_points() -> None:
+def test_pose_prior_of_pinned_hands() -> None:
     """Also while a finger goes for its pin alone, which is then no surer than other points."""
     posed, seen = hands()
     prior = PosePrior(MEAN, COVARIANCE)
@@ -243,7 +250,7 @@ def test_the_pose_prior_counts_more_where_a_person_has_put_points() -> None:
     close(prior(posed, at_distance).columns, prior(posed, seen).columns)
 
 
-def test_a_last_joint_bent_alone_costs_but_not_the_thumbs() -> None:
+def test_coupling() -> None:
     angles = np.zeros((1, 5, 9))
     angles[0, :, 8] = 0.5
     expected = (0.5 + np.radians([25.0, 18.0, 20.5, 20.5])) / np.radians(18.0)
@@ -255,7 +262,7 @@ def test_a_last_joint_bent_alone_costs_but_not_the_thumbs() -> None:
     assert abs(coupling(*with_angles(angles)).residual[0, 1, 0]) < 1e-14
 
 
-def test_near_a_pose_goes_the_shorter_way_round_and_keeps_nothing_where_sigma_is_infinite() -> None:
+def test_near_pose() -> None:
     posed, seen = with_angles(np.full((1, 5, 9), 0.1 - np.pi))
     start = replace(posed.state, angles=np.full((1, 5, 9), np.pi - 0.1))
     rows = near_pose(posed, replace(seen, kept=kept_near(start)))
@@ -263,7 +270,7 @@ def test_near_a_pose_goes_the_shorter_way_round_and_keeps_nothing_where_sigma_is
     assert not rows.jacobian[0, 4].any()
 
 
-def test_distance_counts_in_parts_of_itself_and_not_across_the_line_of_sight() -> None:
+def test_distance() -> None:
     posed, seen = hands()
     assert seen.kept is not None
     start = seen.kept.wrist
@@ -275,7 +282,7 @@ def test_distance_counts_in_parts_of_itself_and_not_across_the_line_of_sight() -
     assert not distance(posed, nothing).columns.any()
 
 
-def test_all_shapes_of_the_measured_length_differ_by_their_proportions_alone() -> None:
+def test_measured_length() -> None:
     posed, seen = hands(1)
     expected = random(10, seed=6)
     across = random(10, seed=3)
@@ -287,7 +294,7 @@ def test_all_shapes_of_the_measured_length_differ_by_their_proportions_alone() -
         assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
 
 
-def test_an_unknown_length_is_held_and_proportions_are_hardly() -> None:
+def test_unknown_length() -> None:
     posed, seen = hands(1)
     across = random(10, seed=3)
     across -= RATES * (across @ RATES) / (RATES @ RATES)
@@ -301,7 +308,7 @@ def test_an_unknown_length_is_held_and_proportions_are_hardly() -> None:
         assert np.square(bare(shaped, seen).residual).sum() == pytest.approx(4.0 * SHAPE_WEIGHT)
 
 
-def test_uncertain_points_count_linearly_beyond_one_sigma() -> None:
+def test_huber_kernel() -> None:
     """Huber's kernel, as weights: cost, gradient, and no weight above one."""
     columns = random(2, 21, 2, 5)
     columns[0, 0, :, -1], columns[0, 1, :, -1] = [3.0, 4.0], [0.3, 0.4]

@@ -27,7 +27,7 @@ def test_rays_invert_projection() -> None:
     np.testing.assert_allclose(rays * points[..., 2:], points, atol=1e-13)
 
 
-def test_assumed_camera_sees_53_degrees_along_the_longer_side() -> None:
+def test_assumed_camera() -> None:
     for width, height in ((1920, 1080), (1080, 1920)):
         camera = Intrinsics.assumed(width, height)
         left, right = camera.rays(np.array([[0.0, height / 2], [width, height / 2]]))
@@ -39,7 +39,7 @@ def test_assumed_camera_sees_53_degrees_along_the_longer_side() -> None:
         assert (spans[0] > spans[1]) == (width > height)
 
 
-def test_assumed_cameras_have_hands_no_nearer_than_an_arm() -> None:
+def test_assumed_camera_of_crops() -> None:
     """A hand of 0.17 metres that has so many pixels is 0.4 metres away, or farther."""
     assert Intrinsics.assumed(640, 480, 272.0) == Intrinsics.assumed(640, 480)
     close = Intrinsics.assumed(640, 480, 400.0)

@@ -29,7 +29,7 @@ def rotvecs(angle: float, count: int = 40) -> np.ndarray:
     return angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
-def test_a_quarter_turn_about_z_takes_x_to_y() -> None:
+def test_quarter_turn() -> None:
     rotmat = rotvec_to_rotmat(np.array([0.0, 0.0, math.pi / 2]))
     np.testing.assert_allclose(rotmat @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     half = math.sqrt(0.5)
@@ -43,7 +43,7 @@ def test_zero_is_exactly_the_identity() -> None:
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_rotvec_agrees_with_the_matrix_exponential(angle: float) -> None:
+def test_rotvec_is_matrix_exponential(angle: float) -> None:
     for rotvec in rotvecs(angle, 5):
         # Halved until small, a Taylor series, squared back: no trigonometry in common with ours.
         term, power = np.eye(3), np.eye(3)
@@ -69,13 +69,13 @@ def test_round_trips(angle: float) -> None:
     assert np.all(np.linalg.norm(back, axis=1) <= math.pi + 1e-12)
 
 
-def test_quaternions_are_unit_with_positive_w() -> None:
+def test_rotmat_to_quat() -> None:
     quats = rotmat_to_quat(rotvec_to_rotmat(np.random.default_rng(0).normal(size=(500, 3)) * 3))
     np.testing.assert_allclose(np.linalg.norm(quats, axis=-1), 1.0, atol=1e-15)
     assert np.all(quats[:, 0] >= 0)
 
 
-def test_quat_to_rotmat_normalises_and_ignores_the_sign() -> None:
+def test_quat_to_rotmat() -> None:
     quat = np.array([0.3, -0.2, 0.7, 0.5])
     np.testing.assert_allclose(quat_to_rotmat(-4 * quat), quat_to_rotmat(quat), atol=1e-15)
 
@@ -85,7 +85,7 @@ def test_skew_is_the_cross_product() -> None:
     np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b), atol=1e-15)
 
 
-def test_unflip_makes_neighbours_near_and_keeps_rotations() -> None:
+def test_unflip_quats() -> None:
     rng = np.random.default_rng(3)
     angles = np.linspace(0, 4 * np.pi, 60)
     smooth = np.stack([np.cos(angles / 2), *(np.sin(angles / 2) * c for c in (0.6, 0.0, 0.8))], axis=-1)
@@ -97,7 +97,7 @@ def test_unflip_makes_neighbours_near_and_keeps_rotations() -> None:
     assert unflip_quats(np.zeros((0, 4))).shape == (0, 4)
 
 
-def test_euler_angles_are_turns_about_x_then_y_then_z() -> None:
+def test_euler_to_rotmat() -> None:
     angles = np.concatenate([np.random.default_rng(0).normal(size=(6, 3)) * 0.6, np.zeros((1, 3))])
     expected = np.eye(3)
     for i in range(3):
@@ -109,7 +109,7 @@ def test_euler_angles_are_turns_about_x_then_y_then_z() -> None:
     np.testing.assert_allclose(back, euler_to_rotmat(pole), atol=1e-7)
 
 
-def test_turns_lead_from_the_axis_to_the_ray_on_the_shortest_way() -> None:
+def test_turn_from_axis() -> None:
     rays = np.random.default_rng(1).normal(size=(5, 3)) + [0.0, 0.0, 2.0]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     turns = turn_from_axis(rays)

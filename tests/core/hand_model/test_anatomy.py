@@ -29,7 +29,7 @@ def rotmats_of(angles: np.ndarray, axes: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_axes_are_rotations_with_the_stated_directions(side: Side) -> None:
+def test_anatomical_axes(side: Side) -> None:
     axes = anatomical_axes(load_model(None, side))
     np.testing.assert_allclose(
         axes @ np.swapaxes(axes, -1, -2), np.broadcast_to(np.eye(3), (15, 3, 3)), atol=1e-12
@@ -57,7 +57,7 @@ def test_positive_bend_closes_the_hand(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_a_thumb_reaches_the_little_finger_s_root(side: Side) -> None:
+def test_thumb_reaches_little_finger(side: Side) -> None:
     """As every person's does; fists and letters need it."""
     model, limits = load_model(None, side), joint_limits(side)
     thumb = [j - 1 for j in FINGER_JOINTS["thumb"]]
@@ -74,7 +74,7 @@ def test_a_thumb_reaches_the_little_finger_s_root(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_only_the_open_hand_has_wider_ranges(side: Side) -> None:
+def test_open_hand_ranges(side: Side) -> None:
     """A hand file of one's own has the ranges that published figures give."""
     own, others = joint_limits(side), joint_limits(side, "MANO_RIGHT")
     wider = np.degrees(np.concatenate([own.upper - others.upper, others.lower - own.lower]))
@@ -84,7 +84,7 @@ def test_only_the_open_hand_has_wider_ranges(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_rotations_from_angles_are_the_inverse(side: Side) -> None:
+def test_rotmats_from_angles(side: Side) -> None:
     axes = anatomical_axes(load_model(None, side))
     rng = np.random.default_rng(4)
     angles = rng.uniform(-1.3, 1.3, (6, 15, 3))
@@ -98,7 +98,7 @@ def test_rotations_from_angles_are_the_inverse(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_a_relaxed_hand_is_half_closed_and_within_its_limits(side: Side) -> None:
+def test_relaxed_pose(side: Side) -> None:
     axes, limits = anatomical_axes(load_model(None, side)), joint_limits(side)
     rotmats = rotvec_to_rotmat(relaxed_pose(load_model(None, side)).reshape(15, 3))
     angles = anatomical_angles(rotmats, axes)

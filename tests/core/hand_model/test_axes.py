@@ -25,7 +25,7 @@ def rest_of(shaped, side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_from_bones_is_the_inverse_of_to_bones(side):
+def test_from_bones_inverts_to_bones(side):
     shaped = load_model(OPEN_HAND, side).shaped(np.linspace(-1.5, 1.5, 10))
     rest = rest_of(shaped, side)
     orient, pose, transl = random_pose()
@@ -41,7 +41,7 @@ def test_from_bones_is_the_inverse_of_to_bones(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_another_shapes_bones_turn_the_same(side):
+def test_turned_to_other_shape(side):
     hand = load_model(OPEN_HAND, side)
     before, after = hand.shaped(np.full(10, -1.0)), hand.shaped(np.full(10, 1.0))
     orient, pose, transl = random_pose()
@@ -57,7 +57,7 @@ def test_another_shapes_bones_turn_the_same(side):
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("plane", [0.0, 0.3])
-def test_the_other_sides_bones_show_manos_mirrored_pose(side, plane):
+def test_mirrored_bones(side, plane):
     other = other_side(side)
     one, two = (load_model(OPEN_HAND, s).shaped() for s in (side, other))
     source, target = rest_of(one, side), rest_of(two, other)
@@ -72,7 +72,7 @@ def test_the_other_sides_bones_show_manos_mirrored_pose(side, plane):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_another_origin_changes_places_and_nothing_else(side):
+def test_other_origin(side):
     shaped = load_model(OPEN_HAND, side).shaped()
     rest = rest_of(shaped, side)
     moved = replace(rest, origin=np.array([0.1, 0.5, -0.2]))

@@ -87,7 +87,7 @@ def test_info_of_the_open_hand(capsys: pytest.CaptureFixture[str]) -> None:
     assert out.index("left") < out.index("right")
 
 
-def test_defining_the_commands_imports_nothing_heavy() -> None:
+def test_commands_import_light() -> None:
     code = (
         "import sys, argparse; from handfit_core.hand_model.commands import add_model_commands; "
         "add_model_commands(argparse.ArgumentParser().add_subparsers()); "

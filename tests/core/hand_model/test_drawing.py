@@ -22,7 +22,7 @@ def test_a_picture_is_a_hand_on_nothing() -> None:
     np.testing.assert_array_equal(picture[..., 3], drawn[..., 1])
 
 
-def test_it_is_seen_from_the_palm_and_from_the_thumb() -> None:
+def test_views() -> None:
     """The flat hand is wide from before, thumb on the right, and narrow from the side."""
     model = load_model(None, "right")
     front, side = (drawn_pose(model, np.zeros(45), 64, turned, 0.0)[..., 1] > 127 for turned in (0.0, 90.0))
@@ -34,7 +34,7 @@ def test_it_is_seen_from_the_palm_and_from_the_thumb() -> None:
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_what_lies_in_front_hides_what_is_behind(order: tuple[int, int]) -> None:
+def test_occlusion(order: tuple[int, int]) -> None:
     corners = np.array([[1.0, 1.0, 0.0], [15.0, 1.0, 0.0], [1.0, 15.0, 0.0]])
     points = np.concatenate([corners, corners + [0.0, 0.0, 5.0]])
     faces = np.array([[0, 1, 2], [3, 4, 5]])[list(order)]

@@ -34,7 +34,7 @@ def test_the_wrist_ring_is_the_open_edge(model):
 
 
 @pytest.mark.parametrize("wrist", ["cap", "forearm"])
-def test_the_mesh_is_closed_and_faces_outward(model, wrist):
+def test_mesh_is_closed(model, wrist):
     closed = with_wrist(model, wrist)
     for polygons in (closed.polygons, closed.faces):
         edges = walked_edges(polygons)
@@ -63,7 +63,7 @@ def test_what_is_the_models_stays_as_it_is(side):
 
 
 @pytest.mark.parametrize("wrist", ["cap", "forearm"])
-def test_shape_and_pose_directions_carry_over(model, wrist):
+def test_directions_carry_over(model, wrist):
     """Closing a shaped hand and shaping a closed one are the same."""
     betas = np.array([1.5, -2.0, 1.0, 0.5, -1.0, 2.0, -0.5, 1.0, -1.5, 0.7])
     first_shaped = with_wrist(replace(model, v_template=model.shaped(betas).vertices), wrist)
@@ -76,7 +76,7 @@ def test_shape_and_pose_directions_carry_over(model, wrist):
     np.testing.assert_allclose(closed.v_template + closed.posedirs[..., 7], first_moved, atol=1e-12)
 
 
-def test_the_forearm_is_a_wrist_and_no_pipe(model):
+def test_forearm_profile(model):
     closed = with_wrist(model, "forearm")
     size = len(wrist_ring(model.polygons))
     rings = closed.v_template[len(model.v_template) : -1].reshape(-1, size, 3)
@@ -117,6 +117,6 @@ def test_the_texture_goes_on_from_the_edge():
     np.testing.assert_allclose(distance, 0.0, atol=1e-12)
 
 
-def test_vertices_behind_the_wrist_follow_the_wrist_alone(model):
+def test_forearm_follows_wrist(model):
     weights = with_wrist(model, "forearm").weights[len(model.v_template) :]
     np.testing.assert_array_equal(weights, np.eye(16)[np.zeros(len(weights), dtype=int)])

@@ -1,5 +1,7 @@
 """The length of a hand, and the shape that has it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ def model(request: pytest.FixtureRequest) -> HandModel:
     return load_model(None, "right") if request.param == "open-hand" else imitation_model("right")
 
 
-def test_it_is_measured_from_wrist_to_middle_tip(model: HandModel) -> None:
+def test_flat_hand_length(model: HandModel) -> None:
     betas = np.linspace(-1, 1, 10)
     for shape in (None, betas):
         keypoints = model.posed(shape, np.zeros(3), np.zeros(45), np.zeros(3)).keypoints
@@ -47,8 +49,6 @@ def test_an_average_hand_is_the_mean(side: Side) -> None:
 
 
 def test_a_model_without_shapes() -> None:
-    from dataclasses import replace
-
     model = load_model(None, "right")
     rigid = replace(model, shapedirs=np.zeros_like(model.shapedirs))
     np.testing.assert_array_equal(betas_of_length(rigid, 0.1), np.zeros(10))

@@ -7,7 +7,7 @@ from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landma
 from handfit_core.skeleton import JOINT_NAMES, KEYPOINT_NAMES, SIDES, Side
 
 
-def test_every_landmark_hangs_on_a_bone_of_its_finger() -> None:
+def test_landmark_bones() -> None:
     assert len(LANDMARK_BONES) == 21
     assert LANDMARK_BONES[0] == 0
     for keypoint, bone in zip(KEYPOINT_NAMES[1:], LANDMARK_BONES[1:], strict=True):
@@ -35,7 +35,7 @@ def test_no_offsets_are_none() -> None:
     assert not NO_OFFSETS.in_metres(load_model("open-hand", "left")).any()
 
 
-def test_offsets_of_a_left_hand_are_a_right_hands_mirrored() -> None:
+def test_left_offsets_are_mirrored() -> None:
     """In the model frame, x changes its sign."""
     landmarks = Landmarks(np.random.default_rng(0).normal(size=(21, 3)) * 0.05)
     in_model = {}

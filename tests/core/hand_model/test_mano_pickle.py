@@ -60,7 +60,7 @@ def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
     assert model.tip_vertices.tolist() == [745, 317, 444 if side == "right" else 445, 556, 673]
 
 
-def test_a_converted_file_has_the_same_digest(tmp_path: Path) -> None:
+def test_digest_of_converted_file(tmp_path: Path) -> None:
     """Or converting after a capture would look like another model."""
     model = load_mano_pickle(write_mano_pickle(tmp_path / "MANO_RIGHT.pkl", imitation_arrays("right")))
     converted = load_model(save_model_npz(model, tmp_path / "mano_right.npz"), "right")
@@ -69,7 +69,7 @@ def test_a_converted_file_has_the_same_digest(tmp_path: Path) -> None:
     assert other.digest != model.digest
 
 
-def test_load_model_finds_both_sides_of_a_folder(tmp_path: Path) -> None:
+def test_load_model_from_folder(tmp_path: Path) -> None:
     for side in ("right", "left"):
         write_mano_pickle(tmp_path / f"MANO_{side.upper()}.pkl", imitation_arrays(side))
     assert load_model(tmp_path, "left").side == "left"
@@ -77,7 +77,7 @@ def test_load_model_finds_both_sides_of_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_reads_plain_arrays_of_every_pickle_protocol(tmp_path: Path, protocol: int) -> None:
+def test_reads_every_protocol(tmp_path: Path, protocol: int) -> None:
     arrays = imitation_arrays()
     # Fortran order and other number types occur in converted files.
     stored = dict(arrays, posedirs=np.asfortranarray(arrays["posedirs"]), f=arrays["f"].astype(">i4"))
@@ -96,7 +96,7 @@ def test_reads_modern_sparse_matrices(tmp_path: Path, protocol: int) -> None:
         assert_same_arrays(load_mano_pickle(path), arrays)
 
 
-def test_root_parent_may_be_stored_as_minus_one(tmp_path: Path) -> None:
+def test_root_parent_minus_one(tmp_path: Path) -> None:
     arrays = imitation_arrays()
     arrays["kintree_table"] = arrays["kintree_table"].astype(np.int64)
     arrays["kintree_table"][0, 0] = -1
@@ -123,14 +123,14 @@ def test_sound_models_are_left_alone(tmp_path: Path, seed: int) -> None:
         np.testing.assert_array_equal(model.shapedirs, arrays["shapedirs"])
 
 
-def test_a_left_model_without_shape_is_left_alone(tmp_path: Path) -> None:
+def test_left_model_without_shape(tmp_path: Path) -> None:
     arrays = imitation_arrays("left")
     arrays["shapedirs"] = np.zeros((778, 3, 10))
     model = load_mano_pickle(write_mano_pickle(tmp_path / "hand.pkl", arrays))
     assert not model.shapedirs.any()
 
 
-def test_the_open_hand_would_not_be_taken_for_faulty() -> None:
+def test_open_hand_has_no_left_fault() -> None:
     model = load_model(None, "left")
     assert not mano_pickle._has_left_fault(model.v_template, model.shapedirs)
     faulty = model.shapedirs * np.array([-1.0, 1.0, 1.0])[:, None]
@@ -208,7 +208,7 @@ def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
     assert "copy it again" in message or "do not trust it" in message
 
 
-def test_reading_one_file_leaves_no_trace_for_the_next(tmp_path: Path) -> None:
+def test_readings_are_independent(tmp_path: Path) -> None:
     before = {name: dict(vars(made)) for name, made in mano_pickle._STAND_INS.items()}
     for data in INERT.values():
         (tmp_path / "hand.pkl").write_bytes(data)
@@ -308,7 +308,7 @@ def test_damaged_sparse_regressors(tmp_path: Path, change: dict[str, Any], monke
     assert "J_regressor" in message_of(write_mano_pickle(tmp_path / "hand.pkl", arrays))
 
 
-def test_a_name_that_contradicts_the_geometry(tmp_path: Path) -> None:
+def test_name_contradicts_geometry(tmp_path: Path) -> None:
     path = write_mano_pickle(tmp_path / "MANO_LEFT.pkl", imitation_arrays("right"))
     assert "the name says left, but this is a right hand" in message_of(path)
     path = write_mano_pickle(tmp_path / "my_mano_right_v1_2.pkl", imitation_arrays("left"))
@@ -350,7 +350,7 @@ def test_the_written_file_is_manos(tmp_path: Path) -> None:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> None:
     smplx = pytest.importorskip("smplx", reason="smplx is not installed (its licence is non-commercial)")
-    import torch
+    import torch  # slow to load
 
     from handfit_core.layer import HandLayer
 

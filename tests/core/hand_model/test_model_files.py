@@ -80,7 +80,7 @@ def test_a_model_comes_back(tmp_path: Path) -> None:
     ],
     ids=lambda value: str(value)[:50],
 )
-def test_everything_in_a_model_is_of_its_kind(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+def test_dtypes(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     assert said in message_of(edited(tmp_path / "hand.npz", **changes))
 
 

@@ -13,7 +13,7 @@ from tests.imitation_mano import imitation_model
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_every_finger_has_a_nail_on_its_back(side):
+def test_nails(side):
     model = load_model(None, side)
     nails = np.flatnonzero(nail_polygons(model))
     corners = model.v_template[model.polygons[nails]]

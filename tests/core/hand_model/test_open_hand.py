@@ -130,12 +130,12 @@ def test_sides_are_exact_mirror_images():
     np.testing.assert_allclose(left.hands_components, right.hands_components * np.tile(turn, 15), atol=0)
 
 
-def test_mean_bones_have_anatomical_lengths(model):
+def test_mean_bone_lengths(model):
     expected = np.array([LENGTHS[finger] for finger in FINGERS])
     np.testing.assert_allclose(bone_lengths(model), expected, atol=0.1)
 
 
-def test_the_thumb_moves_as_far_as_a_palm_is_long():
+def test_thumb_range():
     joints = np.zeros((2, 16, 3))
     joints[:, FINGER_JOINTS["middle"][0], 0] = -95.0, -190.0
     moves = with_thumb_moved(joints) - joints
@@ -145,7 +145,7 @@ def test_the_thumb_moves_as_far_as_a_palm_is_long():
 
 @pytest.mark.parametrize("beta", [-2.0, 0.0, 2.0])
 @pytest.mark.parametrize("direction", range(NUM_BETAS))
-def test_the_thumb_s_saddle_stands_out_of_the_carpus_in_all_hands(direction, beta):
+def test_thumb_saddle(direction, beta):
     """12 mm on the palm's side of the wrist's centre in a hand of 95 mm, 10 of which are its move."""
     joints = load_model(None, "right").shaped(beta * np.eye(NUM_BETAS)[direction]).joints
     palm = np.linalg.norm(joints[FINGER_JOINTS["middle"][0]] - joints[0])
@@ -228,7 +228,7 @@ def test_skin_weights(model):
 
 
 @pytest.mark.parametrize("finger", FINGERS)
-def test_tip_vertices_are_the_foremost_points(model, finger):
+def test_tip_vertices(model, finger):
     i = FINGERS.index(finger)
     assert tuple(model.tip_vertices) == MANO_TIP_VERTICES
     last = FINGER_JOINTS[finger][2]
@@ -264,7 +264,7 @@ def test_joints_lie_inside_the_mesh(model, beta):
     np.testing.assert_allclose(numbers, 1.0, atol=1e-6)
 
 
-def test_mesh_is_an_open_manifold_that_faces_outwards(model):
+def test_mesh_is_open_manifold(model):
     edges = directed_edges(model.faces)
     assert max(Counter(map(tuple, edges.tolist())).values()) == 1, "an edge is used twice the same way"
     assert max(Counter(map(tuple, np.sort(edges, axis=1).tolist())).values()) == 2
@@ -310,7 +310,7 @@ def test_quads_and_texture_coordinates(model):
     assert len(model.v_template) <= len(pairs) < 1.3 * len(model.v_template)
 
 
-def test_shape_directions_are_independent_standard_deviations(model):
+def test_shape_directions(model):
     flat = model.shapedirs.reshape(-1, NUM_BETAS)
     norms = np.linalg.norm(flat, axis=0)
     cosines = (flat.T @ flat) / np.outer(norms, norms)
@@ -334,7 +334,7 @@ def test_first_shape_is_size(model):
     assert 0.10 < 1 - small / mean < 0.18
 
 
-def test_all_plausible_shapes_keep_plausible_bones(model):
+def test_plausible_shapes(model):
     rng = np.random.default_rng(1)
     mean = bone_lengths(model)
     for betas in rng.uniform(-3, 3, (200, NUM_BETAS)):
@@ -386,7 +386,7 @@ def test_a_fist_keeps_its_flesh(model):
     assert max(of_distance) < 0.9
 
 
-def test_correctives_are_local_and_leave_the_fingertips(model):
+def test_correctives_are_local(model):
     assert not model.posedirs[model.tip_vertices].any()
     moved = np.abs(model.posedirs.reshape(-1, 3, 15, 9)).max(axis=(1, 3))  # (V, 15)
     assert 0.001 < moved.max() < 0.015
@@ -401,7 +401,7 @@ def test_correctives_are_local_and_leave_the_fingertips(model):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_directions_of_the_same_width_are_those_of_a_rule(seed):
+def test_directions_of_equal_width(seed):
     """Not those that the eigenvectors of this processor happen to be. In half of the spaces axes tie."""
     rng = np.random.default_rng(seed)
     rows = np.linalg.qr(rng.normal(size=(45, 4)))[0].T
@@ -415,7 +415,7 @@ def test_directions_of_the_same_width_are_those_of_a_rule(seed):
     np.testing.assert_allclose(found.T @ found, rows.T @ rows, atol=1e-12)
 
 
-def test_pose_directions_are_the_covariances(model):
+def test_pose_directions(model):
     """Row by row: an eigenvector, of the width that its place says."""
     axes = anatomical_axes(load_model(None, "right"))
     angles = np.einsum("jca,pjc->pja", axes, pose_directions(axes).reshape(45, 15, 3)).reshape(45, 45)
@@ -426,7 +426,7 @@ def test_pose_directions_are_the_covariances(model):
     np.testing.assert_allclose(np.abs(model.hands_components), np.abs(pose_directions(axes)), atol=1e-6)
 
 
-def test_files_are_small_and_free_of_pickles(side):
+def test_files_have_no_pickles(side):
     path = DATA / f"open_hand_{side}.npz"
     assert path.stat().st_size < 1_000_000
     with np.load(path, allow_pickle=False) as archive:
@@ -436,7 +436,7 @@ def test_files_are_small_and_free_of_pickles(side):
         assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
-def test_the_script_still_builds_these_files():
+def test_script_builds_files():
     """About a minute; needs anny, here or in the interpreter that HANDFIT_ANNY_PYTHON names."""
     python = os.environ.get("HANDFIT_ANNY_PYTHON", "")
     if not python and importlib.util.find_spec("anny") is not None:

@@ -23,7 +23,7 @@ SLACK = np.radians(0.01)
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("name", READY)
-def test_a_ready_pose_is_one_that_a_hand_can_have(name: str, side: Side) -> None:
+def test_ready_poses_are_possible(name: str, side: Side) -> None:
     model, limits = load_model(None, side), joint_limits(side)
     pose = READY[name].pose.on(side)
     angles = anatomical_angles(rotvec_to_rotmat(pose.reshape(15, 3)), anatomical_axes(model))
@@ -45,7 +45,7 @@ def test_names_say_one_pose_each() -> None:
     assert apart[np.triu_indices(len(poses), 1)].min() > np.radians(5.0)
 
 
-def test_the_file_holds_what_its_script_makes() -> None:
+def test_file_is_current() -> None:
     assert list(READY) == ["Relaxed", *(ready.name for ready in TABLE)]
     for ready in TABLE:
         if ready.name in ("Flat", "Ball Grip", "Trigger", "Letter Y"):
@@ -90,7 +90,7 @@ def test_pictures_show_the_poses() -> None:
         assert int(np.argmin([np.abs(one - now).mean() for one in stored])) == at, name
 
 
-def test_a_mirrored_pose_is_the_other_hands() -> None:
+def test_mirrored_pose() -> None:
     pose = READY["Pinch"].pose
     left = Pose("left", pose.on("left"))
     np.testing.assert_array_equal(left.on("right"), pose.hand_pose)
@@ -140,6 +140,6 @@ def test_values_and_back() -> None:
         {"side": "right", "hand_pose": [10**400] * 45},
     ],
 )
-def test_what_is_no_pose_is_refused_in_a_sentence(values: object) -> None:
+def test_refuses_other_values(values: object) -> None:
     with pytest.raises(HandModelError, match="pose of a hand"):
         Pose.of_values(values)

@@ -89,7 +89,7 @@ def test_no_name_where_nothing_dominates(model: HandModel) -> None:
     assert effect_shares(shaped)[2:] == ({},) * 8
 
 
-def test_a_name_is_given_once_and_to_the_purest(model: HandModel) -> None:
+def test_names_are_unique(model: HandModel) -> None:
     pure = pulled_out(model, "ring")
     noise = np.random.default_rng(4).normal(0, 1, pure.shape)
     mixed = pure + noise * (0.5 * np.linalg.norm(pure) / np.linalg.norm(noise))

@@ -42,7 +42,7 @@ def test_gaps_are_the_least_of_all_spheres(surface: Surface) -> None:
     assert (least - near.gap).max() < 4e-4
 
 
-def test_far_pairs_are_left_out_and_no_near_one_is(surface: Surface) -> None:
+def test_near_pairs(surface: Surface) -> None:
     capsules = _capsules(np.random.default_rng(1), 20)
     every, some = surface.near(capsules, within=1.0), surface.near(capsules)
     overlapping = every.gap < 0.0
@@ -56,7 +56,7 @@ def test_far_pairs_are_left_out_and_no_near_one_is(surface: Surface) -> None:
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("beta", [np.zeros(10), 2.0 * np.eye(10)[0], -2.0 * np.eye(10)[1]])
-def test_the_fingers_skin_lies_on_the_capsules(side: Side, beta: np.ndarray) -> None:
+def test_capsules_fit_skin(side: Side, beta: np.ndarray) -> None:
     model = load_model(None, side)
     capsules = surface_of(model).of(beta[None], np.zeros((1, 45)))
     skin = model.shaped(beta).vertices[model.weights.argmax(axis=1) > 0]
@@ -77,12 +77,12 @@ def _height(points: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> np.ndarr
     return np.linalg.norm(points - ends[0] - along[:, None] * axis, axis=1) - radius
 
 
-def test_what_grows_together_does_not_count(surface: Surface) -> None:
+def test_joined_parts_do_not_overlap(surface: Surface) -> None:
     betas = np.random.default_rng(2).normal(size=(20, 10))
     assert surface.depths(surface.of(betas, np.zeros((20, 45)))).max() < 0.0015
 
 
-def test_left_hands_are_mirrored_right_ones(surface: Surface) -> None:
+def test_left_hands_are_mirrored(surface: Surface) -> None:
     rng = np.random.default_rng(3)
     betas, pose = rng.normal(size=(8, 10)), rng.normal(size=(8, 15, 3)) * 0.5
     left = surface_of(load_model(None, "left"))
@@ -92,7 +92,7 @@ def test_left_hands_are_mirrored_right_ones(surface: Surface) -> None:
     assert np.allclose(left.depths(left.of(betas, mirrored)), depths, atol=1e-6)
 
 
-def test_a_model_with_hardly_any_skin_has_a_surface_too() -> None:
+def test_sparse_mesh() -> None:
     """All of it belongs to the wrist, or to one bone: what is left is lines."""
     model = load_model(None, "right")
     for joint in (0, 4):

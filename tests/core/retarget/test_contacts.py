@@ -20,18 +20,18 @@ from handfit_core.hand_model.surface import PAIRS as PARTS
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.retarget import contacts
 from handfit_core.retarget.contacts import (
-    BLEND,
+    BLEND_SECONDS,
     PAIRS,
-    TOUCHING,
+    TOUCH_GAP,
+    ContactResult,
     Fingertips,
-    Kept,
     finding_touches,
     keeping_contacts,
 )
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import TargetHand, mirrored_turns, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from tests.core.fit.differences import by_each
 from tests.core.retarget.pinches import HELD, PINCHES, pinching, turns_of
 from tests.core.retarget.rigs import Built, add_hand, source
@@ -56,10 +56,10 @@ def character(side: Side, seed: int, stretch: float = 0.25, bend: float = 0.3, *
     return target_hand(built.bones(), HandMap(side, there), source(side))
 
 
-def kept_on(target: TargetHand, turns: np.ndarray) -> Kept:
+def kept_on(target: TargetHand, turns: np.ndarray) -> ContactResult:
     side = target.hand_map.side
     times = np.arange(len(turns)) / FPS
-    return result_of(keeping_contacts(target, source(side), skins(side), turns, times))
+    return run_to_completion(keeping_contacts(target, source(side), skins(side), turns, times))
 
 
 def gaps(target: TargetHand, standing: np.ndarray, finger: str) -> np.ndarray:
@@ -98,7 +98,7 @@ def chain_angles(turns: np.ndarray, side: Side) -> np.ndarray:
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", PINCHES)
-def test_gaps_are_as_captured_on_other_proportions(side, finger):
+def test_gaps_on_other_proportions(side, finger):
     turns = pinching(side, finger)
     wanted = captured_gaps(side, turns, finger)[HELD]
     assert np.abs(wanted).max() < 0.001
@@ -125,10 +125,10 @@ def test_nothing_else_moves(side):
     assert not moved[:, others].any()
     own = [k for k in range(len(target.bones)) if k not in others]
     assert moved[HELD][:, own].all()
-    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCHING[1])
-    # Weights reach twice as far as BLEND, and their mean once more.
-    far = (np.arange(len(turns)) < near[0] - 3 * BLEND * FPS) | (
-        np.arange(len(turns)) > near[-1] + 3 * BLEND * FPS
+    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCH_GAP[1])
+    # Weights reach twice as far as BLEND_SECONDS, and their mean once more.
+    far = (np.arange(len(turns)) < near[0] - 3 * BLEND_SECONDS * FPS) | (
+        np.arange(len(turns)) > near[-1] + 3 * BLEND_SECONDS * FPS
     )
     assert far.sum() > 20
     assert not moved[far].any()
@@ -137,7 +137,7 @@ def test_nothing_else_moves(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_hands_that_touch_nothing_keep_every_bit(side):
+def test_no_touch_changes_nothing(side):
     rng = np.random.default_rng(3)
     angles = np.zeros((40, NUM_JOINTS - 1, 3))
     angles[..., 2] = rng.uniform(-0.1, 0.3, (40, NUM_JOINTS - 1))
@@ -150,7 +150,7 @@ def test_hands_that_touch_nothing_keep_every_bit(side):
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", PINCHES)
-def test_a_hand_of_the_same_proportions_stays(side, finger):
+def test_same_proportions(side, finger):
     turns, target = pinching(side, finger), character(side, 0, stretch=0.0)
     kept = kept_on(target, turns)
     np.testing.assert_allclose(kept.standing, target.standing(turns), atol=1e-12)
@@ -191,8 +191,8 @@ def test_turns_come_and_go_smoothly(finger):
 def test_slices_do_not_show(monkeypatch):
     turns, target = pinching("right", "index"), character("right", 4)
     whole = kept_on(target, turns)
-    monkeypatch.setattr(contacts, "_AT_ONCE", 5)
-    monkeypatch.setattr(contacts, "_FOUND_AT_ONCE", 9)
+    monkeypatch.setattr(contacts, "_SOLVE_FRAMES", 5)
+    monkeypatch.setattr(contacts, "_DETECT_FRAMES", 9)
     small = kept_on(target, turns)
     np.testing.assert_allclose(small.standing, whole.standing, atol=1e-9)
     steps = list(
@@ -203,7 +203,7 @@ def test_slices_do_not_show(monkeypatch):
     assert steps[-1] == 1.0
 
 
-def test_a_mirrored_hand_does_the_mirrored_thing():
+def test_mirrored_hand():
     built, names = Built(), tuple(f"b{joint}" for joint in range(NUM_JOINTS))
     add_hand(
         *(built, "right", dict(enumerate(names)), np.random.default_rng(6)), bend=0.3, stretch=0.25, tips=True
@@ -216,7 +216,7 @@ def test_a_mirrored_hand_does_the_mirrored_thing():
         (mirrored, own.mirrored(), tips.mirrored(), mirrored_turns(turns)),
     ):
         target = target_hand(its, HandMap(hand.side, names), hand)
-        kept = result_of(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
+        kept = run_to_completion(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
         found.append((target.points(kept.standing)[1], kept.apart))
     np.testing.assert_allclose(found[1][0], found[0][0] @ MIRROR_X, atol=1e-9)
     np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-9)
@@ -233,7 +233,7 @@ def test_fewer_bones_and_fingers_touch_too(side):
         assert after < min(0.002, before)
 
 
-def test_a_bone_of_two_fingers_meets_the_thumb():
+def test_two_finger_bone_meets_thumb():
     built, side = Built(), "right"
     names = {joint: f"b{joint}" for joint in range(NUM_JOINTS)}
     add_hand(built, side, names, np.random.default_rng(8), stretch=0.2, tips=True, without=(7, 8, 9))
@@ -255,17 +255,19 @@ def test_bones_that_are_left_alone_stay():
     thumb = np.array([joints[0] in FINGER_JOINTS["thumb"] for joints in target.joints])
     apart = []
     for keyed in (~thumb, thumb):
-        kept = result_of(keeping_contacts(target, source("right"), skins("right"), turns, times, keyed))
+        kept = run_to_completion(
+            keeping_contacts(target, source("right"), skins("right"), turns, times, keyed)
+        )
         assert (kept.standing[:, ~keyed] == plain[:, ~keyed]).all()
         assert (kept.standing[HELD][:, keyed] != plain[HELD][:, keyed]).any()
         apart.append(kept.apart[HELD].max())
     assert max(apart) < 0.001
     none = np.zeros(15, dtype=bool)
-    kept = result_of(keeping_contacts(target, source("right"), skins("right"), turns, times, none))
+    kept = run_to_completion(keeping_contacts(target, source("right"), skins("right"), turns, times, none))
     assert (kept.standing == plain).all()
 
 
-def test_what_cannot_be_reached_is_told():
+def test_unreachable_touch_is_reported():
     built, side, finger = Built(), "right", "ring"
     names = tuple(f"b{joint}" for joint in range(NUM_JOINTS))
     add_hand(built, side, dict(enumerate(names)), np.random.default_rng(0), tips=True)
@@ -282,28 +284,30 @@ def test_what_cannot_be_reached_is_told():
     assert off.max() < np.abs(gaps(target, target.standing(turns), finger) - wanted)[HELD].max()
 
 
-def test_weights_are_one_where_tips_touch_and_smooth_beside():
+def test_touch_weights():
     turns = pinching("right", "index")
     times = np.arange(len(turns)) / FPS
-    found = result_of(finding_touches(source("right"), skins("right"), turns, times))
+    found = run_to_completion(finding_touches(source("right"), skins("right"), turns, times))
     pair = PAIRS.tolist().index([0, 1])
     weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
     np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
-    assert (found.now[:, pair] == (gap <= TOUCHING[0])).all()
+    assert (found.now[:, pair] == (gap <= TOUCH_GAP[0])).all()
     assert (weights[found.now[:, pair]] == 1.0).all()
     assert (found.weights[:, np.arange(len(PAIRS)) != pair] == 0.0).all()
     assert np.abs(np.diff(weights)).max() < 0.35
-    near = np.flatnonzero(gap < TOUCHING[1])
-    reach = int(2 * BLEND * FPS)
+    near = np.flatnonzero(gap < TOUCH_GAP[1])
+    reach = int(2 * BLEND_SECONDS * FPS)
     assert (weights[: near[0] - reach] == 0.0).all()
     assert (weights[near[-1] + reach + 1 :] == 0.0).all()
     # A pause of the touch that is shorter than the blend is none.
     short = np.concatenate([turns[:35], turns[20:22], turns[35:]])
-    again = result_of(finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS))
+    again = run_to_completion(
+        finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS)
+    )
     assert again.weights[35:37, pair].min() > 0.7
 
 
-def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
+def test_side_by_side_is_no_touch():
     side = "right"
     angles = np.zeros((2, NUM_JOINTS - 1, 3))
     angles[0, [0, 3], 1] = np.radians([-6.0, 6.0])
@@ -313,11 +317,11 @@ def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
     found = []
     for one in angles:
         turns = turns_of(side, one[None])
-        found.append(result_of(finding_touches(source(side), skins(side), turns, np.zeros(1))))
+        found.append(run_to_completion(finding_touches(source(side), skins(side), turns, np.zeros(1))))
     pair = PAIRS.tolist().index([1, 2])
-    assert found[0].gap[0, pair] < TOUCHING[0]
+    assert found[0].gap[0, pair] < TOUCH_GAP[0]
     assert found[0].weights[0, pair] == 0.0
-    assert found[1].gap[0, pair] < TOUCHING[0]
+    assert found[1].gap[0, pair] < TOUCH_GAP[0]
     assert found[1].weights[0, pair] > 0.9
 
 
@@ -325,7 +329,7 @@ def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
 def test_slopes_are_those_of_differences(finger):
     rng = np.random.default_rng(9)
     turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
-    found = result_of(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
+    found = run_to_completion(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
     chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
     problem = chains.problem(target.standing(turns), found, np.arange(2))
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))

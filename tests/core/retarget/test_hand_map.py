@@ -107,7 +107,7 @@ def test_a_preset_has_each_hand_once(tmp_path):
         read_preset(tmp_path / "gone.json")
 
 
-def test_bones_are_keyed_once_and_parents_first():
+def test_keyed_bones():
     toon = replace(PLAIN, bones=(*PLAIN.bones[:7], *PLAIN.bones[10:13], *PLAIN.bones[10:]))
     assert toon.keyed == tuple(dict.fromkeys(toon.bones[1:]))
     assert len(toon.keyed) == 12
@@ -122,7 +122,7 @@ def test_bones_are_keyed_once_and_parents_first():
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_bones_that_are_not_there_are_named(side):
+def test_missing_bones_are_named(side):
     PLAIN.check(set(PLAIN.bones))
     with pytest.raises(HandModelError, match="no bone 'b7'"):
         PLAIN.check(set(PLAIN.bones) - {"b7"})

@@ -52,7 +52,7 @@ def test_every_table_is_recognised(rig, side, prefix):
         assert found.sure > 0.9
 
 
-def test_a_proximal_thumb_bone_is_what_the_whole_set_says():
+def test_proximal_thumb_bone():
     """It is the thumb's first bone in VRM 0, and its second in VRM 1."""
     for label, joint in (("VRM 0", 13), ("VRM 1", 14)):
         bones = character(next(rig for rig in RIGS if rig.label == label))
@@ -61,7 +61,7 @@ def test_a_proximal_thumb_bone_is_what_the_whole_set_says():
         assert found.hand_map.bones[joint] == "leftThumbProximal"
 
 
-def test_two_characters_in_one_armature_are_named():
+def test_several_characters_are_named():
     built, rng = Built(), np.random.default_rng(3)
     rig = next(rig for rig in RIGS if rig.label == "Mixamo")
     for number, prefix in enumerate(("mixamorig:", "mixamorig1:")):
@@ -72,7 +72,7 @@ def test_two_characters_in_one_armature_are_named():
         the_surest(named_hands(bones, "left"), bones)
 
 
-def test_a_hand_with_a_counterpart_goes_before_one_without():
+def test_prefers_paired_hands():
     built, rng = Built(), np.random.default_rng(3)
     hands: list[tuple[Side, str]] = [("left", "robo_"), ("left", ""), ("right", "")]
     for side, prefix in hands:
@@ -85,7 +85,7 @@ def test_a_hand_with_a_counterpart_goes_before_one_without():
     assert found.hand_map.bones[0] == "hand.L"
 
 
-def test_bones_that_follow_others_are_not_taken():
+def test_ignores_driven_bones():
     """As a rig's controls and the deforming bones that copy them."""
     built = Built()
     fore, place = body(built, "right")
@@ -103,7 +103,7 @@ def test_bones_that_follow_others_are_not_taken():
     assert found.hand_map.bones[1] == "DEF-f_index.01.R"
 
 
-def test_short_fingers_end_with_the_last_joint():
+def test_short_fingers():
     built, rng = Built(), np.random.default_rng(3)
     rig = next(rig for rig in RIGS if rig.label == "Mixamo")
     fore, place = body(built, "left")
@@ -118,7 +118,7 @@ def test_short_fingers_end_with_the_last_joint():
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_names_without_a_side_are_of_the_side_that_the_hand_looks_like(side):
+def test_names_without_side(side):
     """WebXR's hands, say, lie in a file each and are called alike."""
     rig = next(rig for rig in RIGS if rig.label == "SMPL-X")
     names = {slot: name.removeprefix("left_") for slot, name in rig.slots.items()}
@@ -130,7 +130,7 @@ def test_names_without_a_side_are_of_the_side_that_the_hand_looks_like(side):
         assert (found is not None) == (other == side)
 
 
-def test_no_hand_is_found_where_there_is_none():
+def test_finds_no_hand():
     names = ["hand.L", "thumb.01.L", "thumb.02.L", "thumb.03.L", "f_index.01.R", "left", "right", "", "01"]
     built = Built()
     for number, name in enumerate(names):

@@ -41,7 +41,7 @@ def turned(bones: Bones, turn: np.ndarray, scale: float) -> Bones:
 @pytest.mark.parametrize("tips", [False, True], ids=["", "tips"])
 @pytest.mark.parametrize("palm", [False, True], ids=["", "palm"])
 @pytest.mark.parametrize("seed", range(8))
-def test_bones_are_told_by_where_they_are(seed, palm, tips):
+def test_finds_bones_by_place(seed, palm, tips):
     rng = np.random.default_rng(seed)
     bones = two_hands(rng, palm=palm, tips=tips, bend=np.radians(25.0), stretch=0.2)
     bones = turned(bones, rotvec_to_rotmat(rng.normal(size=3)), float(np.exp(rng.uniform(-4.0, 4.0))))
@@ -53,7 +53,7 @@ def test_bones_are_told_by_where_they_are(seed, palm, tips):
         assert found.hand_map.palm == tuple(names[slot] if palm else "" for slot in PALM)
 
 
-def test_a_metacarpal_may_hold_the_thumb_too():
+def test_thumb_on_metacarpal():
     """As Rigify's first one does."""
     bones = two_hands(np.random.default_rng(2), palm=True)
     parents = bones.parents.copy()
@@ -106,7 +106,7 @@ def test_hands_of_toons(fingers, bones_each):
 
 
 @pytest.mark.parametrize("hint", ["", "mitten_"])
-def test_a_mitten_is_a_hand_where_a_name_says_so(hint):
+def test_mittens(hint):
     """Its one finger follows all four of ours: ears and straps come in pairs, too."""
     without = tuple(joint for f in ("index", "ring", "little") for joint in FINGER_JOINTS[f])
 
@@ -138,7 +138,7 @@ def test_a_mitten_is_a_hand_where_a_name_says_so(hint):
         assert np.degrees(np.arcsin(np.linalg.norm(across))) < 0.1
 
 
-def test_names_tell_the_side_of_a_flat_hand():
+def test_side_of_flat_hand():
     def named(side, palm):
         return {slot: f"{name}_{side}" for slot, name in numbered(side, palm).items()}
 
@@ -157,7 +157,7 @@ def test_names_tell_the_side_of_a_flat_hand():
         assert found.hand_map.bones[0].endswith(side)
 
 
-def test_several_hands_of_a_side_are_told():
+def test_several_hands_of_a_side():
     built = Built()
     for number in range(2):
         fore, place = body(built, "left", name=f"c{number}")

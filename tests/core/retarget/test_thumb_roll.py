@@ -54,7 +54,7 @@ def own_bones(side: Side, moved: dict[int, np.ndarray] | None = None) -> tuple[B
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_positive_roll_turns_the_nail_towards_the_back(side):
+def test_thumb_roll_sign(side):
     bones, hand_map = own_bones(side)
     back = np.array([0.0, 0.0, 1.0])
     for degrees in (-20.0, 20.0):

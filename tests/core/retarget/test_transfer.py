@@ -105,7 +105,7 @@ def joints_of(hand: TargetHand, standing: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_our_own_hand_gets_what_its_own_keys_say(side):
+def test_captured_hand_as_target(side):
     hand, turns = own_hand(side), poses()
     np.testing.assert_allclose(hand.aligned, np.eye(3), atol=1e-10)
     assert hand.scale == pytest.approx(1.0, abs=1e-10)
@@ -122,7 +122,7 @@ def test_our_own_hand_gets_what_its_own_keys_say(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_captured_points_are_those_of_the_hand_model(side):
+def test_source_points(side):
     model, turns = load_model(None, side), poses(4)
     turns[:, 0] = np.eye(3)
     joints, tips = source(side).points(turns)
@@ -162,7 +162,7 @@ def test_turns_is_the_inverse_of_local(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_channels_are_what_parents_leave_to_do(side):
+def test_channels(side):
     """Put together again as Blender does: the parent's pose, the rest relative to it, the channel."""
     hand = target(side, 3, palms=True, fields={"fold": 0.6})
     standing = hand.standing(poses())
@@ -174,7 +174,7 @@ def test_channels_are_what_parents_leave_to_do(side):
     np.testing.assert_allclose(built, standing, atol=1e-10)
 
 
-def test_a_mirrored_hand_does_the_mirrored_thing():
+def test_mirrored_hand():
     turns = poses()
     for side in SIDES:
         own = source(side)
@@ -191,7 +191,7 @@ def test_a_mirrored_hand_does_the_mirrored_thing():
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_bone_of_two_fingers_stands_between_them(side):
+def test_bone_of_two_fingers(side):
     bones = rig(side, 6, without=FINGER_JOINTS["little"])
     plain = table(bones, side)
     names = list(plain.bones)
@@ -221,7 +221,7 @@ def test_a_bone_of_two_fingers_stands_between_them(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_fingers_that_are_not_there_have_no_tips(side):
+def test_missing_fingers_have_no_tips(side):
     hand = target(side, 7, without=(*FINGER_JOINTS["index"], *FINGER_JOINTS["thumb"]))
     tips = hand.points(hand.standing(poses()))[1]
     assert np.isnan(tips[:, :2]).all()
@@ -231,7 +231,7 @@ def test_fingers_that_are_not_there_have_no_tips(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_folded_metacarpals_keep_directions(side):
+def test_folded_metacarpals(side):
     turns = poses()
     flat, folded = (target(side, 8, palms=True, fields={"fold": fold}) for fold in (0.0, 1.0))
     assert set(folded.bones) - set(flat.bones) == {NAMES[18], NAMES[19]}
@@ -251,7 +251,7 @@ def test_folded_metacarpals_keep_directions(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_who_keeps_its_rest_rests_where_the_captured_hand_is_flat(side):
+def test_keep_rest(side):
     hand = target(side, 9, fields={"keep_rest": True})
     still = np.broadcast_to(np.eye(3), (1, NUM_JOINTS, 3, 3))
     local = hand.local(still)
@@ -271,7 +271,7 @@ def test_size_is_that_of_the_palm():
         np.testing.assert_allclose(hand.wrist, heads[0])
 
 
-def test_palms_that_face_nowhere_are_refused():
+def test_refuses_degenerate_palms():
     bones = rig("right", 10)
     joints = {name: bones.index[name] for name in (NAMES[j] for j in range(NUM_JOINTS))}
 
@@ -299,7 +299,7 @@ def test_palms_that_face_nowhere_are_refused():
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("above", [False, True])
-def test_what_moves_the_whole_hand_is_no_finger(side, above):
+def test_refuses_hand_bone_as_finger(side, above):
     bones = rig(side, 10, palms=True)
     if above:  # an arm, which the hand hangs from
         bones = Bones(
@@ -321,7 +321,7 @@ def test_what_moves_the_whole_hand_is_no_finger(side, above):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_palms_third_axis_comes_out_of_its_back(side):
+def test_palm_frame(side):
     own = source(side)
     frame, size = palm_frame(own.joints[0], {f: own.joints[FINGER_JOINTS[f][0]] for f in FINGERS[1:]}, side)
     assert frame[2, 2] > 0.9
@@ -355,7 +355,7 @@ def test_where_fingers_end():
     np.testing.assert_allclose(finger_end(bones(chain, junk, [-1, 0, 1]), [0, 1, 2]), [6.6, 0, 0])
 
 
-def test_the_smallest_rotation_between_two_directions():
+def test_swing():
     rng = np.random.default_rng(11)
     for start, end in rng.normal(size=(50, 2, 3)):
         start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
@@ -378,7 +378,7 @@ def test_sources_keep_their_side():
     np.testing.assert_array_equal(own.mirrored().mirrored().tips, own.tips)
 
 
-def test_smoothed_travel_keeps_even_motion_and_takes_out_what_shakes():
+def test_smoothed_travel():
     frames = np.concatenate([np.arange(30.0), [30.4, 33.0, 34.5]])
     even = frames[:, None] * [0.01, -0.02, 0.005]
     turns = rotvec_to_rotmat(frames[:, None] * [0.0, 0.03, 0.0])
@@ -401,7 +401,7 @@ def test_smoothed_travel_is_not_late():
     assert np.argmax(places[:, 0]) == 20
 
 
-def test_smoothed_travel_of_hands_that_turn_over():
+def test_smoothed_travel_of_flips():
     """Quaternions of both signs are the same turn."""
     frames = np.arange(60.0)
     turns = rotvec_to_rotmat(frames[:, None] * [0.12, 0.0, 0.0])

@@ -9,7 +9,7 @@ import pytest
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.fast import fit_track
-from handfit_core.fit.rest import STILLEST, palm_motion, wrist_distances
+from handfit_core.fit.stationary import MIN_MOTION_SCALE, palm_motion_scale, wrist_distance_factors
 from handfit_core.hand_model.chain import State
 from tests.core.fit.detections import CAMERA, landmarks_of, model_of, poses, seen
 from tests.core.fit.hands import chain_of, make_state, observe, repeated
@@ -79,7 +79,7 @@ def test_a_resting_hand_holds_still() -> None:
     assert over_time < 0.001
 
 
-def test_a_wrist_at_rest_does_not_move_with_its_fingers() -> None:
+def test_resting_wrist_with_moving_fingers() -> None:
     """Though the hand seems 8 % smaller when it is closed; the fingers keep their motion."""
     tracks = [detected(seed, RESTING, CLOSING, 0.05) for seed in DRAWS]
     results = [(found(track, 0.0), found(track)) for track in tracks]
@@ -92,7 +92,7 @@ def test_a_wrist_at_rest_does_not_move_with_its_fingers() -> None:
 
 
 @pytest.mark.parametrize(("hertz", "size"), [(0.5, 0.05), (1.0, 0.03), (1.0, 0.05), (2.0, 0.05)])
-def test_motion_towards_the_camera_keeps_its_size_and_its_time(hertz: float, size: float) -> None:
+def test_motion_in_depth(hertz: float, size: float) -> None:
     depth = size * np.sin(2 * np.pi * hertz * TIME)
     gains = []
     for seed in DRAWS:
@@ -118,7 +118,7 @@ def distances(
 ) -> np.ndarray:
     known = np.ones(COUNT, dtype=bool) if known is None else known
     certain = np.zeros(COUNT, dtype=bool) if certain is None else certain
-    return state.wrist[:, 2] * wrist_distances(state, known, certain, FPS, smoothing)
+    return state.wrist[:, 2] * wrist_distance_factors(state, known, certain, FPS, smoothing)
 
 
 def test_time_has_no_direction() -> None:
@@ -135,21 +135,21 @@ def test_what_was_not_seen_does_not_count() -> None:
     np.testing.assert_allclose(distances(wild, known)[known], distances(state, known)[known], rtol=0.01)
 
 
-def test_single_frames_that_are_far_off_do_not_count() -> None:
+def test_outlier_frames() -> None:
     state, _ = reach(0)
     wild = state.wrist.copy()
     wild[[30, 70]] *= 1.5
     np.testing.assert_allclose(distances(replace(state, wrist=wild)), distances(state), rtol=0.02)
 
 
-def test_a_wrist_that_is_held_is_where_it_is() -> None:
+def test_held_wrist() -> None:
     state, _ = reach(0)
     certain = np.zeros(COUNT, dtype=bool)
     certain[20:30] = True
     held = replace(state, wrist=np.where(certain[:, None], state.wrist[25], state.wrist))
     found_at = distances(held, certain=certain)
     np.testing.assert_allclose(found_at[certain], held.wrist[25, 2], rtol=1e-4)
-    assert np.abs(np.diff(found_at)).max() < 0.02  # metres; nothing jumps where it begins
+    assert np.abs(np.diff(found_at)).max() < 0.02  # metres; nothing detect_cuts where it begins
 
 
 def test_more_smoothing_holds_firmer() -> None:
@@ -167,15 +167,15 @@ def test_palms_that_hold_still() -> None:
     observed = observe(chain_of().points(state), noise=0.2)
     known = np.ones(COUNT, dtype=bool)
     known[5:8] = False
-    moves = palm_motion(observed, known, FPS)
+    moves = palm_motion_scale(observed, known, FPS)
     rests = known & ((TIME < 1.0) | (TIME > 2.8))
-    np.testing.assert_array_equal(moves[rests], STILLEST)
+    np.testing.assert_array_equal(moves[rests], MIN_MOTION_SCALE)
     np.testing.assert_array_equal(moves[(TIME > 1.6) & (TIME < 2.2)], 1.0)
     np.testing.assert_array_equal(moves[~known], 1.0)
 
 
 @pytest.mark.parametrize("fps", [25.0, 1e5])
-def test_numbers_that_are_no_hands_are_left_where_they_are(fps: float) -> None:
+def test_not_finite_distances(fps: float) -> None:
     """Too near to be seen, or none at all, in all frames or in one, however many a second."""
     state = repeated(make_state(1, chain_of()), 12)
     everywhere, nowhere = np.ones(12, dtype=bool), np.zeros(12, dtype=bool)
@@ -183,7 +183,7 @@ def test_numbers_that_are_no_hands_are_left_where_they_are(fps: float) -> None:
         for distance in (0.001, np.nan):
             wrist = state.wrist.copy()
             wrist[near, 2] = distance
-            factors = wrist_distances(replace(state, wrist=wrist), everywhere, nowhere, fps, 1.0)
+            factors = wrist_distance_factors(replace(state, wrist=wrist), everywhere, nowhere, fps, 1.0)
             assert np.isfinite(factors).all()
             if near == slice(None):
                 np.testing.assert_array_equal(factors, 1.0)

@@ -1,4 +1,4 @@
-"""Fingers, thumb and palm do not pass through each other."""
+"""Interpenetration of a hand's fingers, thumb and palm."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
 SIGMA: Final = 0.001
-"""metres of depth that cost as much as one sigma"""
+"""metres of penetration depth that cost as much as one sigma"""
 EDIT_SIGMA: Final = 0.00025
-"""The same where a pose is corrected: pins are surer than landmarks, and would push parts into each other"""
-GIVES: Final = 0.00075
-"""metres by which flesh gives where parts touch"""
+"""metres, in place of SIGMA where an artist corrects a pose: pins are surer than landmarks, and would push
+parts into each other"""
+COMPRESSION: Final = 0.00075
+"""metres by which flesh is compressed where parts touch"""
 
 
-class Apart:
-    """One row for each two parts that stand in each other: (depth - GIVES) / SIGMA, or EDIT_SIGMA."""
+class Interpenetration:
+    """One row for each pair of parts that overlap: r = (depth - COMPRESSION) / SIGMA, or / EDIT_SIGMA."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of B posed hands."""
-        near = self.surface.near(self.surface.capsules(posed), within=-GIVES)
+        """The rows of those of B posed hands whose parts overlap."""
+        near = self.surface.near(self.surface.capsules(posed), within=-COMPRESSION)
         # The places are the nearest ones: to first order the gap does not change as they move on.
         corrected = seen.kept is not None and np.isfinite(seen.kept.limits_sigma)[near.hand]
         sigma = np.where(corrected, EDIT_SIGMA, SIGMA)
         slope = between(posed, near.hand, near.bones, near.places, -near.towards / sigma[..., None])
-        residual = -(near.gap + GIVES) / sigma
+        residual = -(near.gap + COMPRESSION) / sigma
         columns = np.concatenate([slope, residual[:, None]], axis=1)
         return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, np.square(residual))

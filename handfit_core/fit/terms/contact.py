@@ -1,4 +1,4 @@
-"""Parts that touch do so with their skins: fingertips that are seen to, and what a person says."""
+"""Contact between the skins of two parts: pinches that are seen, and touches that an artist asks for."""
 
 from __future__ import annotations
 
@@ -6,53 +6,53 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.fit.meeting import TIPS
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.self_contact import PINCH_BONES
 from handfit_core.fit.terms.rows import PairRows, between
 from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, PAIRS, Near, Surface
 
 SIGMA: Final = 0.0015
 """metres between skins that cost as much as one sigma"""
-FAR: Final = 0.02
-"""metres; tips that stay farther apart were taken for touching by mistake, and pull hardly"""
-CERTAIN_SIGMA: Final = 0.0001
-"""metres, of what a person says, which is no mistake however far it is"""
+ROBUST_SCALE: Final = 0.02
+"""metres: scale of Geman and McClure's kernel. Tips farther apart are outliers of the pinch detection"""
+USER_SIGMA: Final = 0.0001
+"""metres between skins that an artist wants to touch; without a robust kernel, as it is never an outlier"""
 
-_PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) for tips in TIPS])
+_PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) for tips in PINCH_BONES])
 
 
-class Touch:
-    """One row for each pair of `seen.meeting.touching`: the gap g between their skins, with Geman and
-    McClure's kernel, s / (1 + s (SIGMA / FAR)^2) of s = (g / SIGMA)^2. One for each of `seen.touches`:
-    g / CERTAIN_SIGMA."""
+class Contact:
+    """One row for each pair of `seen.self_contact.pinch`: the gap g between their skins, with Geman and
+    McClure's kernel, s / (1 + s (SIGMA / ROBUST_SCALE)^2) of s = (g / SIGMA)^2. One row for each of
+    `seen.touches`: g / USER_SIGMA."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def __call__(self, posed: Posed, seen: Observation) -> PairRows:
-        """The rows of B posed hands."""
+        """The rows of those of B posed hands in which parts touch."""
         capsules = self.surface.capsules(posed)
         found: list[PairRows] = []
-        if seen.meeting is not None:
-            hand, pair = np.nonzero(seen.meeting.touching)
+        if seen.self_contact is not None:
+            hand, pair = np.nonzero(seen.self_contact.pinch)
             near = self.surface.gaps(capsules, hand, _PAIRS[pair])
-            flat = 1.0 / (1.0 + np.square(near.gap / FAR))
-            sure = seen.meeting.touching[hand, pair]
+            robust = 1.0 / (1.0 + np.square(near.gap / ROBUST_SCALE))
+            confidence = seen.self_contact.pinch[hand, pair]
             # The kernel's slope is flat ** 2.
-            found.append(_rows(posed, near, SIGMA, flat * np.sqrt(sure), 1.0 / flat))
+            found.append(_rows(posed, near, SIGMA, robust * np.sqrt(confidence), 1.0 / robust))
         if seen.touches is not None:
             hand, point = np.nonzero(np.isfinite(seen.touches))
             points = np.stack([point, seen.touches[hand, point].astype(int)], axis=1)
             near = self.surface.gaps_at(capsules, hand, points)
-            found.append(_rows(posed, near, CERTAIN_SIGMA, np.ones(len(hand)), np.ones(len(hand))))
+            found.append(_rows(posed, near, USER_SIGMA, np.ones(len(hand)), np.ones(len(hand))))
         return PairRows(
             *(np.concatenate([getattr(r, n) for r in found]) for n in PairRows.__dataclass_fields__)
         )
 
 
 def _rows(posed: Posed, near: Near, sigma: float, weight: np.ndarray, excess: np.ndarray) -> PairRows:
-    """Gaps in sigmas times weights (K,), and costs that are `excess` (K,) times their squares."""
+    """Rows of K gaps in sigmas times `weight` (K,), whose costs are `excess` (K,) times their squares."""
     slope = between(posed, near.hand, near.bones, near.places, near.towards / sigma)
     columns = np.concatenate([slope, near.gap[:, None] / sigma], axis=1) * weight[:, None]
     return PairRows(near.hand, FINGER_OF_BONE[near.bones], columns, excess * np.square(columns[:, -1]))

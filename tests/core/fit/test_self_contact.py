@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from handfit_core.fit.fast import FastFitter, fitter_of
+from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times
-from handfit_core.fit.meeting import CROSSING, TIPS, meeting
-from handfit_core.fit.observation import Meeting, Observation
+from handfit_core.fit.observation import Observation, SelfContact
 from handfit_core.fit.problem import Problem
-from handfit_core.fit.terms import Apart, InFront, Touch
+from handfit_core.fit.self_contact import CROSSING, PINCH_BONES, find_self_contact
+from handfit_core.fit.terms import Contact, Interpenetration, OrdinalDepth
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import PAIRS, Surface
@@ -61,12 +61,12 @@ def gaps(state: State, bones: np.ndarray) -> np.ndarray:
     return surface.gaps(surface.capsules(chain.pose(state)), np.arange(len(state)), pair).gap
 
 
-def anything(batch: int) -> Meeting:
+def anything(batch: int) -> SelfContact:
     """Everything crosses and touches, whatever is seen."""
     rng = np.random.default_rng(3)
-    many, tips = (batch, len(CROSSING)), (batch, len(TIPS))
+    many, tips = (batch, len(CROSSING)), (batch, len(PINCH_BONES))
     front = rng.choice([-1.0, 1.0], many)
-    return Meeting(
+    return SelfContact(
         rng.random((*many, 2)),
         front,
         np.full(many, 0.01),
@@ -77,14 +77,14 @@ def anything(batch: int) -> Meeting:
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("term", [Apart, InFront, Touch])
+@pytest.mark.parametrize("term", [Interpenetration, OrdinalDepth, Contact])
 def test_gradients_are_those_of_the_cost(
-    term: Callable[[Surface], Apart | InFront | Touch], side: Side
+    term: Callable[[Surface], Interpenetration | OrdinalDepth | Contact], side: Side
 ) -> None:
     own = fitter(side)
     state = fists(side, 2)
     touches = np.where(np.isin(np.arange(21), [8, 12, 20]), [[4.0] * 21, [0.0] * 21], np.nan)
-    seen = replace(seen_of(state, side), meeting=anything(2), touches=touches)
+    seen = replace(seen_of(state, side), self_contact=anything(2), touches=touches)
     problem = Problem(own.chain, seen, (*own._terms[:1], term(own.surface)))
     bare = Problem(own.chain, seen, own._terms[:1])
     for row in (slice(0, 1), slice(1, 2)):
@@ -104,10 +104,10 @@ def cost_of_moved(problem: Problem, bare: Problem, state: State, shifts: np.ndar
     return problem.select(rows).blocks(moved).cost - bare.select(rows).blocks(moved).cost
 
 
-def test_batch_equals_loop_and_matrices_are_symmetric() -> None:
+def test_batch_equals_loop() -> None:
     own = fitter()
     state = fists(batch=4)
-    problem = own.problem(replace(seen_of(state), meeting=anything(4)), solid=True)
+    problem = own.problem(replace(seen_of(state), self_contact=anything(4)), solid=True)
     whole = problem.blocks(state)
     assert whole.between is not None
     close(whole.between, whole.between.swapaxes(1, 2))
@@ -118,7 +118,7 @@ def test_batch_equals_loop_and_matrices_are_symmetric() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_fist_that_stands_in_itself_is_made_solid(side: Side) -> None:
+def test_fist_becomes_solid(side: Side) -> None:
     own, state = fitter(side), fists(side)
     assert depths(state, side).min() > 0.004
     seen = seen_of(state, side)
@@ -146,10 +146,10 @@ def facing(state: State, towards: float) -> State:
 
 
 @pytest.mark.parametrize("towards", [1.0, -1.0])
-def test_what_crosses_is_seen_with_its_order(towards: float) -> None:
+def test_depth_order_of_crossings(towards: float) -> None:
     """Of a fist's thumb that lies over the fingers: in front as the palm shows, behind from the back."""
     own, state = fitter(), facing(fists(batch=1), towards)
-    found = meeting(own.surface, seen_of(state), state)
+    found = find_self_contact(own.surface, seen_of(state), state)
     over = found.front[0] != 0.0
     assert over.any()
     surface, posed = own.surface, own.chain.pose(state)
@@ -159,7 +159,7 @@ def test_what_crosses_is_seen_with_its_order(towards: float) -> None:
     sure = np.abs(middle[second] - middle[first]) > 0.008
     assert sure.any()
     assert np.array_equal(found.front[0, over][sure], nearer[sure])
-    assert (found.apart[0, over] < 0.03).all()
+    assert (found.separation[0, over] < 0.03).all()
 
 
 def at(frames: np.ndarray, cuts: tuple[int, ...] = ()) -> Times:
@@ -167,20 +167,20 @@ def at(frames: np.ndarray, cuts: tuple[int, ...] = ()) -> Times:
     return Times.between(frames, np.isin(np.arange(len(frames) - 1), cuts), 25.0)
 
 
-def test_neighbours_in_time_overrule_one_frame() -> None:
+def test_neighbours_vote_on_order() -> None:
     own, state = fitter(), facing(fists(batch=1), 1.0)
     seen = seen_of(repeated(state, 9))
     spoilt = replace(seen, depth=seen.depth.copy())
     spoilt.depth[4] *= -1.0
-    alone = meeting(own.surface, spoilt, repeated(state, 9))
-    told = meeting(own.surface, spoilt, repeated(state, 9), at(np.arange(9)))
+    alone = find_self_contact(own.surface, spoilt, repeated(state, 9))
+    told = find_self_contact(own.surface, spoilt, repeated(state, 9), at(np.arange(9)))
     assert not np.array_equal(alone.front[4], alone.front[3])
     assert np.array_equal(told.front[4], told.front[3])
     # Frames that are missing are no neighbours.
-    far = meeting(own.surface, spoilt, repeated(state, 9), at(100 * np.arange(9)))
+    far = find_self_contact(own.surface, spoilt, repeated(state, 9), at(100 * np.arange(9)))
     assert np.array_equal(far.front, alone.front)
     # So are those of another shot.
-    cut = meeting(own.surface, spoilt, repeated(state, 9), at(np.arange(9), (3, 4)))
+    cut = find_self_contact(own.surface, spoilt, repeated(state, 9), at(np.arange(9), (3, 4)))
     assert np.array_equal(cut.front[4], alone.front[4])
 
 
@@ -192,14 +192,14 @@ def test_the_thumb_is_kept_on_its_side() -> None:
     true = replace(state, angles=np.stack([lifted, *state.angles[0, 1:]])[None])
     seen = seen_of(true, noise=1.0)
     seen, solid = own.solve_solid(seen, own.solve_each(own.problem(seen), state))
-    assert seen.meeting is not None
+    assert seen.self_contact is not None
     ends = own.surface.capsules(own.chain.pose(solid.state)).ends[0]
-    for pair in np.flatnonzero(seen.meeting.front[0]):
-        share = seen.meeting.along[0, pair]
+    for pair in np.flatnonzero(seen.self_contact.front[0]):
+        share = seen.self_contact.along[0, pair]
         places = [
             ends[b, 0] + s * (ends[b, 1] - ends[b, 0]) for b, s in zip(CROSSING[pair], share, strict=True)
         ]
-        behind = (places[0] - places[1]) @ seen.ray[0] * seen.meeting.front[0, pair]
+        behind = (places[0] - places[1]) @ seen.ray[0] * seen.self_contact.front[0, pair]
         assert behind < 0.0
     assert depths(solid.state).max() < 0.003
 
@@ -208,21 +208,21 @@ def pinches(batch: int) -> State:
     return posed_as(OPPOSED, PINCH, *np.zeros((3, 9)), batch=batch)
 
 
-def test_tips_that_are_seen_to_touch_are_closed() -> None:
+def test_pinches_are_closed() -> None:
     own, state = fitter(), facing(pinches(6), 1.0)
-    apart = gaps(state, TIPS[0])
-    assert 0.0 < apart.max() < 0.02
+    separation = gaps(state, PINCH_BONES[0])
+    assert 0.0 < separation.max() < 0.02
     seen = seen_of(state, noise=2.0)
     plain = own.solve_each(own.problem(seen), state)
     seen, solid = own.solve_solid(seen, plain)
-    assert seen.meeting is not None
-    assert seen.meeting.touching[:, 0].min() > 0.5
-    assert seen.meeting.touching[:, 1:].max() == 0.0
-    assert np.abs(gaps(plain.state, TIPS[0])).mean() > 0.003
-    assert np.abs(gaps(solid.state, TIPS[0])).max() < 0.002
+    assert seen.self_contact is not None
+    assert seen.self_contact.pinch[:, 0].min() > 0.5
+    assert seen.self_contact.pinch[:, 1:].max() == 0.0
+    assert np.abs(gaps(plain.state, PINCH_BONES[0])).mean() > 0.003
+    assert np.abs(gaps(solid.state, PINCH_BONES[0])).max() < 0.002
 
 
-def test_clips_stay_solid_while_they_are_smoothed() -> None:
+def test_smoothed_clips_stay_solid() -> None:
     """A hand that opens and closes, with noise."""
     own, count = fitter(), 40
     closed = (1.0 - np.cos(np.arange(count) / 3.0)) / 2.0
@@ -230,11 +230,9 @@ def test_clips_stay_solid_while_they_are_smoothed() -> None:
     state = replace(state, angles=state.angles * closed[:, None, None])
     seen = seen_of(state, noise=1.0)
     assert 0.2 < (depths(state) > 0.004).mean() < 0.9
-    from handfit_core.fit.fast import over_time
-
     frames = np.arange(count)
     seen, solid = own.solve_solid(seen, own.solve_each(own.problem(seen), state), at(frames))
-    _, smooth = over_time(own, seen, solid.state, frames, np.zeros(count - 1, dtype=bool), 1.0, 25.0)
+    _, smooth = smooth_track(own, seen, solid.state, frames, np.zeros(count - 1, dtype=bool), 1.0, 25.0)
     assert depths(smooth).max() < 0.004
     rough = np.abs(np.diff(solid.state.angles, 2, axis=0)).mean()
     assert np.abs(np.diff(smooth.angles, 2, axis=0)).mean() < 0.8 * rough
@@ -242,7 +240,7 @@ def test_clips_stay_solid_while_they_are_smoothed() -> None:
 
 def test_random_hands_become_solid() -> None:
     own, state = fitter(), make_state(40, fitter().chain, spread=0.7)
-    least, most = own.reach
+    least, most = own.angle_bounds
     state = replace(state, angles=np.clip(state.angles, least, most), betas=random(40, 10))
     seen = seen_of(state)
     plain = own.solve_each(own.problem(seen), state)
