@@ -15,7 +15,7 @@ from handfit_core.skeleton import SIDES
 from handfit_core.slices import slice_clock
 
 from . import live_link
-from .remembered import Remembered
+from .block_reference import BlockReference
 from .scene.characters import hands_to_move
 from .scene.onto_character import adjusting, is_adjusted, offsets_of
 from .wording import counted
@@ -30,14 +30,14 @@ class _Change:
     """A character whose keys are to be written anew."""
 
     def __init__(self, armature: bpy.types.Object) -> None:
-        self.armature = Remembered.of("objects", armature)
+        self.armature = BlockReference.of("objects", armature)
         self.since = time.monotonic()
         self.steps: Generator[float, None, int] | None = None
 
 
 _changes: dict[int, _Change] = {}
 """By the armatures' session_uid"""
-_offsets: dict[int, tuple[Remembered, dict]] = {}
+_offsets: dict[int, tuple[BlockReference, dict]] = {}
 """Characters with an offset in the scene, by their session_uid, and where it was seen last"""
 _said: dict[int, tuple[str, bool]] = {}
 """What came of the last change, and whether it could not be done"""
@@ -104,7 +104,7 @@ def _look(armature: bpy.types.Object) -> None:
     """Remember where its offsets are."""
     character = armature.manient.character
     if any(getattr(character, side).offset is not None for side in SIDES):
-        _offsets[armature.session_uid] = Remembered.of("objects", armature), _places(armature)
+        _offsets[armature.session_uid] = BlockReference.of("objects", armature), _places(armature)
     else:
         _offsets.pop(armature.session_uid, None)
 
@@ -116,8 +116,8 @@ def _places(armature: bpy.types.Object) -> dict:
 @bpy.app.handlers.persistent
 def _on_update(*_args) -> None:
     """Something in the scene has changed: perhaps an offset was dragged, or deleted."""
-    for uid, (remembered, places) in list(_offsets.items()):
-        armature = remembered.find()
+    for uid, (reference, places) in list(_offsets.items()):
+        armature = reference.find()
         if armature is None:
             del _offsets[uid]
         elif _places(armature) != places:
@@ -150,7 +150,7 @@ HANDLERS = {
     "undo_post": _on_time_travel,
     "redo_post": _on_time_travel,
 }
-FOLLOWS = {"hand_motion": followed}
+LISTENERS = {"hand_motion": followed}
 
 
 def unregister() -> None:

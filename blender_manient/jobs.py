@@ -21,18 +21,18 @@ import numpy as np
 from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
 from handfit_core.media.source import Source
 from handfit_core.options import CROWD, CaptureOptions
-from handfit_core.slices import retold, slice_clock
+from handfit_core.slices import map_yields, slice_clock
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
 from . import details, shared_worker
 from .cache import folder_path, temporary_take
-from .remembered import Remembered
+from .block_reference import BlockReference
 from .scene.apply import apply_track, track_for
 from .scene.build import BuildOptions, building
 from .scene.captures import comes_in_front
 from .scene.controls import add_controls
-from .scene.matching import Choice, Footage, matches, said
+from .scene.matching import Choice, Footage, matches, scene_sentence
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .wording import capitalised, counted, without_name
@@ -47,9 +47,9 @@ _KEPT = 6
 class Building:
     """What to do with the take."""
 
-    scene: Remembered
+    scene: BlockReference
     target: Literal["NEW", "ANIMATION", "POSE"] = "NEW"
-    hand: Remembered | None = None
+    hand: BlockReference | None = None
     """The armature that ANIMATION and POSE are for"""
     frame: float = 1.0
     """The scene frame of POSE, and of new hands in a scene that keeps its time"""
@@ -59,7 +59,7 @@ class Building:
     matching: Choice = "AUTO"
     retimed: float | None = None
     """Frames per second of the scene that a clip of another rate will be retimed to"""
-    camera: Remembered | None = None
+    camera: BlockReference | None = None
     """An existing camera to look through instead of a new one"""
 
 
@@ -353,7 +353,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         data = job._take_path.read_bytes()
     except OSError as error:
         raise InputError(f"{job._take_path}: the captured take is gone ({error.strerror})") from error
-    take = yield from retold(Take.reading(data), lambda: 0.0)
+    take = yield from map_yields(Take.reading(data), lambda: 0.0)
     plan, warnings = job.building, []
     if plan.target != "NEW":
         assert plan.hand is not None
@@ -392,7 +392,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     _pack_cached_pictures(take)
     warnings += built.warnings
     if not job.bare:
-        job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
+        job.scene_said = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if (job.matched or job.in_front) and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))

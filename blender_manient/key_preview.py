@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import result_of, slice_clock
+from handfit_core.slices import run_to_completion, slice_clock
 
 from .scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, state_of, thinning
 from .wording import capitalised
@@ -57,7 +57,7 @@ def found_now(context: bpy.types.Context) -> list[Thinned]:
         now = [state_of(hand) for hand in hands]
         if all(one.made_of in now for one in _found):
             return _found
-    return result_of(_finding(hands, bounds_of(context.scene)))
+    return run_to_completion(_finding(hands, bounds_of(context.scene)))
 
 
 def _finding(hands: list[Hand], bounds: Bounds) -> Generator[None, None, list[Thinned]]:

@@ -18,21 +18,21 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import result_of, retold, slice_clock
+from handfit_core.slices import run_to_completion, map_yields, slice_clock
 
 from . import screen
-from .remembered import Remembered
+from .block_reference import BlockReference
 from .scene.characters import hands_to_move
 from .scene.editable import check_unlayered
 from .scene.hand_motion import BoneKeys, without_own
 from .scene.keys import nearest, remove_pose_keys, set_pose
 from .scene.onto_character import (
     Motion,
-    Onto,
+    TransferOptions,
     computing,
     noting,
     reading_motion,
-    told_by_keys,
+    is_keyframed,
     writing,
     writing_anew,
 )
@@ -56,7 +56,7 @@ class _Link:
     """A character that follows captured hands."""
 
     def __init__(self, armature: bpy.types.Object, *, shows: bool = False) -> None:
-        self.armature = Remembered.of("objects", armature)
+        self.armature = BlockReference.of("objects", armature)
         self.changed: float | None = time.monotonic() - _CALM
         """When a change was last seen that is not keyed yet"""
         self.shows = shows
@@ -141,8 +141,8 @@ def _show(armature: bpy.types.Object) -> None:
         basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
         turns = rest.frames @ basis @ np.swapaxes(rest.frames, -1, -2)
         motion = Motion.of(hand, np.zeros(1), turns[None], np.zeros((1, 3)))
-        onto = Onto(contacts=armature.manient.character.contacts)
-        for one in result_of(computing(armature, [(hand_map, motion)], onto)).keys:
+        onto = TransferOptions(contacts=armature.manient.character.contacts)
+        for one in run_to_completion(computing(armature, [(hand_map, motion)], onto)).keys:
             quats = one.keys.quats[0]
             quats[~one.keyed] = np.nan
             set_pose(one.rig, quats)
@@ -152,16 +152,16 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     """Write what is not what the link has written before; tells how much is done, 0..1."""
     character, hands = armature.manient.character, hands_to_move(armature, bpy.context)
     for _, hand in hands:
-        if not told_by_keys(hand.rig):
+        if not is_keyframed(hand.rig):
             raise OptionError(
                 f"{hand.armature.name} is moved by more than its keys (layers, constraints or controls), so "
                 "that the link only shows its pose: press Apply to Character to key the motion"
             )
-    onto = Onto.of(armature, into="NEW")
+    onto = TransferOptions.of(armature, into="NEW")
     keys: list[BoneKeys] = []
     for number, (hand_map, hand) in enumerate(hands):
         before, share = _COMPUTED * number / len(hands), _COMPUTED / len(hands)
-        motion = yield from retold(reading_motion(hand), lambda before=before: before)
+        motion = yield from map_yields(reading_motion(hand), lambda before=before: before)
         yield before
         computed = yield from _part(computing(armature, [(hand_map, motion)], onto), before, share)
         keys += computed.keys
@@ -299,7 +299,7 @@ def _wake() -> None:
 
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel)
-FOLLOWS = {"character": followed}
+LISTENERS = {"character": followed}
 
 
 def unregister() -> None:

@@ -61,7 +61,7 @@ class Part:
         self._add()
         for event, handler in self._handlers:
             event.append(handler)
-        properties.listeners |= getattr(self._module, "FOLLOWS", {})
+        properties.listeners |= getattr(self._module, "LISTENERS", {})
         getattr(self._module, "register", _nothing)()
         # The add-on may be switched on in a file that is open; at start-up there is none yet.
         if hasattr(bpy.data, "objects") and "load_post" in getattr(self._module, "HANDLERS", {}):
@@ -75,7 +75,7 @@ class Part:
             for event, handler in self._handlers:
                 if handler in event:
                     event.remove(handler)
-            for name in getattr(self._module, "FOLLOWS", ()):
+            for name in getattr(self._module, "LISTENERS", ()):
                 properties.listeners.pop(name, None)
             self._remove()
 

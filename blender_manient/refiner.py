@@ -23,7 +23,7 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import HandTrack
 
-from .remembered import Remembered
+from .block_reference import BlockReference
 from .scene import corrections
 from .scene.editable import why_not_keyable
 from .scene.keys import displayed_pose, pose_at
@@ -68,7 +68,7 @@ class Refiner:
         why = why_not_refinable(hand.track)
         if why is not None:
             raise TakeError(f"{armature.name!r}: {why}")
-        self._remembered = Remembered.of("objects", armature)
+        self._reference = BlockReference.of("objects", armature)
         self.name = armature.name
         self.take, self.track = hand.take, hand.track
         self.side: Side = hand.side
@@ -87,7 +87,7 @@ class Refiner:
     @property
     def found(self) -> bpy.types.Object | None:
         """The hand's armature, under whatever name it has now; None where it is gone."""
-        return self._remembered.find()
+        return self._reference.find()
 
     @property
     def armature(self) -> bpy.types.Object:

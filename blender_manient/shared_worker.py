@@ -179,7 +179,7 @@ def _bytecode_folder() -> Path | None:
 
 def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
-    properties.offered |= {"detector": detectors, "solver": solvers}
+    properties.choices_of_option |= {"detector": detectors, "solver": solvers}
     if sentence := capture_sentence():
         verification.print_sentence(sentence)
 

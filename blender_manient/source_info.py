@@ -299,7 +299,7 @@ def _on_undo(*_args) -> None:
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
-FOLLOWS = {"source": source_chosen, "as_sequence": source_changed}
+LISTENERS = {"source": source_chosen, "as_sequence": source_changed}
 
 
 def unregister() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Final, TypeVar
 
 _T = TypeVar("_T")
-_Said = TypeVar("_Said")
+_Y = TypeVar("_Said")
 
 SLICE: Final = 0.008
 """seconds after which a slice of work ends, when its last step is over"""
@@ -19,7 +19,7 @@ def slice_clock(seconds: float = SLICE) -> Callable[[], bool]:
     return lambda: time.perf_counter() > until
 
 
-def result_of(steps: Generator[Any, None, _T]) -> _T:
+def run_to_completion(steps: Generator[Any, None, _T]) -> _T:
     """Take all steps at once; returns what they return, and raises what they raise."""
     while True:
         try:
@@ -28,7 +28,7 @@ def result_of(steps: Generator[Any, None, _T]) -> _T:
             return stop.value
 
 
-def retold(steps: Generator[Any, None, _T], tell: Callable[[], _Said]) -> Generator[_Said, None, _T]:
+def map_yields(steps: Generator[Any, None, _T], tell: Callable[[], _Y]) -> Generator[_Y, None, _T]:
     """The same steps, but after each of them `tell()` is yielded instead; returns what they return."""
     while True:
         try:

@@ -25,7 +25,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
 from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side, can_touch, other_side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
@@ -337,7 +337,7 @@ class Take:
     def from_bytes(cls, data: bytes, where: str = "the take") -> Take:
         """The inverse of `to_bytes`, compact or not: numbers come back with 64 bits. `where` begins the
         messages. Raises TakeError for anything that is not a take this version understands."""
-        return result_of(cls.reading(data, where))
+        return run_to_completion(cls.reading(data, where))
 
     @classmethod
     def reading(cls, data: bytes, where: str = "the take") -> Generator[None, None, Take]:

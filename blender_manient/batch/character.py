@@ -15,12 +15,12 @@ from handfit_core.errors import HandfitError, HandModelError, InputError, Option
 from handfit_core.files import is_file, shown
 from handfit_core.retarget.hand_map import HandMap, read_preset
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import versions
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
-from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of, shortcomings
+from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
@@ -84,7 +84,7 @@ class Character:
     """By its own hands, which captured one they get: left, right, or a number from 1"""
     bones: Mapping[Side, HandMap]
     """Those that a preset tells"""
-    onto: Onto
+    onto: TransferOptions
     reference: float | None
 
     @classmethod
@@ -108,7 +108,7 @@ class Character:
                 )
         path, armature = file_and_armature(args.apply_to)
         tables = read_preset(args.bones) if args.bones else []
-        onto = Onto(
+        onto = TransferOptions(
             into=cast(Into, (args.into or "new").upper()),
             wrist=cast(Wrist, (args.wrist or "fingers").upper()),
             contacts=not args.no_contacts,
@@ -184,7 +184,7 @@ class Character:
         scene = bpy.context.scene
         if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
-        applied = result_of(applying(armature, hands, replace(self.onto, reference=reference)))
+        applied = run_to_completion(applying(armature, hands, replace(self.onto, reference=reference)))
         for entry, one in zip(told, applied, strict=True):
             entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
         warnings += shortcomings(applied)

@@ -23,7 +23,7 @@ from ..scene.poses import (
     posed_by,
     why_not_posable,
 )
-from ..scene.spans import SCOPES, Asked, suggested_range
+from ..scene.spans import SCOPES, RequestedFrames, suggested_range
 from ..scene.store import CapturedHand
 from .needs_hand import Refuses, errors_reported
 
@@ -48,7 +48,7 @@ class _PutsPose(Refuses):
         self, context: bpy.types.Context, pose_of: Callable[[PosableHand], Pose | None], name: str
     ) -> set[str]:
         hands = posable_hands(context)
-        asked = Asked(self.scope, self.first, self.last, context.scene.manient.spread)
+        asked = RequestedFrames(self.scope, self.first, self.last, context.scene.manient.spread)
         # All of them, before one is changed.
         poses = [hand.towards(context, pose_of(hand), self.blend, asked) for hand in hands]
         for hand, posed in zip(hands, poses, strict=True):
@@ -149,7 +149,7 @@ def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
             settings.pose_first, settings.pose_last = suggested_range(settings.id_data, hand)
 
 
-FOLLOWS = {"pose_scope": _scope_chosen}
+LISTENERS = {"pose_scope": _scope_chosen}
 
 
 def register() -> None:

@@ -7,12 +7,12 @@ from collections.abc import Generator
 import bpy
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import result_of, slice_clock
+from handfit_core.slices import run_to_completion, slice_clock
 
-from ..remembered import Remembered
+from ..block_reference import BlockReference
 from ..scene.build import Watch
 from ..scene.characters import active_character, hands_to_move, why_not_reachable
-from ..scene.onto_character import Applied, Onto, putting, shortcomings
+from ..scene.onto_character import Applied, TransferOptions, putting, shortcomings
 from ..wording import capitalised, counted
 from .needs_hand import Refuses, Waits, errors_reported
 
@@ -62,14 +62,14 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     @errors_reported
     def execute(self, context):
         """Do it at once: for scripts, and without a window."""
-        return self._finished(context, result_of(self._work(context)))
+        return self._finished(context, run_to_completion(self._work(context)))
 
     @errors_reported
     def invoke(self, context, _event):
         """Do it while the window stays free."""
         self._steps = self._work(context)
         self._watch = Watch()
-        self._armature = Remembered.of("objects", active_character(context))
+        self._armature = BlockReference.of("objects", active_character(context))
         MANIENT_OT_apply_to_character._running = True
         return self._wait(context, _TICK)
 
@@ -110,7 +110,7 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
         armature = active_character(context)
         assert armature is not None
         posing = self.mode == "POSE"
-        onto = Onto.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
+        onto = TransferOptions.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
         hands = hands_to_move(armature, context)
         return (
             yield from putting(armature, hands, onto, [context.scene.frame_current_final] if posing else None)

@@ -13,7 +13,7 @@ from handfit_core.options import CaptureOptions, Region
 from handfit_core.worker.runner import WorkerError
 
 from .. import jobs, preferences, screen, shared_worker, source_info
-from ..remembered import Remembered
+from ..block_reference import BlockReference
 from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
@@ -228,16 +228,16 @@ def new_job(
             picture_size=_picture_size(settings, source),
         ),
         building=jobs.Building(
-            scene=Remembered.of("scenes", scene),
+            scene=BlockReference.of("scenes", scene),
             target=target,
-            hand=Remembered.of("objects", hand.armature) if hand else None,
+            hand=BlockReference.of("objects", hand.armature) if hand else None,
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
             controls=settings.add_controls,
             matching=settings.matching,
             render_setup=settings.render_setup,
             retimed=_retimed(context, only_frame) if target == "NEW" else None,
-            camera=Remembered.of("objects", camera) if camera else None,
+            camera=BlockReference.of("objects", camera) if camera else None,
         ),
         bare=bare,
         button="add" if bare else "frame" if only_frame else "capture",

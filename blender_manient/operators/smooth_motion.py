@@ -39,7 +39,7 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
     doing = "Smoothing"
 
     strength: bpy.props.FloatProperty(  # type: ignore
-        name="Smoothing", soft_max=3.0, options={"SKIP_SAVE"}, **properties.of_option("smoothing")
+        name="Smoothing", soft_max=3.0, options={"SKIP_SAVE"}, **properties.option_property("smoothing")
     )
 
     @classmethod
@@ -193,7 +193,7 @@ def register() -> None:
         get=_shown,
         set=_moved,
         soft_max=3.0,
-        **properties.of_option(
+        **properties.option_property(
             "smoothing",
             said=". The captured motion is fitted anew; frames that you corrected or keyed stay as they are. "
             "Works on the preview range where it is used",

@@ -9,7 +9,7 @@ from handfit_core.options import OPTIONS
 from .. import jobs, shared_worker, source_info
 from ..find_mode import mode as find_mode
 from ..operators import add_hand
-from ..scene.matching import said
+from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
 from ..section import Section, fitted, sentence, split
 from ..steady import settled
@@ -150,7 +150,7 @@ def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int 
     footage = source_info.footage(settings, info, only=only)
     pictures = info.files is not None and info.files.kind != "data"
     ready = settings.render_setup and settings.camera != "ACTIVE" and pictures and only is None
-    return said(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
+    return scene_sentence(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
 
 
 class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):

@@ -23,7 +23,7 @@ from handfit_core.errors import BuildInterrupted, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.slices import result_of, retold, slice_clock
+from handfit_core.slices import run_to_completion, map_yields, slice_clock
 from handfit_core.take import HandTrack, Take
 
 from ..rigs.captured_hand import build_rig
@@ -42,7 +42,7 @@ from .store import (
     is_of_other_model,
     keep_take,
     keeping_take,
-    kept_here,
+    has_properties,
     timing_of,
 )
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
@@ -115,7 +115,7 @@ def build_take(take: Take, **options: Any) -> BuiltTake:
     is not the metre their armatures are scaled. Building twice makes a second set and leaves the first alone.
     Raises HandModelError and OptionError.
     """
-    return result_of(building(take, BuildOptions(**options)))
+    return run_to_completion(building(take, BuildOptions(**options)))
 
 
 def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float, None, BuiltTake]:
@@ -313,7 +313,7 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     work = _Work(replace(take, hands=(track,)), {track.side: model}, True)
     units = 1.0 / bpy.context.scene.unit_settings.scale_length
     try:
-        hand = result_of(_hand(made, work, track, model.shaped(track.betas), name, units, timing, camera))
+        hand = run_to_completion(_hand(made, work, track, model.shaped(track.betas), name, units, timing, camera))
     except BaseException:
         _remove(made)
         raise
@@ -328,7 +328,7 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
 def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
     """Have the hand know the points that a person has put in place or made to touch, so that they can be
     dragged on."""
-    if (track.placed is None and track.touches is None) or not kept_here():
+    if (track.placed is None and track.touches is None) or not has_properties():
         return
     count = len(take.frame_numbers)
     placed = np.full((count, NUM_KEYPOINTS, 2), np.nan) if track.placed is None else track.placed
@@ -360,7 +360,7 @@ class _Work:
 
     def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
         """Go through steps that are not counted, as numbers are fast; returns what they return."""
-        return retold(steps, lambda: self.done(0))
+        return map_yields(steps, lambda: self.done(0))
 
     def done(self, more: float) -> float:
         """Count a step; returns how much is done, 0..1."""

@@ -13,7 +13,7 @@ from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand, troubles
-from .store import CapturedHand, captured_hands, hand_of, is_put_away, kept_here
+from .store import CapturedHand, captured_hands, hand_of, is_put_away, has_properties
 
 _REMEMBERED = 32
 """hands"""
@@ -116,7 +116,7 @@ def _why_mirrored(armature: bpy.types.Object) -> str | None:
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
     """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
-    kept = _read(getattr(armature.manient.character, side).hand_map) if kept_here() else None
+    kept = _read(getattr(armature.manient.character, side).hand_map) if has_properties() else None
     return kept if kept is not None and kept.side == side else None
 
 
@@ -234,7 +234,7 @@ def hands_to_move(
 
 
 def _is_character(obj: bpy.types.Object) -> bool:
-    return obj.type == "ARMATURE" and not (kept_here() and obj.manient.is_hand)
+    return obj.type == "ARMATURE" and not (has_properties() and obj.manient.is_hand)
 
 
 def _deforming(obj: bpy.types.Object) -> list[bpy.types.Object | None]:

@@ -234,7 +234,7 @@ def _ends_of_bones() -> tuple[list[int], ...]:
 _ENDS: Final = _ends_of_bones()
 
 HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post"), _on_change)
-FOLLOWS: Final = {"confidence": shown_changed}
+LISTENERS: Final = {"confidence": shown_changed}
 
 
 def unregister() -> None:

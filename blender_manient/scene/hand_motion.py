@@ -44,7 +44,7 @@ class BoneKeys:
 
 
 @dataclass(frozen=True, eq=False)
-class Noted:
+class WrittenKeys:
     """What was written for a hand itself."""
 
     action: bpy.types.Action
@@ -85,7 +85,7 @@ def users(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.Action, Any]]:
             yield user.action, action_slot(user)
 
 
-def noted(armature: bpy.types.Object, side: Side) -> Noted | None:
+def written_keys(armature: bpy.types.Object, side: Side) -> WrittenKeys | None:
     """What was written for a hand into the topmost action that has any of it; None for none, and for what a
     damaged file holds."""
     for action, slot in users(armature):
@@ -101,7 +101,7 @@ def noted(armature: bpy.types.Object, side: Side) -> Noted | None:
             return None
         if len(table) == 0 or offset.shape != (3,) or content.get("bone") not in armature.pose.bones:
             return None
-        return Noted(action, slot, content["bone"], table, offset, settings)
+        return WrittenKeys(action, slot, content["bone"], table, offset, settings)
     return None
 
 
@@ -113,7 +113,7 @@ def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: B
     rows, keys = one.keys.rotation_keyed[:, 0] | one.keys.location_keyed, one.keys
     locations = np.where(keys.location_keyed[:, None], keys.locations, np.nan)
     table = np.column_stack([keys.frames, keys.quats[:, 0], locations])[rows]
-    before = noted(armature, one.side)
+    before = written_keys(armature, one.side)
     if before is not None and before.action == action and before.bone == one.rig.bones[0] and len(table):
         old = before.table
         old = old[~nearest(table[:, 0], old[:, 0])[1]]
@@ -131,7 +131,7 @@ def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: B
 def without_own(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
     """The keys of a hand itself without those of frames on which the artist has changed, moved or deleted
     what was written; fingers as they are."""
-    found = noted(armature, one.side) if one.side is not None else None
+    found = written_keys(armature, one.side) if one.side is not None else None
     if found is None or found.bone != one.rig.bones[0]:
         return one
     own = found.table[~found.is_as_written(one.rig), 0]

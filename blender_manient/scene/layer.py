@@ -11,13 +11,13 @@ import numpy as np
 from handfit_core.edit.simplify import Channels, simplifying
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, quat_multiply, unflip_quats
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
 from ..wording import with_note
-from .corrections import known_again
+from .corrections import marks_renewed
 from .editable import BELOW, check_keyable, is_tweaked, strip_below
 from .keys import (
     PoseKeys,
@@ -89,7 +89,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
     if found:
         own_action(armature)
         on_top = channels(layer, layer_slot)
-        with changed_alike(armature), known_again(armature, all_actions(armature)):
+        with changed_alike(armature), marks_renewed(armature, all_actions(armature)):
             for one in found:
                 _write(*one)
             for holder in [channels(*kept) for kept in own_kept_actions(armature)]:
@@ -187,7 +187,7 @@ def _write(rig: CharacterBones, keys: PoseKeys, tracks: list[Channels], *, holde
         write_pose_keys(rig, keys, holder=holder)
         return
     kept = np.flatnonzero(keys.rotation_keyed[:, 0] | keys.location_keyed)
-    result = result_of(simplifying(keys.frames, tracks, _DEGREES, kept=kept.tolist()))
+    result = run_to_completion(simplifying(keys.frames, tracks, _DEGREES, kept=kept.tolist()))
     for track, spline in zip(tracks, result.splines, strict=True):
         joint = None if track.mode == "LOCATION" else 0
         handles = spline.handles(keys.frames)

@@ -30,7 +30,7 @@ from handfit_core.retarget.transfer import (
     target_hand,
 )
 from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
-from handfit_core.slices import result_of, retold
+from handfit_core.slices import run_to_completion, map_yields
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import action_slot, channels, new_slot
@@ -41,9 +41,9 @@ from ..rigs.rig import PosedBones, bone_path
 from ..wording import counted
 from .animation import computing_keys
 from .characters import why_not_reachable
-from .controls import shown_on
+from .controls import sampled_pose
 from .editable import check_unlayered, is_layered, is_tweaked
-from .hand_motion import BoneKeys, note, noted, without_own
+from .hand_motion import BoneKeys, note, written_keys, without_own
 from .keys import (
     SAME_FRAME,
     PoseKeys,
@@ -64,10 +64,10 @@ from .timing import Timing, check_range, frame_rate
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
 
-_SAID = ("into", "wrist", "reference", "contacts", "travel", "smoothing")
-"""What of `Onto` the panel's properties say"""
+_FROM_PROPERTIES = ("into", "wrist", "reference", "contacts", "travel", "smoothing")
+"""What of `TransferOptions` the panel's properties say"""
 
-APART = 0.002
+MAX_TOUCH_ERROR = 0.002
 """metres of the captured hand's scale: what is less, nobody sees"""
 
 _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_OF", "ACTION", "IK"} | {
@@ -112,7 +112,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Onto:
+class TransferOptions:
     """How motion is put on a character."""
 
     into: Into = "NEW"
@@ -129,10 +129,10 @@ class Onto:
     """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
 
     @classmethod
-    def of(cls, armature: bpy.types.Object, **fields: Any) -> Onto:
+    def of(cls, armature: bpy.types.Object, **fields: Any) -> TransferOptions:
         """As the character's panel says, but for these fields."""
         character = armature.manient.character
-        said = {name: getattr(character, name) for name in _SAID}
+        said = {name: getattr(character, name) for name in _FROM_PROPERTIES}
         return cls(**{**said, "offsets": offsets_of(armature), **fields})
 
 
@@ -148,7 +148,7 @@ class Applied:
     """metres of the captured hand's scale by which fingertips that touch do not meet as captured, at the
     worst"""
     missed: int = 0
-    """In how many frames that is more than `APART`"""
+    """In how many frames that is more than `MAX_TOUCH_ERROR`"""
 
 
 def shortcomings(applied: Sequence[Applied]) -> list[str]:
@@ -177,12 +177,12 @@ def reading_motion(
     wanted = frames_between(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
     if len(wanted) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    if told_by_keys(rig):
+    if is_keyframed(rig):
         quats, locations = pose_at(rig, wanted)
     else:
         shown = []
         for start in range(0, len(wanted), _SAMPLED):
-            shown.append(shown_on(rig, wanted[start : start + _SAMPLED]))
+            shown.append(sampled_pose(rig, wanted[start : start + _SAMPLED]))
             yield
         quats, locations = (np.concatenate(parts) for parts in zip(*shown, strict=True))
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
@@ -200,7 +200,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     shaped = hand.shaped(track.betas)
     wrist = points_to_rest(shaped.joints[0])
     rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
-    keys = result_of(computing_keys(take, track, shaped, rest, Timing()))
+    keys = run_to_completion(computing_keys(take, track, shaped, rest, Timing()))
     frames = frames_between(keys.frames)
     curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
@@ -209,7 +209,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
 
 
-def told_by_keys(rig: PosedBones) -> bool:
+def is_keyframed(rig: PosedBones) -> bool:
     """Whether nothing but the present action's keys moves the bones: no layer, strip, constraint, driver or
     control, and no curve that is muted or modified."""
     armature, data = rig.armature, rig.armature.animation_data
@@ -232,20 +232,20 @@ def told_by_keys(rig: PosedBones) -> bool:
 def putting(
     armature: bpy.types.Object,
     hands: Sequence[tuple[HandMap, CapturedHand]],
-    onto: Onto,
+    onto: TransferOptions,
     frames: Sequence[float] | None = None,
 ) -> Generator[float, None, list[Applied]]:
     """Key what captured hands do on a character, in steps that tell how much is done, 0..1: on scene frames,
     or all that they do. Raises HandModelError and OptionError, before anything is changed."""
     motions = []
     for number, (hand_map, hand) in enumerate(hands):
-        motion = yield from retold(reading_motion(hand, frames), lambda n=number: 0.5 * n / len(hands))
+        motion = yield from map_yields(reading_motion(hand, frames), lambda n=number: 0.5 * n / len(hands))
         motions.append((hand_map, motion))
     return (yield from applying(armature, motions, onto))
 
 
 def applying(
-    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: TransferOptions
 ) -> Generator[float, None, list[Applied]]:
     """Key motions on a character's hands, in one action, in steps that each tell how much is done, 0..1.
 
@@ -271,7 +271,7 @@ class Computed:
 
 
 def computing(
-    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: TransferOptions
 ) -> Generator[float, None, Computed]:
     """What `applying` writes, and raises; nothing is changed."""
     keys, applied = [], []
@@ -296,7 +296,7 @@ def computing(
         if not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
-        worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
+        worst, missed = float(apart.max(initial=0.0)), int((apart > MAX_TOUCH_ERROR).sum())
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
     return Computed(keys, applied)
 
@@ -311,7 +311,7 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
         first, last = float(one.keys.frames[0]), float(one.keys.frames[-1])
         located = bool(one.keys.location_keyed.any())
         remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
-    result_of(writing(keys))
+    run_to_completion(writing(keys))
     noting(armature, keys)
 
 
@@ -376,7 +376,7 @@ def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.nda
 
 
 def _moving(
-    armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: Onto
+    armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: TransferOptions
 ) -> Generator[float, None, BoneKeys]:
     """Keys of the bone that moves the whole hand, in steps.
 
@@ -415,7 +415,7 @@ def _moving(
     space = turned @ target.aligned @ wrist[at].T
     turns = space @ wrist @ target.aligned.T
     located = onto.wrist == "PLACED" and not bone.use_connect
-    offset, before = np.zeros(3), noted(armature, target.hand_map.side)
+    offset, before = np.zeros(3), written_keys(armature, target.hand_map.side)
     if located:
         offset = np.asarray(onto.offsets.get(target.hand_map.side, offset), dtype=np.float64)
     moved = onto.travel * target.scale * (places - places[at]) @ space.T
@@ -450,9 +450,9 @@ def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:
 
 def is_adjusted(armature: bpy.types.Object) -> bool:
     """Whether the keys that were written for its hands themselves are as the panel's settings are now."""
-    onto = Onto.of(armature)
+    onto = TransferOptions.of(armature)
     for side in SIDES:
-        found = noted(armature, side)
+        found = written_keys(armature, side)
         if found is None:
             continue
         offset = onto.offsets.get(side, np.zeros(3)) if found.placed else np.zeros(3)
@@ -467,14 +467,14 @@ def adjusting(
     """Write the keys of the hands themselves anew that were written for them, as the panel's settings are
     now. Returns how many frames keep keys that the artist has made of them since. Raises HandfitError, before
     anything is changed."""
-    onto, computed, kept = Onto.of(armature), [], 0
+    onto, computed, kept = TransferOptions.of(armature), [], 0
     for hand_map, hand in hands:
-        found = noted(armature, hand_map.side)
+        found = written_keys(armature, hand_map.side)
         if found is None or found.bone != hand_map.moved_by or found.placed != (onto.wrist == "PLACED"):
             continue
         if not found.action.is_editable:
             raise OptionError(f"the action {found.action.name!r} is linked from another file")
-        motion = (yield from retold(reading_motion(hand), lambda: 0.0)).on(hand_map.side)
+        motion = (yield from map_yields(reading_motion(hand), lambda: 0.0)).on(hand_map.side)
         target, _, _ = prepared(armature, hand_map, motion.source, fingers_only=False)
         one = yield from _moving(armature, target, motion, onto)
         there = nearest(found.table[:, 0], one.keys.frames)[1]
@@ -492,7 +492,7 @@ def adjusting(
             )
         computed.append((found, own))
     for found, one in computed:
-        result_of(writing([one], channels(found.action, found.slot)))
+        run_to_completion(writing([one], channels(found.action, found.slot)))
         note(armature, found.action, found.slot, one)
     return kept
 

@@ -14,7 +14,7 @@ from handfit_core.files import is_file
 from handfit_core.media.exif import upright
 from handfit_core.media.opening import numbered_like, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
 from .. import preferences
@@ -66,7 +66,7 @@ def load_plate(
     take: Take, timing: Timing | None = None, max_megapixels: float | None = None
 ) -> tuple[Plate | None, list[str]]:
     """`loading_plate` at once."""
-    return result_of(loading_plate(take, timing, max_megapixels))
+    return run_to_completion(loading_plate(take, timing, max_megapixels))
 
 
 def loading_plate(

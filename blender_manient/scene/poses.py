@@ -25,7 +25,7 @@ from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.hand_map import HandMap, empty_map
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES, other_side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 from ..blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
@@ -48,9 +48,9 @@ from .keys import (
     union,
     write_pose_keys,
 )
-from .onto_character import Motion, Onto, check_own_keys, computing
+from .onto_character import Motion, TransferOptions, check_own_keys, computing
 from .sampling import rotations_of
-from .spans import Asked, Span, next_begun, next_key, span_asked
+from .spans import RequestedFrames, Span, next_run_start, next_key, requested_span
 from .store import CapturedHand, active_hand, captured_hands, hand_of
 from .timing import span_of
 
@@ -89,7 +89,7 @@ class PosableHand(ABC):
     def read(self) -> Pose:
         """The pose that it shows."""
 
-    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: Asked) -> Posed:
+    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: RequestedFrames) -> Posed:
         """What brings the fingers of selected bones, of none all fingers, towards a pose (None: the rest
         pose) on the frames that are asked for: by `blend`, 0..1, of the way from where they are. Changes
         nothing. Raises HandModelError, OptionError and TakeError."""
@@ -109,7 +109,7 @@ class PosableHand(ABC):
         """The other side's hand, whose pose this one gets mirrored. Raises OptionError for none."""
 
     @abstractmethod
-    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(self, context: bpy.types.Context, asked: RequestedFrames, moved: np.ndarray) -> tuple[Span, np.ndarray]:
         """The span, RANGE or HOLD, and the (N,) scene frames on which the bones that are moved (B,) get keys
         for it. Raises HandfitError."""
 
@@ -178,14 +178,14 @@ class _Captured(PosableHand):
             )
         return _Captured(found[0])
 
-    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(self, context: bpy.types.Context, asked: RequestedFrames, moved: np.ndarray) -> tuple[Span, np.ndarray]:
         """A key on every frame of the captured motion."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         if len(keys.frames) == 0 or not keys.rotation_keyed[:, moved].any():
             raise OptionError(f"{self._hand.armature.name!r} has no keys: put the pose on this frame alone")
         first, last = float(keys.frames[0]), float(keys.frames[-1])
         scale = timing_of(self._hand.armature).scale  # a spread counts source frames
-        span = span_asked(
+        span = requested_span(
             replace(asked, spread=asked.spread * scale),
             now,
             next_key(self._hand, now) if asked.scope == "HOLD" else None,
@@ -253,8 +253,8 @@ class _OfCharacter(PosableHand):
         skins = Fingertips.of(self._model, np.zeros(NUM_BETAS))
         turns = pose.turns(self._source.side)[None]
         motion = Motion(self._source, np.zeros(1), turns, np.zeros((1, 3)), skins)
-        onto = Onto("ACTION", contacts=self._armature.manient.character.contacts)
-        (found,) = result_of(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
+        onto = TransferOptions("ACTION", contacts=self._armature.manient.character.contacts)
+        (found,) = run_to_completion(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _rest(self) -> np.ndarray:
@@ -272,19 +272,19 @@ class _OfCharacter(PosableHand):
             )
         return _OfCharacter(self._armature, table)
 
-    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: Asked) -> Posed:
+    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: RequestedFrames) -> Posed:
         """The same; raises OptionError also where `put` could not key it."""
         check_own_keys(self._armature, "ACTION")
         posed = super().towards(context, pose, blend, asked)
         check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)
         return posed
 
-    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(self, context: bpy.types.Context, asked: RequestedFrames, moved: np.ndarray) -> tuple[Span, np.ndarray]:
         """The keys that are there, the span's ends, and where its blending does."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         own = keys.frames[keys.rotation_keyed[:, moved].any(axis=1)]
-        upcoming = next_begun(own, now)
-        span = span_asked(asked, now, upcoming, max([span_of(context.scene)[1], *own]))
+        upcoming = next_run_start(own, now)
+        span = requested_span(asked, now, upcoming, max([span_of(context.scene)[1], *own]))
         reach = max(span.spread, 1.0)
         begin, end = span.first - reach, np.inf if span.is_open else span.last + reach
         ends = [begin, span.first, span.last] + ([] if span.is_open else [end])

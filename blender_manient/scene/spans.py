@@ -49,7 +49,7 @@ SCOPES: Any = {
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequestedFrames:
     """The frames that an artist has asked for."""
 
     scope: Scope = "HERE"
@@ -83,7 +83,7 @@ class Span:
         return fade(np.maximum(away, 0.0) / max(self.spread, 1.0))
 
 
-def span_asked(asked: Asked, now: float, upcoming: float | None, last: float) -> Span:
+def requested_span(asked: RequestedFrames, now: float, upcoming: float | None, last: float) -> Span:
     """The span of frames that were asked for, RANGE or HOLD, at the frame `now` of a motion whose next key is
     `upcoming`; where there is none it ends at `last`. Raises OptionError."""
     asked.check()
@@ -119,7 +119,7 @@ def begins(field: CorrectionField, adjacent: float) -> list[float]:
     return found
 
 
-def next_begun(keyed: np.ndarray, now: float) -> float | None:
+def next_run_start(keyed: np.ndarray, now: float) -> float | None:
     """The first of these scene frames (N,) of keys, increasing, after `now` that does not follow on another
     key at once; None for none."""
     return _next(keyed[np.append(True, np.diff(keyed) > _ADJACENT)[: len(keyed)]], now)

@@ -33,7 +33,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.surface import cross, gaps_along, nearest_along, surface_of
 from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
-from handfit_core.slices import retold
+from handfit_core.slices import map_yields
 
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) fingers that can touch each other, those with the thumb first"""
@@ -171,7 +171,7 @@ def keeping_contacts(
         standing[start : start + _FOUND_AT_ONCE] = target.standing(turns[start : start + _FOUND_AT_ONCE])
         yield 0.0
     times = np.asarray(times, dtype=np.float64)
-    found = yield from retold(finding_touches(source, skins, turns, times), lambda: 0.0)
+    found = yield from map_yields(finding_touches(source, skins, turns, times), lambda: 0.0)
     chains = _Chains.of(target, source, skins, np.ones(len(target.bones), bool) if keyed is None else keyed)
     x = np.zeros((len(turns), len(chains.bones)))
     for some, done in _slices(found.weights[:, chains.told].max(axis=1, initial=0.0)):

@@ -13,7 +13,7 @@ import pytest
 from blender_manient import command
 from blender_manient.batch.character import Character
 from blender_manient.scene.characters import keep_map
-from blender_manient.scene.onto_character import APART, motion_of
+from blender_manient.scene.onto_character import MAX_TOUCH_ERROR, motion_of
 from handfit_core.hand_model.poses import ready_poses
 from handfit_core.retarget.hand_map import to_preset
 from handfit_core.retarget.transfer import globally
@@ -132,14 +132,14 @@ def test_a_take_moves_a_character_as_its_built_hands_do(make_take):
     from blender_manient.scene.build import build_take
     from blender_manient.scene.onto_character import reading_motion
     from blender_manient.scene.store import hand_of
-    from handfit_core.slices import result_of
+    from handfit_core.slices import run_to_completion
 
     take = make_take().take
     built = build_take(take)
     for number, one in enumerate(built.hands):
         hand = hand_of(one.armature)
         assert hand is not None
-        read, computed = result_of(reading_motion(hand)), motion_of(take, take.hands[number])
+        read, computed = run_to_completion(reading_motion(hand)), motion_of(take, take.hands[number])
         np.testing.assert_array_equal(read.frames, computed.frames)
         assert len(read.frames) == 16, "gaps are filled"
         np.testing.assert_allclose(globally(read.turns), globally(computed.turns), atol=1e-5)
@@ -178,7 +178,7 @@ def test_contacts_are_kept_unless_it_is_told_otherwise(make_take, hero, tmp_path
         (entry,) = report(tmp_path)
         (hand,) = entry["character"]["hands"]
         told = any("fingertips that touch do not meet" in warning for warning in entry["warnings"])
-        assert told == (hand["tips_apart"] > APART)
+        assert told == (hand["tips_apart"] > MAX_TOUCH_ERROR)
         armature = opened(tmp_path / "out" / "pinch" / "pinch.blend")
         bpy.context.scene.frame_set(8)
         bones = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones

@@ -13,7 +13,7 @@ from blender_manient import hand_adjusting, live_link
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
-from blender_manient.scene.hand_motion import MARK, noted
+from blender_manient.scene.hand_motion import MARK, written_keys
 from blender_manient.scene.store import hand_of
 from tests.drawn import drawn
 
@@ -67,7 +67,7 @@ def turns(target, frame) -> np.ndarray:
 
 
 def curve_of(target, path="location", index=0):
-    action = noted(target, "right").action
+    action = written_keys(target, "right").action
     return next(
         c
         for c in action_curves(action)
@@ -170,12 +170,12 @@ def test_nothing_is_written_where_nothing_was(target):
         character.travel = 0.5
         settle()
         np.testing.assert_allclose(places(target), before, atol=1e-5)
-    action = noted(target, "right").action
+    action = written_keys(target, "right").action
     for damaged in ({"0/right": 3}, "text", {key: {"keys": "?"} for key in dict(action[MARK])}):
         action[MARK] = damaged
         character.travel = 0.7
         settle()
-        assert noted(target, "right") is None
+        assert written_keys(target, "right") is None
         np.testing.assert_allclose(places(target), before, atol=1e-5)
 
 

@@ -12,7 +12,7 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import pose_at
-from blender_manient.scene.onto_character import Onto, applying, putting, reading_motion
+from blender_manient.scene.onto_character import TransferOptions, applying, putting, reading_motion
 from blender_manient.scene.sampling import sample
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandfitError
@@ -22,7 +22,7 @@ from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS, other_side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from tests.core.retarget.pinches import bends
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed
@@ -30,7 +30,7 @@ from .conftest import action_curves
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-PLAIN = Onto(contacts=False)
+PLAIN = TransferOptions(contacts=False)
 
 
 def captured(make_take, side="right", **fields):
@@ -91,7 +91,7 @@ def test_fingers_point_as_captured(make_take, side, mode):
     placed(target, rng, 0.02)
     for bone in target.pose.bones:
         bone.rotation_mode = mode
-    result_of(putting(target, [(map_of(side), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of(side), hand)], PLAIN))
     names = [joint_name(j, side) for j in range(16)]
     own = bone_names(side)
     frames = pose_at(hand.rig, np.array([0.0]))  # the rig is asked, not only its name
@@ -105,7 +105,7 @@ def test_the_other_side_is_mirrored(make_take):
     rng = np.random.default_rng(6)
     hand = captured(make_take, "left")
     target = build_armature(hand_specs("right", rng, bend=0.4, stretch=0.2))
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     names = [joint_name(j, "right") for j in range(16)]
     # A left palm's axes are left-handed seen from the right: the third axis turns over.
     ours = directions(hand.armature, bone_names("left"), 3) * [1.0, 1.0, -1.0]
@@ -120,7 +120,7 @@ def test_our_own_second_hand_gets_the_same_pose(make_take, side):
     second.animation_data_clear()
     second.manient.is_hand = False
     bpy.context.collection.objects.link(second)
-    result_of(putting(second, [(HandMap(side, tuple(bone_names(side))), hand)], PLAIN))
+    run_to_completion(putting(second, [(HandMap(side, tuple(bone_names(side))), hand)], PLAIN))
     for frame in (3, 8):
         bones, ours = shown(second, frame), shown(hand.armature, frame)
         for name in bone_names(side)[1:]:
@@ -139,7 +139,7 @@ def test_only_mapped_bones_are_touched_and_the_present_action_goes_on(make_take)
         wrist.keyframe_insert("rotation_euler", frame=frame)
     body = target.animation_data.action
     values = [tuple(k.co) for c in action_curves(body) for k in c.keyframe_points]
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     own = target.animation_data.action
     assert own is not body
     keyed = {curve.data_path.split('"')[1] for curve in action_curves(own)}
@@ -153,7 +153,7 @@ def test_bones_with_quotes_in_their_names(make_take):
     hand = captured(make_take)
     names = {j: f'b"{j}\\"' for j in range(16)}
     target = build_armature(hand_specs("right", np.random.default_rng(18), bend=0.3, names=names))
-    result_of(putting(target, [(map_of("right", names), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right", names), hand)], PLAIN))
     error = angles(
         directions(target, list(names.values()), 5), directions(hand.armature, bone_names("right"), 5)
     )
@@ -163,7 +163,7 @@ def test_bones_with_quotes_in_their_names(make_take):
 def test_a_strip_above_all_others(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(8), bend=0.3))
-    result_of(putting(target, [(map_of("right"), hand)], Onto(into="STRIP", contacts=False)))
+    run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions(into="STRIP", contacts=False)))
     data = target.animation_data
     assert data.action is None
     assert len(data.nla_tracks) == 1
@@ -182,7 +182,7 @@ def test_the_present_action_loses_the_same_bones_keys_in_the_range_alone(make_ta
     for frame in (-20, 4.5, 90):
         bone.keyframe_insert("rotation_quaternion", frame=frame)
     action = target.animation_data.action
-    result_of(putting(target, [(map_of("right"), hand)], Onto(into="ACTION", contacts=False)))
+    run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions(into="ACTION", contacts=False)))
     assert target.animation_data.action is action
     keyed = hand.armature.animation_data.action.frame_range
     curve = next(c for c in action_curves(action) if c.data_path.split('"')[1] == bone.name)
@@ -204,7 +204,7 @@ def test_what_turns_a_bone_otherwise_is_left_alone_and_named(make_take):
     bones[4].lock_rotation = (True, True, True)
     bones[4].rotation_mode = "XYZ"
     bones[5].constraints.new("COPY_ROTATION").mute = True
-    (applied,) = result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    (applied,) = run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     assert applied.bones == 12
     assert len(applied.left_alone) == 3
     told = " ".join(applied.left_alone)
@@ -222,7 +222,7 @@ def test_locked_axes_stay_what_they_are(make_take):
     bone = target.pose.bones[joint_name(2, "right")]
     bone.rotation_mode, bone.lock_rotation = "XYZ", (False, True, False)
     bone.rotation_euler.y = 0.25
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     for curve in action_curves(target.animation_data.action):
         if bone.name in curve.data_path and curve.array_index == 1:
             assert np.allclose([k.co.y for k in curve.keyframe_points], 0.25, atol=1e-6)
@@ -247,7 +247,7 @@ def test_the_hand_turns_and_moves_as_captured_from_the_marked_frame(make_take, w
         hand.armature, own, bone_names("right")[4]
     )
     before = shown(target, 3)[names].matrix.copy()
-    result_of(putting(target, [(map_of("right"), hand)], Onto(wrist=wrist, reference=3.0, contacts=False)))
+    run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions(wrist=wrist, reference=3.0, contacts=False)))
     assert np.abs(np.array(shown(target, 3)[names].matrix) - np.array(before)).max() < 1e-4
     for frame in (4, 5, 8):
         ours, theirs = [], []
@@ -280,17 +280,17 @@ def test_a_marked_frame_outside_is_refused(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(13)))
     with pytest.raises(HandfitError, match="marked frame"):
-        result_of(putting(target, [(map_of("right"), hand)], Onto(wrist="TURNED", reference=500.0)))
+        run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions(wrist="TURNED", reference=500.0)))
     assert target.animation_data is None
 
 
 def test_a_stop_loses_no_keys_of_the_present_action(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(19)))
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     action = target.animation_data.action
     count = sum(len(c.keyframe_points) for c in action_curves(action))
-    steps = putting(target, [(map_of("right"), hand)], Onto(into="ACTION", contacts=False))
+    steps = putting(target, [(map_of("right"), hand)], TransferOptions(into="ACTION", contacts=False))
     while True:
         try:
             next(steps)
@@ -312,7 +312,7 @@ def test_a_cycle_goes_on_below(make_take):
     target.animation_data.action_influence = 0.5
     frames = (3, 7, 11, 15)
     before = [shown(target, frame)[wrist.name].location.x for frame in frames]
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     assert [shown(target, frame)[wrist.name].location.x for frame in frames] == pytest.approx(
         before, abs=1e-5
     )
@@ -352,7 +352,7 @@ def test_what_would_not_be_shown_is_refused(make_take, spoil, into, said):
     spoil(target)
     tracks = len(target.animation_data.nla_tracks)
     with pytest.raises(HandfitError, match=said):
-        result_of(putting(target, [(map_of("right"), hand)], Onto(into=into, contacts=False)))
+        run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions(into=into, contacts=False)))
     assert target.animation_data.action == action
     assert len(target.animation_data.nla_tracks) == tracks
     assert len(bpy.data.actions) == 2
@@ -373,7 +373,7 @@ def test_what_else_moves_the_captured_hand_counts(make_take, how):
         if how == "modifier":
             curve.modifiers.new("NOISE").strength = 0.3
     target = build_armature(hand_specs("right", np.random.default_rng(22)))
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     names = [joint_name(j, "right") for j in range(16)]
     error = angles(directions(target, names, 6), directions(hand.armature, bone_names("right"), 6))
     assert error.max() < 0.1
@@ -384,7 +384,7 @@ def test_a_single_locked_axis_of_a_quaternion_bone(make_take):
     target = build_armature(hand_specs("right", np.random.default_rng(23)))
     bone = target.pose.bones[joint_name(2, "right")]
     bone.lock_rotation = (False, True, False)
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     for frame in (3, 6, 9):
         turned = shown(target, frame)[bone.name].matrix_basis.to_euler("XYZ")
         assert turned.y == pytest.approx(0.0, abs=1e-4)
@@ -395,7 +395,7 @@ def test_what_is_stopped_leaves_nothing(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(14)))
     count = len(bpy.data.actions)
-    motion = result_of(reading_motion(hand))
+    motion = run_to_completion(reading_motion(hand))
     steps = applying(target, [(map_of("right"), motion)], PLAIN)
     while len(bpy.data.actions) == count:
         next(steps)
@@ -412,7 +412,7 @@ def test_layers_and_constraints_of_the_captured_hand_count(make_take):
     limit.owner_space, limit.use_limit_x, limit.min_x, limit.max_x = "LOCAL", True, 0.3, 0.3
     target = build_armature(hand_specs("right", np.random.default_rng(15)))
     frame = bpy.context.scene.frame_current
-    result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+    run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     assert bpy.context.scene.frame_current == frame
     names = [joint_name(j, "right") for j in range(16)]
     error = angles(directions(target, names, 4), directions(hand.armature, bone_names("right"), 4))
@@ -434,7 +434,7 @@ def test_characters_that_cannot_be_keyed(make_take, spoil, said):
     spoil(target)
     bpy.context.view_layer.update()
     with pytest.raises(HandfitError, match=said):
-        result_of(putting(target, [(map_of("right"), hand)], PLAIN))
+        run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     bpy.ops.object.mode_set(mode="OBJECT")
     assert target.animation_data is None
 
@@ -445,7 +445,7 @@ def test_both_hands_are_in_one_action(make_take):
     rng = np.random.default_rng(17)
     specs = [*hand_specs("left", rng), *hand_specs("right", rng)]
     target = build_armature(specs)
-    result_of(putting(target, [(map_of(side), hands[side]) for side in hands], PLAIN))
+    run_to_completion(putting(target, [(map_of(side), hands[side]) for side in hands], PLAIN))
     keyed = {c.data_path.split('"')[1] for c in action_curves(target.animation_data.action)}
     assert len(keyed) == 30
     assert other_side("left") == "right"
@@ -476,14 +476,14 @@ def tips_apart(target, side, frame):
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_fingertips_that_touch_do_so_on_the_character(make_take, side):
     hand = pinched(make_take, side)
-    motion = result_of(reading_motion(hand))
+    motion = run_to_completion(reading_motion(hand))
     tips = motion.source.points(motion.turns[:1])[1][0]
     wanted = np.linalg.norm(tips[0] - tips[1])
     off = {True: [], False: []}
     for seed in range(3):
         for contacts in off:
             target = build_armature(hand_specs(side, np.random.default_rng(seed), stretch=0.25))
-            (done,) = result_of(putting(target, [(map_of(side), hand)], Onto(contacts=contacts)))
+            (done,) = run_to_completion(putting(target, [(map_of(side), hand)], TransferOptions(contacts=contacts)))
             off[contacts].append(abs(tips_apart(target, side, 3) - wanted))
             assert done.apart < 0.002
             assert done.missed == 0
@@ -505,7 +505,7 @@ def test_fingertips_that_cannot_meet_are_told(make_take, capfd):
         for spec in specs
     ]
     target = build_armature(specs)
-    (done,) = result_of(putting(target, [(map_of("right"), hand)], Onto()))
+    (done,) = run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions()))
     assert done.apart > 0.005
     assert done.missed == done.frames
     keep_map(target, map_of("right"))

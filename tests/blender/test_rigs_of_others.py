@@ -17,7 +17,7 @@ from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
 from blender_manient.scene.build import build_take
-from blender_manient.scene.onto_character import Onto, putting
+from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
@@ -25,7 +25,7 @@ from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from tests.core.retarget.rigs import Built, add_hand, body, names_of, source
 from tests.drawn import drawn
 
@@ -240,8 +240,8 @@ def test_the_hand_of_rigify_moves_as_captured(make_take, generated, by_fk):
     hand = hand_of(build_take(make_take(sides=("left",)).take).hands[0].armature)
     assert hand is not None
     hand_map = found_hand(rig, "left").hand_map
-    onto = Onto(wrist="TURNED" if by_fk else "PLACED", reference=3.0, contacts=False)
-    result_of(putting(rig, [(hand_map, hand)], onto))
+    onto = TransferOptions(wrist="TURNED" if by_fk else "PLACED", reference=3.0, contacts=False)
+    run_to_completion(putting(rig, [(hand_map, hand)], onto))
     scale = target_hand(bones_of(rig), hand_map, SourceHand.of(hand.shaped(), "left")).scale
     first = {}
     for frame in (3, 5, 8):

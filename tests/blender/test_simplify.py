@@ -36,7 +36,7 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotmat, rotvec_to_quat
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.skeleton import NUM_JOINTS
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 from .characters import build_armature, hand_specs, joint_name
 from .test_corrections import correct, moved_poses, refitted
@@ -66,7 +66,7 @@ def chosen(armature):
 
 
 def simplify(bounds=Bounds()) -> list:  # noqa: B008
-    found = [result_of(thinning(hand, bounds)) for hand in hands_to_simplify(bpy.context)]
+    found = [run_to_completion(thinning(hand, bounds)) for hand in hands_to_simplify(bpy.context)]
     write(found[0].hand.rig.armature, found)
     return found
 
@@ -383,7 +383,7 @@ def test_what_follows_a_simplified_hand_gets_all_of_its_motion(armature, make_ta
     simplify(Bounds(2.0, 2.0, "BONE"))
     frames = np.arange(1.0, 81.0)
     quats = pose_at(rig_of(armature), frames)[0]
-    motion = result_of(reading_motion(hand_of(armature)))
+    motion = run_to_completion(reading_motion(hand_of(armature)))
     np.testing.assert_array_equal(motion.frames, frames)
     other = build_take(make_take(sides=("right",), frame_numbers=FRAMES, seed=5).take).hands[0].armature
     apply_hand(other, armature, "ANIMATION", 1.0)
@@ -503,7 +503,7 @@ def test_a_layer_is_added_and_merged_or_taken_away(armature, simplified):
     at = np.isin(FRAMES, frames)
     pose = retaken([hand_of(armature)]).hands[0].hand_pose[at, :3]
     assert np.abs(pose[inside] - hand_of(armature).track.hand_pose[at, :3][inside]).max() > 0.2
-    assert len(result_of(reading_motion(hand_of(armature))).frames) >= len(frames)
+    assert len(run_to_completion(reading_motion(hand_of(armature))).frames) >= len(frames)
     end_layer(armature, merge=False)
     assert armature.animation_data.action == motion
     assert contents(armature) == kept

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from handfit_core.slices import result_of, retold
+from handfit_core.slices import run_to_completion, map_yields
 
 
 def counting(count: int, fails: bool = False):
@@ -16,16 +16,16 @@ def counting(count: int, fails: bool = False):
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_the_result_of_all_steps(count):
-    assert result_of(counting(count)) == f"{count} steps"
+    assert run_to_completion(counting(count)) == f"{count} steps"
 
 
 def test_steps_retold():
     told = iter("abc")
-    steps = retold(counting(3), lambda: next(told))
+    steps = map_yields(counting(3), lambda: next(told))
     assert [next(steps) for _ in range(3)] == ["a", "b", "c"]
-    assert result_of(steps) == "3 steps"
+    assert run_to_completion(steps) == "3 steps"
 
 
 def test_errors_pass_through():
     with pytest.raises(ValueError, match="the last step"):
-        result_of(retold(counting(2, fails=True), lambda: None))
+        run_to_completion(map_yields(counting(2, fails=True), lambda: None))

@@ -12,7 +12,7 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import RestPose, bone_frames, points_to_rest
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import NUM_JOINTS
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 
 def turning(count: int, noise: float, seed: int = 0) -> np.ndarray:
@@ -59,7 +59,7 @@ def degrees_off(track: Channels, spline: Spline, frames: np.ndarray) -> float:
 def test_no_bone_is_farther_off_than_the_bound_in_any_frame(noise, bound):
     frames = 7.0 + 0.8 * np.arange(260)
     tracks = [Channels(turning(260, noise, seed), "QUATERNION", group=seed // 2) for seed in range(4)]
-    found = result_of(simplifying(frames, tracks, bound))
+    found = run_to_completion(simplifying(frames, tracks, bound))
     off = [degrees_off(*pair, frames) for pair in zip(tracks, found.splines, strict=True)]
     assert max(off) <= bound
     assert found.degrees == pytest.approx(max(off), abs=1e-3)
@@ -80,9 +80,9 @@ def test_looser_bounds_and_frames_of_their_own_take_fewer_keys():
     motions = [turning(300, 0.004, seed) for seed in range(6)]
     together = [Channels(motion, "QUATERNION") for motion in motions]
     alone = [Channels(motion, "QUATERNION", group=i) for i, motion in enumerate(motions)]
-    counts = [keys_of(result_of(simplifying(frames, together, bound))) for bound in (0.5, 2.0, 8.0)]
+    counts = [keys_of(run_to_completion(simplifying(frames, together, bound))) for bound in (0.5, 2.0, 8.0)]
     assert counts[0] > counts[1] > counts[2]
-    assert keys_of(result_of(simplifying(frames, alone, 2.0))) < counts[1] < 0.5 * 6 * 300
+    assert keys_of(run_to_completion(simplifying(frames, alone, 2.0))) < counts[1] < 0.5 * 6 * 300
 
 
 @pytest.mark.parametrize("mode", ["XYZ", "ZXY", "AXIS_ANGLE"])
@@ -93,7 +93,7 @@ def test_bones_in_other_rotation_modes_keep_to_the_bound(mode):
     if mode == "AXIS_ANGLE":
         values = np.concatenate([1.0 + values[:, :1], np.tile([0.6, 0.0, 0.8], (200, 1))], axis=-1)
     track = Channels(values, mode)
-    found = result_of(simplifying(frames, [track], 1.0))
+    found = run_to_completion(simplifying(frames, [track], 1.0))
     assert degrees_off(track, found.splines[0], frames) <= 1.0
     assert len(found.splines[0].rows) < 60
 
@@ -101,7 +101,7 @@ def test_bones_in_other_rotation_modes_keep_to_the_bound(mode):
 def test_what_does_not_move_keeps_two_keys():
     still = np.tile(turning(1, 0.0), (90, 1))
     place = np.tile([0.1, -0.2, 0.3], (90, 1))
-    found = result_of(
+    found = run_to_completion(
         simplifying(
             np.arange(90.0), [Channels(still, "QUATERNION"), Channels(place, "LOCATION", 1, arm=0.1)], 0.1
         )
@@ -114,7 +114,7 @@ def test_what_does_not_move_keeps_two_keys():
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_very_short_motions(count):
     frames, track = np.arange(5.0, 5.0 + count), Channels(turning(count, 0.3), "QUATERNION")
-    found = result_of(simplifying(frames, [track], 0.01))
+    found = run_to_completion(simplifying(frames, [track], 0.01))
     assert found.splines[0].rows.tolist() == list(range(count))
     before, behind = found.splines[0].handles(frames)
     assert np.isfinite([before, behind]).all()
@@ -124,14 +124,14 @@ def test_very_short_motions(count):
 
 def test_rows_that_are_to_stay_stay():
     track = Channels(turning(120, 0.0), "QUATERNION")
-    found = result_of(simplifying(np.arange(120.0), [track], 5.0, kept=[17, 18, 64]))
+    found = run_to_completion(simplifying(np.arange(120.0), [track], 5.0, kept=[17, 18, 64]))
     assert {17, 18, 64} <= set(found.splines[0].rows.tolist())
 
 
 def test_smooth_motion_of_unit_quaternions_stays_near_length_one_between_frames():
     frames = np.arange(300.0)
     track = Channels(turning(300, 0.0, seed=3), "QUATERNION")
-    spline = result_of(simplifying(frames, [track], 2.0)).splines[0]
+    spline = run_to_completion(simplifying(frames, [track], 2.0)).splines[0]
     between = played(spline, frames, np.arange(0.0, 299.0, 0.1))
     np.testing.assert_allclose(np.linalg.norm(between, axis=-1), 1.0, atol=0.05)
     assert np.abs(np.diff(between, axis=0)).max() < 0.02
@@ -167,7 +167,7 @@ def test_the_sight_is_the_models_own_projection():
 def test_no_keypoint_is_farther_off_than_the_bound_in_pixels(pixels):
     tracks, sight = seen_hand(120)
     frames = np.arange(120.0)
-    found = result_of(simplifying(frames, tracks, 4.0, pixels, sight=sight))
+    found = run_to_completion(simplifying(frames, tracks, 4.0, pixels, sight=sight))
     shown = [played(spline, frames, frames) for spline in found.splines]
     quats = np.stack([channels_to_quat(values, "QUATERNION") for values in shown[:NUM_JOINTS]], axis=1)
     project = sight.intrinsics.project
@@ -177,7 +177,7 @@ def test_no_keypoint_is_farther_off_than_the_bound_in_pixels(pixels):
     )
     assert found.pixels == pytest.approx(off.max(), abs=1e-6)
     assert off.max() <= pixels
-    free = result_of(simplifying(frames, tracks, 4.0, sight=sight))
+    free = run_to_completion(simplifying(frames, tracks, 4.0, sight=sight))
     assert free.pixels is not None
     assert free.pixels > pixels
     assert keys_of(free) < keys_of(found)
@@ -188,7 +188,7 @@ def test_a_part_of_a_hand_that_is_seen_keeps_to_the_bound_in_pixels():
     frames = np.arange(100.0)
     chosen = [13, 14, 15, LOCATION]
     own = [tracks[i] for i in chosen]
-    found = result_of(
+    found = run_to_completion(
         simplifying(
             frames,
             [Channels(t.values, t.mode, i, t.arm, t.joint) for i, t in enumerate(own)],

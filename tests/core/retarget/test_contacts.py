@@ -31,7 +31,7 @@ from handfit_core.retarget.contacts import (
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import TargetHand, mirrored_turns, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 from tests.core.fit.differences import by_each
 from tests.core.retarget.pinches import HELD, PINCHES, pinching, turns_of
 from tests.core.retarget.rigs import Built, add_hand, source
@@ -59,7 +59,7 @@ def character(side: Side, seed: int, stretch: float = 0.25, bend: float = 0.3, *
 def kept_on(target: TargetHand, turns: np.ndarray) -> Kept:
     side = target.hand_map.side
     times = np.arange(len(turns)) / FPS
-    return result_of(keeping_contacts(target, source(side), skins(side), turns, times))
+    return run_to_completion(keeping_contacts(target, source(side), skins(side), turns, times))
 
 
 def gaps(target: TargetHand, standing: np.ndarray, finger: str) -> np.ndarray:
@@ -216,7 +216,7 @@ def test_a_mirrored_hand_does_the_mirrored_thing():
         (mirrored, own.mirrored(), tips.mirrored(), mirrored_turns(turns)),
     ):
         target = target_hand(its, HandMap(hand.side, names), hand)
-        kept = result_of(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
+        kept = run_to_completion(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
         found.append((target.points(kept.standing)[1], kept.apart))
     np.testing.assert_allclose(found[1][0], found[0][0] @ MIRROR_X, atol=1e-9)
     np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-9)
@@ -255,13 +255,13 @@ def test_bones_that_are_left_alone_stay():
     thumb = np.array([joints[0] in FINGER_JOINTS["thumb"] for joints in target.joints])
     apart = []
     for keyed in (~thumb, thumb):
-        kept = result_of(keeping_contacts(target, source("right"), skins("right"), turns, times, keyed))
+        kept = run_to_completion(keeping_contacts(target, source("right"), skins("right"), turns, times, keyed))
         assert (kept.standing[:, ~keyed] == plain[:, ~keyed]).all()
         assert (kept.standing[HELD][:, keyed] != plain[HELD][:, keyed]).any()
         apart.append(kept.apart[HELD].max())
     assert max(apart) < 0.001
     none = np.zeros(15, dtype=bool)
-    kept = result_of(keeping_contacts(target, source("right"), skins("right"), turns, times, none))
+    kept = run_to_completion(keeping_contacts(target, source("right"), skins("right"), turns, times, none))
     assert (kept.standing == plain).all()
 
 
@@ -285,7 +285,7 @@ def test_what_cannot_be_reached_is_told():
 def test_weights_are_one_where_tips_touch_and_smooth_beside():
     turns = pinching("right", "index")
     times = np.arange(len(turns)) / FPS
-    found = result_of(finding_touches(source("right"), skins("right"), turns, times))
+    found = run_to_completion(finding_touches(source("right"), skins("right"), turns, times))
     pair = PAIRS.tolist().index([0, 1])
     weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
     np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
@@ -299,7 +299,7 @@ def test_weights_are_one_where_tips_touch_and_smooth_beside():
     assert (weights[near[-1] + reach + 1 :] == 0.0).all()
     # A pause of the touch that is shorter than the blend is none.
     short = np.concatenate([turns[:35], turns[20:22], turns[35:]])
-    again = result_of(finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS))
+    again = run_to_completion(finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS))
     assert again.weights[35:37, pair].min() > 0.7
 
 
@@ -313,7 +313,7 @@ def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
     found = []
     for one in angles:
         turns = turns_of(side, one[None])
-        found.append(result_of(finding_touches(source(side), skins(side), turns, np.zeros(1))))
+        found.append(run_to_completion(finding_touches(source(side), skins(side), turns, np.zeros(1))))
     pair = PAIRS.tolist().index([1, 2])
     assert found[0].gap[0, pair] < TOUCHING[0]
     assert found[0].weights[0, pair] == 0.0
@@ -325,7 +325,7 @@ def test_fingers_side_by_side_are_no_touch_and_crossed_ones_are():
 def test_slopes_are_those_of_differences(finger):
     rng = np.random.default_rng(9)
     turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
-    found = result_of(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
+    found = run_to_completion(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
     chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
     problem = chains.problem(target.standing(turns), found, np.arange(2))
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))

@@ -8,7 +8,7 @@ import bpy
 
 
 @dataclass(frozen=True)
-class Remembered:
+class BlockReference:
     """One data-block of this session. Holds no reference, which an undo would break."""
 
     collection: str
@@ -18,7 +18,7 @@ class Remembered:
     """As it was called then; for messages"""
 
     @classmethod
-    def of(cls, collection: str, block: bpy.types.ID) -> Remembered:
+    def of(cls, collection: str, block: bpy.types.ID) -> BlockReference:
         """Remember a block of bpy.data.COLLECTION."""
         return cls(collection, block.session_uid, block.name)
 
